@@ -1,0 +1,96 @@
+"""A calibration file: intrinsics, hand-eye pose and board pose, each with its uncertainty.
+
+Covariances of poses are (6, 6) over a left perturbation, translation first [m], then rotation vector [rad]:
+`true = perturbation(twist) @ stated`. What was not calibrated is None.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files, pose
+from datasets.camera_model import Camera
+from datasets.errors import DatasetError
+
+FORMAT, VERSION = "koala-calibration", 1
+
+
+@dataclass(frozen=True)
+class UncertainPose:
+    """A rigid transform with the covariance of its error."""
+
+    matrix: NDArray[np.float64]
+    """(4, 4) rigid transform [m]."""
+    covariance: NDArray[np.float64]
+    """(6, 6): translation [m^2] first, then rotation vector [rad^2]."""
+
+    @property
+    def translation_std_mm(self) -> NDArray[np.float64]:
+        """(3,) standard deviations of the translation [mm]."""
+        return 1e3 * np.sqrt(np.diag(self.covariance)[:3])
+
+    @property
+    def rotation_std_deg(self) -> NDArray[np.float64]:
+        """(3,) standard deviations of the rotation [deg]."""
+        return np.rad2deg(np.sqrt(np.diag(self.covariance)[3:]))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary: translation [m], quaternion `wxyz`, covariance."""
+        return {
+            "translation_m": self.matrix[:3, 3].tolist(),
+            "quaternion_wxyz": pose.quaternion(self.matrix).tolist(),
+            "covariance": self.covariance.tolist(),
+        }
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> Self:
+        """Pose from `to_json`'s dictionary."""
+        try:
+            matrix = pose.from_quaternion(content["quaternion_wxyz"], content["translation_m"])
+            covariance = np.asarray(content["covariance"], np.float64).reshape(6, 6)
+        except (TypeError, KeyError, ValueError) as error:
+            raise DatasetError("pose is not complete", where=where, why=str(error)) from None
+        return cls(pose.checked(matrix, where=where), covariance)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of the rig, how well, and from which recording."""
+
+    camera: Camera
+    """Intrinsics at the size of the recorded images."""
+    camera_std: dict[str, float]
+    """Standard deviation of each estimated intrinsic [px for fx fy cx cy, else 1]."""
+    flange_from_camera: UncertainPose | None = None
+    """Hand-eye pose: X in AX = XB."""
+    base_from_board: UncertainPose | None = None
+    """Where the calibration target stood."""
+    residuals: dict[str, Any] = field(default_factory=dict)
+    """What the fit left: `rms_px`, per-view errors, held-out error, counts."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """Recording path and hash, target, method, software versions."""
+
+    def save(self, path: Path) -> None:
+        """Write atomically as JSON."""
+        poses = {name: getattr(self, name) for name in ("flange_from_camera", "base_from_board")}
+        files.write_json(path, {
+            "format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std,
+            **{name: value.to_json() if value else None for name, value in poses.items()},
+            "residuals": self.residuals, "provenance": self.provenance,
+        })  # fmt: skip
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a calibration. Raises Misuse where the file is missing, DatasetError where it is damaged."""
+        content = files.read_json(path, kind=FORMAT, version=VERSION)
+        if "camera" not in content:
+            raise DatasetError("calibration holds no camera", where=path)
+        poses = {
+            name: UncertainPose.from_json(content[name], where=f"{path}, {name}") if content.get(name) else None
+            for name in ("flange_from_camera", "base_from_board")
+        }
+        return cls(Camera.from_json(content["camera"], where=f"{path}, camera"), content.get("camera_std", {}),
+                   residuals=content.get("residuals", {}), provenance=content.get("provenance", {}), **poses)  # fmt: skip

@@ -1,0 +1,131 @@
+"""A recording: the folder that a capture leaves, written so that a kill at any moment loses nothing.
+
+    RECORDING/manifest.json    what was asked for and with what: trajectory, rig, camera state, seed, versions
+    RECORDING/frames.jsonl     one line per exposure, appended and flushed to the disk after its image is there
+    RECORDING/images/*.png     lossless images
+    RECORDING/truth/           only from a simulation; read by evaluation and by nothing else
+
+A frame counts once its line is complete; an image without a line is taken again on resume.
+"""
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files, pose
+from datasets.errors import DatasetError, Misuse
+
+FORMAT, VERSION = "koala-recording", 1
+MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One exposure: where the arm was, when, and the picture."""
+
+    index: int
+    """Index of the viewpoint in the trajectory."""
+    name: str
+    """Unique name, sorts in trajectory order ("000", "001", ...)."""
+    split: str
+    """"train" or "test"; "calibration" for a target session."""
+    image: str
+    """Path of the image relative to the recording."""
+    base_from_flange: NDArray[np.float64]
+    """(4, 4) as the controller reported it after settling [m]."""
+    joints: NDArray[np.float64]
+    """(6,) measured joint angles [rad]."""
+    robot_time_s: float
+    """The controller's own time stamp [s]."""
+    host_time_ns: int
+    """Monotonic host clock at exposure [ns]."""
+    device_ticks: int
+    """The camera's time stamp at exposure."""
+    exposure_us: float
+    """Exposure time as read back from the camera [us]."""
+    settle_s: float
+    """Time from the end of the motion to the exposure [s]."""
+    sha256: str
+    """Of the image file."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary of the fields, arrays as lists."""
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> Self:
+        """Frame from `to_json`'s dictionary; raises DatasetError naming what is wrong in it."""
+        try:
+            frame = cls(**{**content, "joints": np.asarray(content["joints"], np.float64),
+                           "base_from_flange": pose.checked(content["base_from_flange"], where=where)})  # fmt: skip
+        except (TypeError, KeyError, ValueError) as error:
+            raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
+        if frame.joints.shape != (6,) or not np.isfinite(frame.joints).all():
+            raise DatasetError("joint angles are not six finite numbers", where=where)
+        return frame
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording on disk. `manifest` is what `create` was given, with format, version and software added."""
+
+    path: Path
+    manifest: dict[str, Any]
+    frames: list[Frame] = field(default_factory=list)
+
+    @classmethod
+    def create(cls, path: Path, manifest: dict[str, Any]) -> Self:
+        """Start a new recording in a folder that is missing or empty. Raises Misuse where it holds something."""
+        path = Path(path)
+        files.refuse_existing(path)
+        (path / IMAGES).mkdir(parents=True, exist_ok=True)
+        manifest = {"format": FORMAT, "version": VERSION, **manifest}
+        files.write_json(path / MANIFEST, manifest)
+        return cls(path, manifest)
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Read a recording, complete or not. A last line cut off by a kill is dropped; any other damage raises."""
+        path = Path(path)
+        if not (path / MANIFEST).is_file():
+            raise Misuse("is not a recording", where=path, why=f"no {MANIFEST} in it", remedy="give a folder made by 'capture run'")
+        manifest = files.read_json(path / MANIFEST, kind=FORMAT, version=VERSION)
+        lines = (path / FRAMES).read_text(encoding="utf-8").split("\n") if (path / FRAMES).is_file() else []
+        frames = []
+        for number, line in enumerate(lines[:-1], 1):  # what follows the last newline was never finished
+            where = f"{path / FRAMES}, line {number}"
+            try:
+                content = json.loads(line)
+            except json.JSONDecodeError as error:
+                raise DatasetError("frame record is not valid JSON", where=where, why=str(error)) from None
+            frame = Frame.from_json(content, where=where)
+            files.inside(path, frame.image, where=where)
+            frames.append(frame)
+        return cls(path, manifest, frames)
+
+    def append(self, frame: Frame) -> None:
+        """Make a frame part of the recording; returns once it is on the disk. Its image must be there already."""
+        path = self.path / FRAMES
+        complete = "".join(json.dumps(f.to_json(), allow_nan=False) + "\n" for f in self.frames)
+        line = json.dumps(frame.to_json(), allow_nan=False) + "\n"
+        with open(path, "r+b" if path.exists() else "w+b") as file:
+            file.seek(len(complete.encode()))  # overwrites what a kill left of a line
+            file.truncate()
+            file.write(line.encode())
+            file.flush()
+            os.fsync(file.fileno())
+        self.frames.append(frame)
+
+    @property
+    def trajectory(self) -> dict[str, Any]:
+        """The resolved trajectory that was asked for."""
+        return self.manifest["trajectory"]
+
+    def image_path(self, frame: Frame) -> Path:
+        """Path of a frame's image."""
+        return self.path / frame.image

@@ -1,0 +1,93 @@
+"""A scene in memory: posed cameras with images that are read on demand. All else works on this.
+
+The world frame is that of the source (the robot's base for a capture), z up where the source says so, in metres
+where the source is metric.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import images
+from datasets.camera_model import Camera
+from datasets.errors import DatasetError, Misuse
+
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class View:
+    """One posed image."""
+
+    name: str
+    """Unique in the scene; sorts in the order of capture."""
+    camera: Camera
+    """Intrinsics at the size of the image on disk."""
+    world_from_camera: NDArray[np.float64]
+    """(4, 4), OpenCV camera axes."""
+    split: str
+    """"train", "val" or "test"."""
+    image: Path
+    mask: Path | None = None
+    """8-bit grey picture of the image's size: white belongs to the object, black is to be ignored."""
+    truth: dict[str, Path] = field(default_factory=dict)
+    """Ground truth for evaluation alone, keyed "normals", "depth", "alpha", "diffuse", "specular"."""
+
+    def read(self) -> NDArray[np.float32]:
+        """(height, width, 3 or 4) sRGB in 0..1, alpha straight; the mask, where there is one, becomes the alpha.
+
+        Raises:
+            DatasetError: the file is missing, damaged, or of another size than the camera.
+        """
+        picture = images.read(self.image)
+        self._check_size(picture, self.image)
+        if self.mask is not None:
+            mask = images.read(self.mask)
+            self._check_size(mask, self.mask)
+            picture = np.concatenate([picture[..., :3], mask[..., :1]], axis=-1)
+        return picture
+
+    def _check_size(self, picture: NDArray[np.float32], path: Path) -> None:
+        height, width = picture.shape[:2]
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise DatasetError("image has the wrong size", where=f"{path} (view {self.name})",
+                               why=f"it is {width}x{height}, its camera says {self.camera.width}x{self.camera.height}",
+                               remedy="use the images that the cameras were made for")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Views and what is known about the space that they see."""
+
+    name: str
+    views: tuple[View, ...]
+    near: float
+    """Nearest distance along z at which a camera sees anything [world unit]."""
+    far: float
+    """Furthest such distance; infinity where there is open background."""
+    box: NDArray[np.float64]
+    """(2, 3) lower and upper corner of the object's bounding box in the world."""
+    background: str
+    """"white" where images carry an alpha or mask and the rest is empty; "scene" where the surroundings are seen."""
+    metric: bool = False
+    """True where the world unit is the metre."""
+    points: NDArray[np.float64] | None = None
+    """(n, 3) sparse surface points, where known."""
+    notes: tuple[str, ...] = ()
+    """What the reader had to assume or leave out, a line each, for the user."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def split(self, name: str) -> tuple[View, ...]:
+        """Views of one split. Raises Misuse where there are none."""
+        chosen = tuple(view for view in self.views if view.split == name)
+        if not chosen:
+            found = sorted({view.split for view in self.views})
+            raise Misuse(f"scene has no {name} views", where=self.name, why=f"it has {', '.join(found) or 'no views at all'}")
+        return chosen
+
+    def with_views(self, views: tuple[View, ...]) -> Self:
+        """The same scene with other views."""
+        return replace(self, views=views)
