@@ -1,0 +1,183 @@
+"""Pictures on disk and in memory. The only module that knows OpenImageIO.
+
+In memory a picture is (height, width, channels). 8- and 16-bit files are scaled to 0..1 and otherwise left as they
+are: an sRGB file gives sRGB values, alpha stays straight. Float files (EXR, TIFF) are read as they are.
+"""
+
+import errno
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datasets import files
+from datasets.errors import DatasetError, Misuse
+
+MAX_PIXELS = 2**28
+"""Headers that promise more than this are refused before anything is decoded."""
+FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
+"""Files that hold float as it is; the others get 8 bits."""
+
+
+def read(path: Path) -> NDArray[np.float32]:
+    """(height, width, channels) float32 of an image file, turned as its orientation tag says.
+
+    Raises:
+        Misuse: there is no such file.
+        DatasetError: it is no image, cut off, or larger than `MAX_PIXELS`.
+    """
+    source, orientation = _open(path)
+    try:
+        pixels = source.read_image("float")
+        complaint = source.geterror()
+    finally:
+        source.close()
+    if pixels is None or complaint:
+        raise DatasetError("image cannot be read", where=path, why=complaint or "decoding failed", remedy="copy it again")
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    return np.ascontiguousarray(_upright(pixels, orientation), np.float32)
+
+
+def size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image as `read` would return it, from the header alone. Raises as `read` does."""
+    source, orientation = _open(path)
+    spec = source.spec()
+    source.close()
+    return (spec.height, spec.width) if orientation >= 5 else (spec.width, spec.height)
+
+
+def write(path: Path, array: ArrayLike) -> None:
+    """Write (height, width) or (height, width, channels) atomically; the suffix says the format.
+
+    uint8 and uint16 are stored as given. Float goes as float32 into EXR and TIFF, elsewhere it is taken as 0..1 and
+    rounded to 8 bits. Four channels are RGB and straight alpha.
+
+    Raises:
+        DatasetError: the format cannot hold the array.
+        OSError: the disk is full or refuses.
+    """
+    import OpenImageIO as oiio
+
+    path = Path(path)
+    pixels = np.asarray(array)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise DatasetError("array is not an image", where=path, why=f"shape {np.shape(array)}")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        as_float = path.suffix.lower() in FLOAT_SUFFIXES
+        pixels = pixels.astype(np.float32) if as_float else to_uint8(pixels)
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, pixels.dtype.name if pixels.dtype != np.float32 else "float")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("compression", "zip" if path.suffix.lower() in FLOAT_SUFFIXES else "")
+    with files.atomic_path(path) as temporary:
+        target = oiio.ImageOutput.create(str(temporary))
+        if target is None:
+            oiio.geterror()
+            raise DatasetError("image format cannot be written", where=path, why=f"suffix {path.suffix!r}")
+        good = target.open(str(temporary), spec) and target.write_image(np.ascontiguousarray(pixels))
+        complaint = target.geterror()
+        good = target.close() and good
+        if not good or not temporary.stat().st_size:
+            _refuse_full_disk(path, pixels.nbytes)
+            raise DatasetError("image cannot be written", where=path, why=complaint or target.geterror() or "file is cut off")
+
+
+def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
+    """0..1 rounded to 0..255; what is outside is clipped, NaN becomes 0."""
+    return np.uint8(np.clip(np.nan_to_num(np.asarray(array, np.float32)), 0, 1) * 255 + 0.5)
+
+
+def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:
+    """Linear light from sRGB values in 0..1 (IEC 61966-2-1)."""
+    srgb = np.asarray(srgb, np.float32)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0.0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
+    """sRGB values from linear light; above 1 the curve goes on."""
+    linear = np.asarray(linear, np.float32)
+    bright = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
+
+
+def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> NDArray[np.float32]:
+    """Area average to (height, width, channels), any factor: each new pixel is the mean light of what it covers.
+
+    Light adds up where it is linear and weighted by alpha, so colours are averaged there and brought back.
+    With `srgb=False` the values are averaged as they are (masks, depth, linear light without alpha).
+    Channels: 1 or 3 colour, 2 or 4 colour and straight alpha.
+    """
+    pixels = np.asarray(array, np.float32)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.shape[:2] == (height, width):
+        return pixels.copy()
+    if not srgb:
+        return _area_average(pixels, width, height)
+    has_alpha = pixels.shape[-1] in (2, 4)
+    colour, alpha = (pixels[..., :-1], pixels[..., -1:]) if has_alpha else (pixels, None)
+    light = linear_from_srgb(colour)
+    if alpha is None:
+        return srgb_from_linear(_area_average(light, width, height))
+    small = _area_average(np.concatenate([light * alpha, alpha], axis=-1), width, height)
+    small_alpha = small[..., -1:]
+    straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
+    return np.concatenate([srgb_from_linear(straight), small_alpha], axis=-1)
+
+
+def _area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    old_height, old_width, channels = pixels.shape
+    rows = _overlaps(old_height, height) @ pixels.reshape(old_height, -1)
+    turned = rows.reshape(height, old_width, channels).transpose(1, 0, 2).reshape(old_width, -1)
+    columns = _overlaps(old_width, width) @ turned
+    return np.ascontiguousarray(columns.reshape(width, height, channels).transpose(1, 0, 2), np.float32)
+
+
+def _overlaps(old: int, new: int) -> Any:
+    """Sparse (new, old) matrix: the share of new pixel i that old pixel j covers; rows sum to 1."""
+    from scipy.sparse import csr_array
+
+    edges = np.unique(np.concatenate([np.arange(old + 1) / old, np.arange(new + 1) / new]).round(12))
+    middle, length = (edges[1:] + edges[:-1]) / 2, np.diff(edges) * new
+    entry = (np.minimum((middle * new).astype(int), new - 1), np.minimum((middle * old).astype(int), old - 1))
+    return csr_array((length.astype(np.float32), entry), shape=(new, old))
+
+
+def _open(path: Path) -> tuple[Any, int]:
+    """An open OpenImageIO input, its header checked, and the orientation tag (1 is upright)."""
+    import OpenImageIO as oiio
+
+    path = Path(path)
+    if not path.is_file():
+        raise Misuse("no such image", where=path, remedy="check the path")
+    wanted = oiio.ImageSpec()
+    wanted.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), wanted)
+    if source is None:
+        why = oiio.geterror() or ("the file is empty" if path.stat().st_size == 0 else "no known image format")
+        raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
+    spec = source.spec()
+    if not 0 < spec.width * spec.height <= MAX_PIXELS:
+        source.close()
+        raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}")
+    return source, int(spec.getattribute("Orientation") or 1)
+
+
+def _refuse_full_disk(path: Path, needed: int) -> None:
+    if shutil.disk_usage(path.parent).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def _upright(pixels: NDArray[np.float32], orientation: int) -> NDArray[np.float32]:
+    """Undo an EXIF orientation: 5 to 8 swap rows and columns, the rest mirrors."""
+    if orientation >= 5:
+        pixels = pixels.transpose(1, 0, 2)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels
