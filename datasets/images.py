@@ -82,9 +82,12 @@ def write(path: Path, array: ArrayLike) -> None:
         good = target.open(str(temporary), spec) and target.write_image(np.ascontiguousarray(pixels))
         complaint = target.geterror()
         good = target.close() and good
-        if not good or not temporary.stat().st_size:
-            _refuse_full_disk(path, pixels.nbytes)
-            raise DatasetError("image cannot be written", where=path, why=complaint or target.geterror() or "file is cut off")
+        if shutil.disk_usage(path.parent).free < max(pixels.nbytes, 2**20):  # encoders keep silent about the last block
+            good = good and _is_whole(temporary)
+            if not good:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        if not good:
+            raise DatasetError("image cannot be written", where=path, why=complaint or target.geterror())
 
 
 def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
@@ -167,9 +170,12 @@ def _open(path: Path) -> tuple[Any, int]:
     return source, int(spec.getattribute("Orientation") or 1)
 
 
-def _refuse_full_disk(path: Path, needed: int) -> None:
-    if shutil.disk_usage(path.parent).free < needed:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+def _is_whole(path: Path) -> bool:
+    try:
+        read(path)
+    except DatasetError:
+        return False
+    return True
 
 
 def _upright(pixels: NDArray[np.float32], orientation: int) -> NDArray[np.float32]:
