@@ -50,6 +50,14 @@ def size(path: Path) -> tuple[int, int]:
     return (spec.height, spec.width) if orientation >= 5 else (spec.width, spec.height)
 
 
+def channels(path: Path) -> int:
+    """Number of channels of an image, from the header alone; 2 and 4 include an alpha. Raises as `read` does."""
+    source, _ = _open(path)
+    count = source.spec().nchannels
+    source.close()
+    return count
+
+
 def write(path: Path, array: ArrayLike) -> None:
     """Write (height, width) or (height, width, channels) atomically; the suffix says the format.
 

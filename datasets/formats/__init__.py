@@ -1,0 +1,72 @@
+"""Scenes on disk, in every layout that Koala reads: `load_scene` finds out which one a folder has."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import KoalaError, Misuse, nearest
+from datasets.formats import blender, colmap, koala, llff, nerfstudio
+from datasets.scene import Scene
+
+FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
+    "koala": (koala.detect, koala.load),
+    "blender": (blender.detect, blender.load),
+    "nerfstudio": (nerfstudio.detect, nerfstudio.load),
+    "llff": (llff.detect, llff.load),
+    "colmap": (colmap.detect, colmap.load),
+}
+"""Name of each layout with its test and its reader; the first whose test says yes is taken."""
+
+
+def load_scene(path: str | Path, *, format: str | None = None, data_root: Path | None = None,
+               hold_out: int = 8, images: str | None = None, problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+    """Read a scene's cameras and bounds; its images stay on disk until a view is read.
+
+    Args:
+        path: a folder, or a name such as "koala/gold_head" below the current folder, `data_root` or $KOALA_DATA.
+        format: one of `FORMATS`; None finds out.
+        hold_out: where the files name no test views, every so-many-th by sorted name is one; 0 for none.
+        images: folder of the images to use where a layout offers several sizes ("images_8").
+        problems: where a list is given, a damaged view is left out and its error put there; else it is raised.
+
+    Raises:
+        Misuse: no such folder, or nothing in it that Koala knows.
+        DatasetError: a file does not hold what its layout promises.
+    """
+    folder = find(path, data_root)
+    if format is not None and format not in FORMATS:
+        raise Misuse(f"no format called {format!r}", remedy=nearest(format, FORMATS))
+    kind = format or detect(folder)
+    options: dict[str, Any] = {"problems": problems}
+    if kind != "koala":
+        options.update(hold_out=hold_out, images_folder=images)
+    return FORMATS[kind][1](folder, **options)
+
+
+def detect(folder: Path) -> str:
+    """Name of the layout that a folder has. Raises Misuse where it has none of them."""
+    for name, (matches, _) in FORMATS.items():
+        if matches(folder):
+            return name
+    raise Misuse("holds no scene that Koala knows", where=folder,
+                 why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy or COLMAP model in it",
+                 remedy="give the folder that holds one of these")  # fmt: skip
+
+
+def find(path: str | Path, data_root: Path | None = None) -> Path:
+    """The folder that `path` means: as it stands, else below `data_root`, else below $KOALA_DATA.
+
+    Raises:
+        Misuse: it is in none of them; the message lists where it was looked for.
+    """
+    path = Path(path).expanduser()
+    roots = [Path(root) for root in (data_root, os.environ.get("KOALA_DATA")) if root]
+    candidates = [path, *([] if path.is_absolute() else [root / path for root in roots])]
+    for candidate in candidates:
+        if candidate.is_dir():
+            return candidate
+    if path.is_file():
+        raise Misuse("is a file, not a scene", where=path, remedy="give the folder that holds it")
+    raise Misuse("no such scene", where=path, why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
+                 remedy="check the name, or set --data-root or KOALA_DATA")  # fmt: skip

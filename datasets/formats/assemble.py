@@ -1,0 +1,78 @@
+"""What the readers of foreign layouts share: missing files, hold-out, background and bounds."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets import bounds, images
+from datasets.errors import DatasetError, KoalaError
+from datasets.scene import Scene, View
+
+
+@dataclass
+class Gathering:
+    """Views as they are read one by one, and what went wrong on the way."""
+
+    folder: Path
+    problems: list[KoalaError] | None = None
+    """Where errors go; None raises them."""
+    views: list[View] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def complain(self, error: KoalaError) -> None:
+        """Keep an error for later, or raise it."""
+        if self.problems is None:
+            raise error
+        self.problems.append(error)
+
+    def finished(self, *, listed_in: str) -> tuple[View, ...]:
+        """The views, once there are any, with a note that names the missing images.
+
+        Raises:
+            DatasetError: no view is left, or two have one name.
+        """
+        if self.missing:
+            total = len(self.missing) + len(self.views)
+            self.notes.append(f"{len(self.missing)} of {total} images listed in {listed_in} are missing "
+                              f"and left out: {', '.join(self.missing)}")  # fmt: skip
+        if not self.views:
+            why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
+            raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images where it says")
+        names = [view.name for view in self.views]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            self.complain(DatasetError("view is listed twice", where=f"{self.folder / listed_in}, {twice}"))
+        return tuple(self.views)
+
+
+def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
+    """The views with each `every`-th by sorted name, from the first on, as "test" and the rest as "train"."""
+    views = tuple(views)
+    test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
+    return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
+
+
+def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[float, float] | None = None,
+          provenance: dict[str, Any]) -> Scene:  # fmt: skip
+    """Scene of a layout that says nothing of background and box: both are found from images and cameras.
+
+    Views with an alpha or a mask show an object before nothing ("white"): its box is the visual hull's. Otherwise the
+    surroundings are seen ("scene"), and the box is where the cameras look.
+    """
+    masked = views[0].mask is not None or images.channels(views[0].image) in (2, 4)
+    train = tuple(view for view in views if view.split == "train") or views
+    if masked:
+        box = bounds.mask_box(train, bounds.visible_box(train))
+        near, far = near_far or bounds.depth_range(views, box)
+    else:
+        box, near, far = bounds.surroundings(train)
+        if near_far is not None:
+            near, far = near_far
+            if bounds.focus(np.stack([view.world_from_camera for view in train]))[1] < bounds.PARALLEL:
+                box = bounds.frustum_box(train, near, far)
+    name = gathering.folder.resolve().name
+    return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes), provenance=provenance)

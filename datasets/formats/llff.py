@@ -1,0 +1,122 @@
+"""LLFF folders: `poses_bounds.npy` and images whose sorted names correspond to its rows.
+
+A row is a 3x5 matrix, row by row, and near and far. Its columns: the camera axes down, right, back; the position;
+height, width and focal length of the full-size images, which need not be those that are there.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files, images, pose
+from datasets.camera_model import Camera
+from datasets.conventions import OPENCV_FROM_LLFF
+from datasets.errors import DatasetError, KoalaError, Misuse
+from datasets.formats import assemble, sidecar
+from datasets.scene import Scene, View
+
+FILE = "poses_bounds.npy"
+PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
+
+
+def detect(folder: Path) -> bool:
+    """True for a folder with `poses_bounds.npy`."""
+    return (folder / FILE).is_file()
+
+
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
+         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+    """Read an LLFF folder; every `hold_out`-th view by sorted name is a test view.
+
+    A folder `masks` with one picture for each image, of the same name, says what belongs to the object.
+
+    Raises:
+        DatasetError: as many rows as images are not there, or the images have another shape than the file says.
+    """
+    rows = read_rows(folder / FILE)
+    pictures, chosen = find_images(folder, images_folder)
+    if len(pictures) != len(rows):
+        raise DatasetError("rows and images do not correspond", where=folder / FILE,
+                           why=f"it has {len(rows)} rows, {chosen} holds {len(pictures)} images",
+                           remedy="put every image in place: sorted names correspond to rows")  # fmt: skip
+    gathering = assemble.Gathering(folder, problems)
+    masks = _masks(folder, chosen, pictures)
+    for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
+        try:
+            matrix, camera = _posed(row, picture, where=f"{folder / FILE}, row {number} ({picture.name})")
+            gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
+        except KoalaError as error:
+            gathering.complain(error)
+    stated = f"{rows[0, 9]:.0f}x{rows[0, 4]:.0f}"
+    views = gathering.finished(listed_in=chosen)
+    actual = f"{views[0].camera.width}x{views[0].camera.height}"
+    if stated != actual:
+        gathering.notes.append(f"{FILE} is for images of {stated}, {chosen} holds {actual}: intrinsics are scaled")
+    if (folder / "sparse" / "0").is_dir() and not (folder / "sparse" / "0" / "images.bin").is_file():
+        gathering.notes.append("sparse/0 has no images.bin: its COLMAP model is not used")
+    known = sidecar.read(folder)
+    if known is not None:
+        return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+    return assemble.scene(gathering, assemble.hold_out(views, hold_out), near_far=(rows[:, 15].min(), rows[:, 16].max()),
+                          provenance={"format": "llff", "source": str(folder.absolute())})  # fmt: skip
+
+
+def read_rows(path: Path) -> NDArray[np.float64]:
+    """(n, 17) rows of a poses_bounds.npy. Raises DatasetError where it is no such array; never unpickles."""
+    try:
+        rows = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise DatasetError("is not a plain array file", where=path, why=str(error)) from None
+    if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17 or not np.issubdtype(rows.dtype, np.floating):
+        raise DatasetError("does not hold n x 17 numbers", where=path, why=f"shape {getattr(rows, 'shape', None)}")
+    if len(rows) and not (0 <= rows[:, 15].min() < rows[:, 16].max() < np.inf):
+        raise DatasetError("near and far are not in order", where=path, why=f"{rows[:, 15].min()} and {rows[:, 16].max()}")
+    return rows.astype(np.float64)
+
+
+def row_of(world_from_camera: NDArray[np.float64], camera: Camera, near: float, far: float) -> NDArray[np.float64]:
+    """(17,) row of a centred pinhole's pose in our axes."""
+    matrix = np.concatenate([(world_from_camera @ OPENCV_FROM_LLFF)[:3], [[camera.height], [camera.width], [camera.fx]]], axis=1)
+    return np.concatenate([matrix.ravel(), [near, far]])
+
+
+def find_images(folder: Path, wanted: str | None) -> tuple[list[Path], str]:
+    """Sorted images and the name of their folder: `wanted`, else `images`, else the largest of `images_N`."""
+    sized = sorted((p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdigit()), key=lambda p: int(p.name[7:]))
+    offered = [path for path in (folder / "images", *sized) if path.is_dir()]
+    if wanted is not None:
+        files.inside(folder, wanted)
+        offered = [path for path in [folder / wanted] if path.is_dir()]
+    if not offered:
+        raise Misuse("no folder of images", where=folder / (wanted or "images"), remedy="put the images there")
+    pictures = sorted(path for path in offered[0].iterdir() if path.suffix.lower() in PICTURES and path.name[0] != ".")
+    if not pictures:
+        raise DatasetError("scene has no images", where=offered[0], remedy="put the images there")
+    return pictures, offered[0].name
+
+
+def _masks(folder: Path, chosen: str, pictures: list[Path]) -> list[Path | None]:
+    """Mask of each picture: in `masks` for `images`, in `masks_N` for `images_N`; all or none."""
+    home = folder / chosen.replace("images", "masks")
+    if not home.is_dir():
+        return [None] * len(pictures)
+    masks = [home / (picture.stem + ".png") for picture in pictures]
+    absent = [mask.name for mask in masks if not mask.is_file()]
+    if absent:
+        raise DatasetError("masks are missing", where=home, why=", ".join(absent[:5]), remedy="give each image a mask, or none")
+    return list(masks)
+
+
+def _posed(row: NDArray[np.float64], picture: Path, *, where: str) -> tuple[NDArray[np.float64], Camera]:
+    """World from camera in our axes, and intrinsics scaled to the picture as it is."""
+    matrix = row[:15].reshape(3, 5)
+    if not np.isfinite(matrix[:, 4]).all() or not (matrix[:, 4] > 0).all():
+        raise DatasetError("height, width and focal length are not positive", where=where, why=str(matrix[:, 4]))
+    height, width, focal = (float(value) for value in matrix[:, 4])
+    full = Camera(round(width), round(height), focal, focal, width / 2, height / 2)
+    camera = full.scaled(*images.size(picture))
+    if abs(camera.fx / camera.fy - 1) > 0.02:
+        raise DatasetError("image has another shape than its camera", where=where,
+                           why=f"it is {camera.width}x{camera.height}, the file says {width:.0f}x{height:.0f}")  # fmt: skip
+    return pose.checked(pose.checked(matrix[:, :4], where=where) @ OPENCV_FROM_LLFF, where=where), camera

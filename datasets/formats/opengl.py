@@ -1,0 +1,82 @@
+"""What Blender's and nerfstudio's JSON share: OpenGL camera axes and the many ways to say the intrinsics."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import images, pose
+from datasets.camera_model import Camera
+from datasets.conventions import OPENCV_FROM_OPENGL
+from datasets.errors import DatasetError
+
+SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr", ".JPG", ".PNG")
+"""What may be left off a `file_path`."""
+PINHOLES = frozenset({"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", ""})
+DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
+"""nerfstudio's order in `distortion_params`."""
+
+
+def frames_of(content: Any, *, where: object) -> list[dict[str, Any]]:
+    """The list of frames of a transforms file; raises DatasetError where there is none."""
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(frames, list) or not all(isinstance(f, dict) and isinstance(f.get("file_path"), str) for f in frames):
+        raise DatasetError("holds no list of frames with a file_path", where=where)
+    return frames
+
+
+def image_path(folder: Path, file_path: str) -> Path | None:
+    """The existing image that a `file_path` means, with or without its suffix; None where there is none."""
+    for suffix in SUFFIXES:
+        path = folder / (file_path + suffix)
+        if path.is_file():
+            return path
+    return None
+
+
+def world_from_camera(frame: dict[str, Any], *, where: object) -> NDArray[np.float64]:
+    """(4, 4) in our axes from a frame's `transform_matrix` (camera x right, y up, z back).
+
+    The rotation is replaced by the nearest orthonormal one: files carry seven digits or fewer.
+    """
+    if "transform_matrix" not in frame:
+        raise DatasetError("frame has no transform_matrix", where=where)
+    return pose.checked(pose.checked(frame["transform_matrix"], where=where) @ OPENCV_FROM_OPENGL, where=where)
+
+
+def transform_matrix(world_from_camera: NDArray[np.float64]) -> list[list[float]]:
+    """`transform_matrix` of a pose in our axes."""
+    return (world_from_camera @ OPENCV_FROM_OPENGL).tolist()
+
+
+def camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where: object) -> Camera:
+    """Intrinsics of one frame: its own keys before the file's, the image's header where neither gives the size.
+
+    Raises:
+        DatasetError: a lens model that Koala lacks, or no focal length in any form.
+    """
+    said = {**content, **frame}
+    model = str(said.get("camera_model", "")).upper()
+    if model not in PINHOLES:
+        raise DatasetError(
+            f"camera model {model} is not supported", where=where, remedy="undistort the images to a pinhole first"
+        )
+    if said.get("distortion_params") is not None:
+        said |= dict(zip(DISTORTION_PARAMS, said["distortion_params"], strict=False))
+    if said.get("k4"):
+        raise DatasetError("distortion k4 is not supported", where=where, why=f"k4 = {said['k4']}",
+                           remedy="undistort the images to a pinhole first")  # fmt: skip
+    width, height = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else images.size(image)
+    fx = said.get("fl_x") or _focal(width, said.get("camera_angle_x"))
+    fy = said.get("fl_y") or (_focal(height, said.get("camera_angle_y")) if "fl_x" not in said else None) or fx
+    if not fy:
+        raise DatasetError("no focal length", where=where, why="neither fl_x nor camera_angle_x is given")
+    values = {"width": width, "height": height, "fx": fx or fy, "fy": fy,
+              "cx": said.get("cx", width / 2), "cy": said.get("cy", height / 2)}  # fmt: skip
+    return Camera.from_json(values | {k: said.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")}, where=where)
+
+
+def _focal(length: int, angle: float | None) -> float | None:
+    """Focal length [px] of a field of view [rad] over a length [px]."""
+    return 0.5 * length / float(np.tan(0.5 * float(angle))) if angle else None
