@@ -1,0 +1,238 @@
+"""Patterns of camera poses: what the `views` of a trajectory can be. Every pattern is the same on every call.
+
+Each group says how many views it gives (`number`) and generates them in an order with short ways from one to the next.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from capture.rig_description import Vector
+from datasets import pose
+from datasets.schema import Schema
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """One view that is asked for."""
+
+    name: str
+    """Sorts in trajectory order."""
+    split: str
+    """"train", "test" or "calibration"."""
+    base_from_camera: NDArray[np.float64] | None
+    """(4, 4) desired camera pose [m]; None where joint angles are given instead."""
+    rolls: tuple[float, ...] = (0.0,)
+    """Turns about the optical axis that are as good [rad]; the planner picks one."""
+    joints: NDArray[np.float64] | None = None
+    """(6,) angles [rad], where these were asked for."""
+
+
+def _plain(
+    base_from_camera: NDArray[np.float64] | None, rolls: tuple[float, ...] = (0.0,), joints: NDArray[np.float64] | None = None
+) -> Viewpoint:
+    return Viewpoint("", "", base_from_camera, rolls, joints)
+
+
+def spread(count: int, chosen: int) -> frozenset[int]:
+    """`chosen` of `count` indices, evenly spaced, the ends left to the others."""
+    return frozenset(int((index + 0.5) * count / chosen) for index in range(chosen))
+
+
+class _Looking(Schema):
+    target: Vector = Field(description="point that the camera looks at [m]")
+    roll_deg: list[float] = Field(
+        [0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
+    )
+
+    def _look(self, position: NDArray[np.float64], target: NDArray[np.float64] | None = None) -> Viewpoint:
+        target = np.asarray(self.target) if target is None else target
+        return _plain(pose.look_at(position, target), tuple(np.radians(self.roll_deg)))
+
+
+def _on_sphere(target: Vector, distance: float, azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    direction = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
+    return np.asarray(target) + distance * np.array(direction)
+
+
+def _azimuths(interval: Interval, count: int) -> NDArray[np.float64]:
+    low, high = interval
+    return low + (np.arange(count) + 0.5) * (high - low) / count
+
+
+class HemisphereViews(_Looking):
+    """Rings around the target, as dense on each as its circumference asks, walked to and fro."""
+
+    kind: Literal["hemisphere"] = Field(description="pattern of the views")
+    count: int = Field(ge=1, le=10_000, description="number of views")
+    distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
+    elevation_deg: Interval = Field((15.0, 70.0), description="lowest and highest ring above the horizon [degrees]")
+    azimuth_deg: Interval = Field((-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
+    rings: int = Field(4, ge=1, le=100, description="number of rings")
+
+    @model_validator(mode="after")
+    def _enough(self) -> Self:
+        if self.count < self.rings:
+            raise ValueError(f"{self.rings} rings need at least as many views, but count is {self.count}")
+        if not -90 < self.elevation_deg[0] <= self.elevation_deg[1] < 90:
+            raise ValueError(f"elevation_deg must rise inside -90..90, got {list(self.elevation_deg)}")
+        return self
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return self.count
+
+    def generate(self) -> list[Viewpoint]:
+        """The views, ring by ring from below."""
+        elevations = np.linspace(*self.elevation_deg, self.rings)
+        share = np.cumsum(np.cos(np.radians(elevations)))
+        last = np.maximum(np.round(self.count * share / share[-1]).astype(int), np.arange(1, self.rings + 1))
+        last = np.minimum(last, self.count - np.arange(self.rings)[::-1])
+        views = []
+        for ring, (elevation, number) in enumerate(zip(elevations, np.diff(last, prepend=0), strict=True)):
+            for azimuth in _azimuths(self.azimuth_deg, number)[:: -1 if ring % 2 else 1]:
+                views.append(self._look(_on_sphere(self.target, self.distance, azimuth, elevation)))
+        return views
+
+
+class OrbitViews(_Looking):
+    """One ring around the target."""
+
+    kind: Literal["orbit"] = Field(description="pattern of the views")
+    count: int = Field(ge=1, le=10_000, description="number of views")
+    distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
+    elevation_deg: float = Field(30.0, gt=-90, lt=90, description="of the ring above the horizon [degrees]")
+    azimuth_deg: Interval = Field((-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return self.count
+
+    def generate(self) -> list[Viewpoint]:
+        """The views in order of azimuth."""
+        azimuths = _azimuths(self.azimuth_deg, self.count)
+        return [self._look(_on_sphere(self.target, self.distance, azimuth, self.elevation_deg)) for azimuth in azimuths]
+
+
+class GridViews(_Looking):
+    """Camera positions on a level grid, all looking at the target."""
+
+    kind: Literal["grid"] = Field(description="pattern of the views")
+    centre: Vector = Field(description="middle of the grid [m]")
+    size: Interval = Field(description="extent along x and y [m]")
+    columns: int = Field(ge=1, le=1000, description="positions along x")
+    rows: int = Field(ge=1, le=1000, description="positions along y")
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return self.columns * self.rows
+
+    def generate(self) -> list[Viewpoint]:
+        """The views, row by row, to and fro."""
+        xs, ys = (np.linspace(-0.5, 0.5, n) * s if n > 1 else np.zeros(1)
+                  for n, s in zip((self.columns, self.rows), self.size, strict=True))  # fmt: skip
+        return [self._look(np.add(self.centre, (x, y, 0.0))) for row, y in enumerate(ys) for x in xs[:: -1 if row % 2 else 1]]
+
+
+class TiltedViews(_Looking):
+    """Calibration views of a level board: tilts, turns about the view axis, distances and shifts, evenly mixed."""
+
+    kind: Literal["tilted"] = Field(description="pattern of the views")
+    count: int = Field(ge=1, le=10_000, description="number of views")
+    distance: Interval = Field((0.3, 0.5), description="shortest and longest distance to the target [m]")
+    tilt_deg: Interval = Field((0.0, 40.0), description="smallest and largest angle between view and vertical [degrees]")
+    turn_deg: Interval = Field((-180.0, 180.0), description="range of the turn about the view axis [degrees]")
+    azimuth_deg: Interval = Field((-180.0, 180.0), description="range of the side that the camera looks from [degrees]")
+    shift: Interval = Field((0.0, 0.0), description="the point looked at moves up to this far along x and y [m]")
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return self.count
+
+    def generate(self) -> list[Viewpoint]:
+        """The views in order of azimuth; the other quantities follow a low-discrepancy sequence (Roberts 2018, R_5)."""
+        root = 1.1673039782614187  # of x^6 = x + 1: the five-dimensional counterpart of the golden ratio
+        views = []
+        for index in range(self.count):
+            u = (0.5 + (index + 1) * root ** -np.arange(1.0, 6.0)) % 1.0
+            side = self.azimuth_deg[0] + (index + 0.5) / self.count * (self.azimuth_deg[1] - self.azimuth_deg[0])
+            tilt = np.interp(np.sqrt(u[0]), (0, 1), self.tilt_deg)
+            target = np.asarray(self.target) + np.append((2 * u[3:5] - 1) * self.shift, 0.0)
+            position = _on_sphere(tuple(target), np.interp(u[1], (0, 1), self.distance), side, 90 - max(tilt, 0.1))
+            turn = pose.from_rotation_vector([0, 0, np.radians(np.interp(u[2], (0, 1), self.turn_deg))])
+            view = self._look(position, target)
+            views.append(_plain(view.base_from_camera @ turn, view.rolls))
+        return views
+
+
+class CameraPose(Schema):
+    """One camera pose: either looking at a point, or with a quaternion."""
+
+    position: Vector = Field(description="of the camera [m]")
+    look_at: Vector | None = Field(None, description="point in the middle of the image [m]")
+    quaternion_wxyz: tuple[float, float, float, float] | None = Field(
+        None, description="orientation of base_from_camera, w x y z"
+    )
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Self:
+        if (self.look_at is None) == (self.quaternion_wxyz is None):
+            raise ValueError("give either look_at or quaternion_wxyz")
+        if self.look_at == self.position:
+            raise ValueError("position and look_at coincide")
+        if self.quaternion_wxyz is not None and np.linalg.norm(self.quaternion_wxyz) < 1e-6:
+            raise ValueError("quaternion_wxyz is zero")
+        return self
+
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4) `base_from_camera` [m]."""
+        if self.look_at is not None:
+            return pose.look_at(self.position, self.look_at)
+        return pose.from_quaternion(self.quaternion_wxyz, self.position)
+
+
+class PoseViews(Schema):
+    """Camera poses one by one."""
+
+    kind: Literal["poses"] = Field(description="pattern of the views")
+    poses: list[CameraPose] = Field(min_length=1, description="the camera poses")
+    roll_deg: list[float] = Field(
+        [0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
+    )
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return len(self.poses)
+
+    def generate(self) -> list[Viewpoint]:
+        """The views as listed."""
+        return [_plain(view.matrix(), tuple(np.radians(self.roll_deg))) for view in self.poses]
+
+
+class JointViews(Schema):
+    """Joint angles one by one."""
+
+    kind: Literal["joints"] = Field(description="pattern of the views")
+    joints_deg: list[tuple[float, float, float, float, float, float]] = Field(
+        min_length=1, description="six joint angles of each view [degrees]"
+    )
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return len(self.joints_deg)
+
+    def generate(self) -> list[Viewpoint]:
+        """The views as listed; their camera poses follow from the rig."""
+        return [_plain(None, joints=np.radians(joints)) for joints in self.joints_deg]
