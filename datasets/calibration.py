@@ -29,8 +29,13 @@ class UncertainPose:
 
     @property
     def translation_std_mm(self) -> NDArray[np.float64]:
-        """(3,) standard deviations of the translation [mm]."""
-        return 1e3 * np.sqrt(np.diag(self.covariance)[:3])
+        """(3,) standard deviations of `matrix[:3, 3]` [mm].
+
+        The covariance is about the first frame's origin, so that a rotation moves the second frame's origin too.
+        """
+        x, y, z = self.matrix[:3, 3]
+        by_twist = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])  # rotation part: -[position]x
+        return 1e3 * np.sqrt(np.diag(by_twist @ self.covariance @ by_twist.T))
 
     @property
     def rotation_std_deg(self) -> NDArray[np.float64]:

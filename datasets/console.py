@@ -18,6 +18,8 @@ import typer
 from datasets.errors import KoalaError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+_ClickException = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+"""Base of typer's complaints about arguments: from click, or from the copy of click inside newer versions of typer."""
 _state = {"debug": False, "json": False}
 
 
@@ -36,16 +38,14 @@ def make_app(name: str, help: str) -> typer.Typer:
 
 def run(app: typer.Typer) -> None:
     """Run a command line: every failure becomes one line on stderr and exit code 1 or 2."""
-    import click
-
     _state.update(debug="--debug" in sys.argv, json="--json" in sys.argv)
     try:
         result = app(standalone_mode=False)
-    except click.exceptions.Exit as stop:
+    except typer.Exit as stop:
         sys.exit(stop.exit_code)
-    except click.ClickException as error:
+    except _ClickException as error:
         _fail(error.format_message(), 2)
-    except (KeyboardInterrupt, click.exceptions.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         _fail("stopped by Ctrl-C; what was finished is kept", 1)
     except KoalaError as error:
         _fail(str(error), error.exit_code, error)
