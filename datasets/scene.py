@@ -42,13 +42,39 @@ class View:
         Raises:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
-        picture = images.read(self.image)
-        self._check_size(picture, self.image)
+        picture = self.read_image()
         if self.mask is not None:
             mask = images.read(self.mask)
             self._check_size(mask, self.mask)
             picture = np.concatenate([picture[..., :3], mask[..., :1]], axis=-1)
         return picture
+
+    def read_image(self) -> NDArray[np.float32]:
+        """The image alone, mask or not, with as many channels as its file has. Raises as `read` does."""
+        picture = images.read(self.image)
+        self._check_size(picture, self.image)
+        return picture
+
+    def read_truth(self, channel: str) -> NDArray[np.float32]:
+        """(height, width, channels) of one truth map in physical values.
+
+        "normals" are unit vectors in the world, zero where there is none (8-bit files hold (n + 1) / 2); "depth" is along
+        z in world units; "alpha" is 0..1; "diffuse" and "specular" are linear light.
+
+        Raises:
+            Misuse: the view has no such truth.
+            DatasetError: the file is missing, damaged, or of another size than the camera.
+        """
+        if channel not in self.truth:
+            raise Misuse(f"no truth called {channel!r}", where=f"view {self.name}", why=f"it has {sorted(self.truth) or 'none'}")
+        path = self.truth[channel]
+        values = images.read(path)
+        self._check_size(values, path)
+        if channel != "normals":
+            return values
+        normals = values[..., :3] if path.suffix.lower() in images.FLOAT_SUFFIXES else 2 * values[..., :3] - 1
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        return np.where(length > 0.5, normals / np.maximum(length, 0.5), 0.0).astype(np.float32)
 
     def _check_size(self, picture: NDArray[np.float32], path: Path) -> None:
         height, width = picture.shape[:2]

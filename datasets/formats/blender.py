@@ -4,11 +4,16 @@
 `_alpha.png` beside an image are its truth. `koala.json`, where it lies beside, says what this layout cannot.
 """
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from datasets import files
+import numpy as np
+
+from datasets import files, images
 from datasets.errors import KoalaError
-from datasets.formats import assemble, opengl, sidecar
+from datasets.formats import assemble, export, opengl, sidecar
+from datasets.formats.koala import file_name, link
 from datasets.scene import SPLITS, Scene, View
 
 TRUTH = {"normals": "_normal.png", "alpha": "_alpha.png"}
@@ -55,3 +60,54 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
             gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, truth=truth))
         except KoalaError as error:
             gathering.complain(error)
+
+
+def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
+    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+
+    Returns:
+        One line on what the layout cannot hold; empty where it holds everything.
+    """
+    with files.atomic_folder(path) as folder:
+        placed = {}
+        for view in scene.views:
+            name = f"{view.split}/{file_name(view)}"
+            placed[name] = export.place(view, folder, name, merge_mask=True)
+            _shiny_truth(placed[name].view)
+            done()
+        for split in SPLITS:
+            chosen = {name: p.view for name, p in placed.items() if p.view.split == split}
+            if chosen or split == "train":
+                files.write_json(folder / f"transforms_{split}.json", _transforms(chosen))
+        for name, source in (extra or {}).items():
+            link(source, folder / name)
+        sidecar.write(folder, scene, {name: p.view for name, p in placed.items()})
+    return export.limits(scene, list(placed.values()), "Blender's layout")
+
+
+def _transforms(views: dict[str, View]) -> dict[str, Any]:
+    """Content of one transforms file. One camera is said once; several are said with each frame, where few look for it."""
+    cameras = {view.camera for view in views.values()}
+
+    def frame(name: str, view: View) -> dict[str, Any]:
+        suffix = "" if view.image.suffix == ".png" else view.image.suffix
+        own = _intrinsics(view) if len(cameras) > 1 else {}
+        return {"file_path": f"./{name}{suffix}", **own, "transform_matrix": opengl.transform_matrix(view.world_from_camera)}
+
+    common = _intrinsics(next(iter(views.values()))) if views else {}
+    return {**common, "frames": [frame(name, view) for name, view in views.items()]}
+
+
+def _intrinsics(view: View) -> dict[str, float]:
+    camera = view.camera
+    return {"camera_angle_x": 2 * float(np.arctan(0.5 * camera.width / camera.fx)), "w": camera.width, "h": camera.height,
+            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}  # fmt: skip
+
+
+def _shiny_truth(view: View) -> None:
+    """Shiny Blender's maps beside the image, for programs that know them."""
+    stem = view.image.with_suffix("")
+    if "normals" in view.truth:
+        images.write(stem.with_name(stem.name + TRUTH["normals"]), 0.5 + 0.5 * view.read_truth("normals"))
+    if "alpha" in view.truth:
+        images.write(stem.with_name(stem.name + TRUTH["alpha"]), view.read_truth("alpha")[..., :1])

@@ -4,16 +4,18 @@ A row is a 3x5 matrix, row by row, and near and far. Its columns: the camera axe
 height, width and focal length of the full-size images, which need not be those that are there.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files, images, pose
+from datasets import bounds, files, images, pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF
 from datasets.errors import DatasetError, KoalaError, Misuse
-from datasets.formats import assemble, sidecar
+from datasets.formats import assemble, export, sidecar
+from datasets.formats.koala import file_name, link
 from datasets.scene import Scene, View
 
 FILE = "poses_bounds.npy"
@@ -73,6 +75,30 @@ def read_rows(path: Path) -> NDArray[np.float64]:
     if len(rows) and not (0 <= rows[:, 15].min() < rows[:, 16].max() < np.inf):
         raise DatasetError("near and far are not in order", where=path, why=f"{rows[:, 15].min()} and {rows[:, 16].max()}")
     return rows.astype(np.float64)
+
+
+def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
+    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+
+    Near and far of a row are those of the object's box, as its view sees it.
+
+    Returns:
+        One line on what the layout cannot hold; empty where it holds everything.
+    """
+    with files.atomic_folder(path) as folder:
+        placed = []
+        for view in scene.views:
+            placed.append(export.place(view, folder, f"images/{file_name(view)}", merge_mask=False))
+            done()
+        ordered = sorted((p.view for p in placed), key=lambda view: view.image)
+        rows = [row_of(v.world_from_camera, v.camera, *bounds.depth_range([v], scene.box)) for v in ordered]
+        with files.atomic_path(folder / FILE) as temporary:
+            np.save(temporary, np.stack(rows))
+        for name, source in (extra or {}).items():
+            link(source, folder / name)
+        by_name = {view.image.stem: view for view in (p.view for p in placed)}
+        sidecar.write(folder, scene, by_name)
+    return export.limits(scene, placed, "LLFF's layout")
 
 
 def row_of(world_from_camera: NDArray[np.float64], camera: Camera, near: float, far: float) -> NDArray[np.float64]:

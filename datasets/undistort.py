@@ -1,0 +1,114 @@
+"""From a real lens to a centred pinhole, for formats that hold nothing else.
+
+The new camera stands where the old one stood. It is turned so that its axis meets the middle of the old picture (an
+off-centre lens thus costs no picture), keeps the focal length, so that pixels stay as large as they were, and is cut so
+that every pixel of it was seen.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datasets import pose
+from datasets.camera_model import Camera
+
+COLOUR, SMOOTH, NEAREST = 5, 1, 0
+"""Orders of interpolation. COLOUR: quintic spline, nearly as sharp as a sinc, so that detail and noise survive (Thevenaz
+et al. 2000, "Interpolation Revisited"); SMOOTH: linear, never overshoots; NEAREST: for what must not be mixed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """A centred pinhole that sees what `source` saw."""
+
+    source: Camera
+    camera: Camera
+    source_from_camera: NDArray[np.float64]
+    """(4, 4) rotation from the new camera's frame to the old one's."""
+
+    @property
+    def turned_deg(self) -> float:
+        """Angle between the two axes [deg]."""
+        return float(np.rad2deg(pose.rotation_angle(self.source_from_camera)))
+
+    def source_pixels(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """(..., 2) pixels of the new picture to (..., 2) pixels of the old one."""
+        return self.source.project(self.camera.directions(pixels) @ self.source_from_camera[:3, :3].T)
+
+    def depth_factor(self) -> NDArray[np.float32]:
+        """(height, width, 1) what a depth along the old z is multiplied by to lie along the new z."""
+        directions = self.camera.directions(self.camera.pixel_centres()) @ self.source_from_camera[:3, :3].T
+        return (1 / directions[..., 2:]).astype(np.float32)
+
+    def resample(self, picture: NDArray[np.float32], order: int = COLOUR) -> NDArray[np.float32]:
+        """(height, width, channels) of the new camera from the old one's picture; with COLOUR, values stay in 0..1.
+
+        Two or four channels with COLOUR end in a straight alpha, by which the colours are weighted.
+        """
+        from scipy.ndimage import map_coordinates
+
+        columns, rows = np.moveaxis(self.source_pixels(self.camera.pixel_centres()) - 0.5, -1, 0)
+        has_alpha = order == COLOUR and picture.shape[-1] in (2, 4)
+        if has_alpha:
+            picture = np.concatenate([picture[..., :-1] * picture[..., -1:], picture[..., -1:]], axis=-1)
+        channels = [map_coordinates(picture[..., k], [rows, columns], np.float32, order, mode="mirror")
+                    for k in range(picture.shape[-1])]  # fmt: skip
+        result = np.stack(channels, axis=-1)
+        if has_alpha:
+            alpha = np.clip(result[..., -1:], 0, 1)
+            result = np.concatenate([result[..., :-1] / np.where(alpha > 1e-3, alpha, 1.0), alpha], axis=-1)
+        return np.clip(result, 0, 1) if order == COLOUR else result
+
+
+@lru_cache(maxsize=256)
+def pinhole(source: Camera) -> Pinhole:
+    """The largest centred pinhole of `source`'s shape that sees only what `source` saw.
+
+    Raises:
+        ValueError: the lens folds over so early that no picture is left.
+    """
+    axis = source.directions([source.width / 2, source.height / 2])
+    source_from_camera = np.eye(4) if source.is_centred else _turn(axis / np.linalg.norm(axis))
+    if source.is_centred:
+        return Pinhole(source, source, source_from_camera)
+    focal = float(np.sqrt(source.fx * source.fy))
+
+    def sized(scale: float) -> Pinhole:
+        width, height = max(int(source.width * scale), 1), max(int(source.height * scale), 1)
+        return Pinhole(source, Camera(width, height, focal, focal, width / 2, height / 2), source_from_camera)
+
+    low, high = 0.0, 2.0
+    while high - low > 0.5 / max(source.width, source.height):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _is_seen(sized(middle)) else (low, middle)
+    found = sized(low)
+    if min(found.camera.width, found.camera.height) < 2:
+        raise ValueError("the lens leaves no picture")
+    return found
+
+
+def _turn(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 4) smallest rotation that takes the z axis to a unit vector."""
+    across = np.cross([0.0, 0.0, 1.0], axis)
+    sine = np.linalg.norm(across)
+    angle = np.arctan2(sine, axis[2])
+    return pose.from_rotation_vector(across * (angle / sine) if sine > 1e-15 else np.zeros(3))
+
+
+def _is_seen(candidate: Pinhole) -> bool:
+    """True where every pixel on the border lies between pixel centres of the source, and the lens does not fold there."""
+    camera, source = candidate.camera, candidate.source
+    columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
+    border = np.concatenate([
+        np.stack(np.broadcast_arrays(*pair), axis=-1)
+        for pair in ((columns, rows[0]), (columns, rows[-1]), (columns[0], rows), (columns[-1], rows))
+    ])  # fmt: skip
+    rays = camera.directions(border) @ candidate.source_from_camera[:3, :3].T
+    if (rays[:, 2] <= 0).any():
+        return False
+    ideal = rays[:, :2] / rays[:, 2:]
+    pixels = source.project(rays)
+    inside = (pixels >= 0.5).all() and (pixels <= [source.width - 0.5, source.height - 0.5]).all()
+    return bool(inside) and bool(np.abs(source.undistort(source.distort(ideal)) - ideal).max() < 1e-6)
