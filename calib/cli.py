@@ -1,0 +1,119 @@
+"""The `calib` command: parses, calls, prints."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from datasets import console
+from datasets.console import Json
+
+if TYPE_CHECKING:
+    from calib.session import TargetSession
+    from datasets.calibration import Calibration
+
+app = console.make_app("calib", "Calibrate the camera and its place on the arm from a recording of a target.")
+
+RecordingPath = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
+]
+Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSON).")]
+
+
+@app.command("intrinsics")
+def intrinsics_command(recording: RecordingPath, out: Out, json: Json = False) -> None:
+    """Estimate focal lengths, centre and distortion from the pictures alone."""
+    from calib.calibrate import calibrate_intrinsics
+
+    _check_out(out)
+    _finish(calibrate_intrinsics(_observe(recording)), out, json)
+
+
+@app.command("handeye")
+def handeye_command(
+    recording: RecordingPath,
+    out: Out,
+    intrinsics: Annotated[
+        Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
+    ] = None,
+    arm_mm: Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")] = 0.05,
+    arm_deg: Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")] = 0.01,
+    json: Json = False,
+) -> None:
+    """Estimate where the camera sits on the flange and where the target stands, with the intrinsics, and how certain that is."""
+    import math
+
+    from calib.calibrate import calibrate_handeye
+    from calib.model import Accuracy
+    from datasets.calibration import Calibration
+    from datasets.errors import Misuse
+
+    for name, value in (("--arm-mm", arm_mm), ("--arm-deg", arm_deg)):
+        if not (math.isfinite(value) and value > 0):
+            raise Misuse("accuracy must be a positive number", where=name, why=f"{value:g} given")
+    _check_out(out)
+    given = Calibration.load(intrinsics) if intrinsics is not None else None
+    accuracy = Accuracy(1e-3 * arm_mm, math.radians(arm_deg))
+    _finish(calibrate_handeye(_observe(recording), given, accuracy), out, json)
+
+
+@app.command("verify")
+def verify_command(
+    recording: RecordingPath,
+    calibration: Annotated[Path, typer.Option("--calibration", help="Calibration file made by 'calib handeye'.")],
+    json: Json = False,
+) -> None:
+    """Tell how well a calibration predicts the target in another recording; only the target's place is fitted."""
+    from calib.report import describe_verification
+    from calib.verify import verify
+    from datasets.calibration import Calibration
+
+    result = verify(_observe(recording), Calibration.load(calibration))
+    console.report(result.to_json(), as_json=json, text=describe_verification(result))
+
+
+def _observe(recording: Path) -> "TargetSession":
+    """Find the target in every frame, with a progress bar."""
+    from calib.session import observe_recording
+    from datasets.recording import Recording
+
+    with console.progress("finding the target", len(Recording.open(recording).frames), "views") as bar:
+
+        def seen(words: str) -> None:
+            bar.note(words)
+            bar.advance()
+
+        return observe_recording(recording, seen=seen)
+
+
+def _check_out(out: Path) -> None:
+    """Refuse before the work what would fail after it."""
+    from datasets.errors import Misuse
+    from datasets.files import refuse_existing
+
+    if out.is_dir():
+        raise Misuse("is a folder", where=out, remedy="give --out the name of a JSON file")
+    refuse_existing(out)
+
+
+def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
+    """Write a calibration and say what is in it."""
+    from calib.report import describe_calibration, notes
+
+    calibration.save(out)
+    result: dict[str, Any] = {
+        "out": str(out), "camera": calibration.camera.to_json(), "camera_std": calibration.camera_std,
+        "residuals": calibration.residuals, "notes": notes(calibration),
+    }  # fmt: skip
+    for name in ("flange_from_camera", "base_from_board"):
+        value = getattr(calibration, name)
+        if value is not None:
+            result[name] = {
+                **value.to_json(), "translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg,
+            }  # fmt: skip
+    console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")
+
+
+def main() -> None:
+    """Entry point of the `calib` command."""
+    console.run(app)

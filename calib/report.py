@@ -1,0 +1,75 @@
+"""A calibration in words, for the person who made it."""
+
+import numpy as np
+
+from calib.verify import Verification
+from datasets import pose
+from datasets.calibration import Calibration, UncertainPose
+
+_DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
+
+
+def describe_calibration(calibration: Calibration) -> str:
+    """Several lines: hand-eye and board with standard deviations, intrinsics, what the fit left."""
+    lines = []
+    for title, value in (
+        ("flange_from_camera", calibration.flange_from_camera),
+        ("base_from_board", calibration.base_from_board),
+    ):
+        if value is not None:
+            lines += _pose_lines(title, value)
+    camera, residuals = calibration.camera, calibration.residuals
+    lines.append(f"camera              {camera.width}x{camera.height}")
+    for name, std in calibration.camera_std.items():
+        digits = _DIGITS.get(name, 5)
+        unit = " px" if name in _DIGITS else ""
+        lines.append(f"  {name:<17} {getattr(camera, name):.{digits}f} ± {std:.{digits}f}{unit}")
+    lines.append(f"residual            {residuals['rms_px']:.3f} px rms over {residuals['corners']} corners")
+    if residuals.get("held_out_px") is not None:
+        millimetres = f" = {residuals['held_out_mm']:.3f} mm at the target" if residuals.get("held_out_mm") is not None else ""
+        lines.append(f"on unseen views     {residuals['held_out_px']:.3f} px{millimetres}")
+    if "arm_translation_mm" in residuals:
+        lines.append(
+            f"arm errors          {residuals['arm_translation_mm']:.3f} mm, {residuals['arm_rotation_deg']:.4f} deg per axis"
+        )
+    lines.append(f"views used          {residuals['views_used']}, corners in {residuals['coverage']:.0%} of the image")
+    lines += [f"note: {note}" for note in notes(calibration)]
+    return "\n".join(lines)
+
+
+def notes(calibration: Calibration) -> list[str]:
+    """What the person should know before using the calibration, a sentence each."""
+    residuals, found = calibration.residuals, []
+    if residuals.get("views_unseen"):
+        found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
+    if residuals.get("views_left_out"):
+        found.append(f"arm and picture disagree in view {', '.join(residuals['views_left_out'])}, left out")
+    if residuals.get("coverage", 1.0) < 0.4:
+        found.append("corners cover little of the image; distortion is a guess elsewhere")
+    stated = calibration.provenance.get("arm_accuracy_stated")
+    if stated and residuals["arm_translation_mm"] > 3 * stated["translation_mm"]:
+        found.append(f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "
+                     f"({stated['translation_mm']:g} mm): check settling, time stamps and the arm's own calibration")  # fmt: skip
+    return found
+
+
+def describe_verification(verification: Verification) -> str:
+    """Two lines: the error, and the worst view."""
+    worst = max(verification.view_rms_px, key=lambda name: verification.view_rms_px[name])
+    return (
+        f"predicted corners   {verification.rms_px:.3f} px = {verification.rms_mm:.3f} mm rms over {verification.corners} corners "
+        f"in {len(verification.view_rms_px)} views\nworst view          {worst}: {verification.view_rms_px[worst]:.3f} px"
+    )
+
+
+def _pose_lines(title: str, value: UncertainPose) -> list[str]:
+    position = 1e3 * value.matrix[:3, 3]
+    rotation = np.rad2deg(pose.rotation_vector(value.matrix))
+    return [
+        f"{title}",
+        "  translation       "
+        + ", ".join(f"{p:.3f} ± {s:.3f}" for p, s in zip(position, value.translation_std_mm, strict=True))
+        + " mm",
+        "  rotation vector   " + ", ".join(f"{r:.4f}" for r in rotation) + " deg",
+        "  turned by         " + ", ".join(f"± {s:.4f}" for s in value.rotation_std_deg) + " deg about the first frame's x, y, z",
+    ]

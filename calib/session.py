@@ -1,0 +1,113 @@
+"""From a recording to what calibration works on: corners per view, the arm's word per view, and where they came from."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import TargetError
+from calib.model import Accuracy, Session
+from calib.targets import Board, Observation
+from datasets import files, images
+from datasets.recording import FRAMES, MANIFEST, Recording
+
+
+@dataclass(frozen=True)
+class TargetSession:
+    """Views in which the target was found, and the names of those in which it was not."""
+
+    board: Board
+    width: int
+    """Of every image [px]."""
+    height: int
+    observations: tuple[Observation, ...]
+    base_from_flange: NDArray[np.float64]
+    """(views, 4, 4), in the order of `observations`."""
+    unseen: tuple[str, ...] = ()
+    """Views without a target."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def chosen(self, keep: NDArray[np.bool_]) -> "TargetSession":
+        """The same with the views of `keep` (views,) alone."""
+        observations = tuple(o for o, kept in zip(self.observations, keep, strict=True) if kept)
+        return TargetSession(
+            self.board, self.width, self.height, observations, self.base_from_flange[keep], self.unseen, self.provenance
+        )
+
+    def measured(self, free: Sequence[str], known: dict[str, tuple[float, float]], accuracy: Accuracy) -> Session:
+        """All corners in one list, for the refinement."""
+        counts = [len(o.ids) for o in self.observations]
+        return Session(
+            self.base_from_flange, np.repeat(np.arange(len(counts)), counts), np.concatenate([o.pixels for o in self.observations]),
+            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy,
+        )  # fmt: skip
+
+
+def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(height, width) brightness of a (height, width, 1 to 4) picture: Rec. 601 weights on sRGB values, alpha left out."""
+    if picture.shape[-1] < 3:
+        return picture[..., 0]
+    return picture[..., :3] @ np.array([0.299, 0.587, 0.114], np.float32)
+
+
+def observe(
+    board: Board,
+    views: Sequence[tuple[str, Path, NDArray[np.float64]]],
+    *,
+    provenance: dict[str, Any] | None = None,
+    seen: Callable[[str], None] = lambda words: None,
+) -> TargetSession:
+    """Find the target in `views`: (name, image, (4, 4) base_from_flange) each.
+
+    Args:
+        seen: called after each view with a few words on it.
+
+    Raises:
+        TargetError: no view shows the target, or the images differ in size.
+        DatasetError: an image cannot be read.
+    """
+    size, observations, poses, unseen = None, [], [], []
+    for name, image, base_from_flange in views:
+        picture = grey(images.read(image))
+        size = size or picture.shape
+        if picture.shape != size:
+            raise TargetError("image has another size than the first", where=image,
+                              why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
+                              remedy="record a session with one camera setting")  # fmt: skip
+        observation = board.detect(picture, name)
+        if observation is None:
+            unseen.append(name)
+        else:
+            observations.append(observation)
+            poses.append(base_from_flange)
+        seen(f"view {name}: {0 if observation is None else len(observation.ids)} corners")
+    if size is None or not observations:
+        raise TargetError("calibration target is not in any view", why=f"{len(views)} views searched for {describe(board)}",
+                          remedy="check the board's description and the exposure")  # fmt: skip
+    return TargetSession(board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {})
+
+
+def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
+    """Find the target of a recording in its frames. Nothing under its truth folder is read."""
+    recording = Recording.open(path)
+    board = Board.from_json(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
+    views = [
+        (f.name, files.inside(recording.path, f.image, where=f"{path}, frame {f.name}"), f.base_from_flange)
+        for f in recording.frames
+    ]
+    if not views:
+        raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
+    provenance = {
+        "recording": str(Path(path).resolve()), "frames_sha256": files.sha256(Path(path) / FRAMES), "board": board.to_json(),
+        "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},
+    }  # fmt: skip
+    return observe(board, views, provenance=provenance, seen=seen)
+
+
+def describe(board: Board) -> str:
+    """A few words on a board."""
+    return f"a {board.squares_x}x{board.squares_y} {board.type} board with squares of {1e3 * board.square_length_m:g} mm"

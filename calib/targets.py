@@ -1,0 +1,172 @@
+"""Calibration targets: what they look like, and where their corners are in a picture.
+
+Board frame: origin in the outer corner of the first square, x along the rows of squares, y along the columns,
+z into the board (OpenCV's). Corners are numbered row by row; corner (i, j) lies at ((i + 1), (j + 1), 0) square lengths.
+"""
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import TargetError
+from datasets import conventions
+from datasets.errors import nearest
+
+KINDS = ("charuco", "chessboard")
+MIN_CORNERS = 8
+_SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Corners of a target in one view."""
+
+    name: str
+    """Name of the view."""
+    ids: NDArray[np.int64]
+    """(n,) corner numbers."""
+    pixels: NDArray[np.float64]
+    """(n, 2) where they are seen, first pixel's centre at (0.5, 0.5) [px]."""
+    points: NDArray[np.float64]
+    """(n, 3) where they are on the board, board frame [m]."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat target: a ChArUco board, or a plain chessboard that must be seen whole."""
+
+    type: str
+    """"charuco" or "chessboard"."""
+    squares_x: int
+    """Squares along x."""
+    squares_y: int
+    """Squares along y."""
+    square_length_m: float
+    """Side of a square [m]."""
+    marker_length_m: float = 0.0
+    """Side of a marker [m]; ChArUco only."""
+    dictionary: str = "DICT_5X5_100"
+    """OpenCV's name of the marker dictionary; ChArUco only."""
+    legacy_pattern: bool = False
+    """True for boards printed by OpenCV before 4.6 with an even number of rows."""
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> Self:
+        """Board as a recording's manifest describes it under `board`; keys that are not ours are passed over."""
+        if not isinstance(content, dict):
+            raise TargetError("recording describes no calibration target", where=where,
+                              remedy="record a target session, for instance with --scene charuco_board")  # fmt: skip
+        known = {k: content[k] for k in cls.__dataclass_fields__ if content.get(k) is not None}
+        try:
+            board = cls(**known)
+            board = cls(str(board.type), int(board.squares_x), int(board.squares_y), float(board.square_length_m),
+                        float(board.marker_length_m), str(board.dictionary), bool(board.legacy_pattern))  # fmt: skip
+        except (TypeError, ValueError) as error:
+            raise TargetError("calibration target is not described completely", where=where, why=str(error)) from None
+        board._check(where)
+        return board
+
+    def _check(self, where: object) -> None:
+        def refuse(why: str, remedy: str = "") -> None:
+            raise TargetError("calibration target cannot exist", where=where, why=why, remedy=remedy)
+
+        if self.type not in KINDS:
+            refuse(f"type {self.type!r}", nearest(self.type, KINDS))
+        if min(self.squares_x, self.squares_y) < 3 or not 0 < self.square_length_m < np.inf:
+            refuse(f"{self.squares_x}x{self.squares_y} squares of {self.square_length_m:g} m")
+        if self.type == "charuco":
+            names = [n for n in dir(cv2.aruco) if n.startswith("DICT_")]
+            if self.dictionary not in names:
+                refuse(f"dictionary {self.dictionary!r}", nearest(self.dictionary, names))
+            if not 0 < self.marker_length_m < self.square_length_m:
+                refuse(f"markers of {self.marker_length_m:g} m in squares of {self.square_length_m:g} m")
+        elif (self.squares_x + self.squares_y) % 2 == 0:
+            refuse(f"chessboard of {self.squares_x}x{self.squares_y} squares looks the same upside down",
+                   "use an odd number of squares one way and an even number the other")  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary that `from_json` reads."""
+        return asdict(self)
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """(corners, 3) inner corners in the board frame [m]."""
+        x, y = np.meshgrid(np.arange(1, self.squares_x), np.arange(1, self.squares_y))
+        return np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], -1) * self.square_length_m
+
+    @cached_property
+    def charuco(self) -> cv2.aruco.CharucoBoard:
+        """OpenCV's object for the same ChArUco board; it can draw it."""
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        board = cv2.aruco.CharucoBoard((self.squares_x, self.squares_y), self.square_length_m, self.marker_length_m, dictionary)
+        board.setLegacyPattern(self.legacy_pattern)
+        return board
+
+    def detect(self, grey: NDArray[np.float32], name: str) -> Observation | None:
+        """Find the target in a picture.
+
+        Args:
+            grey: (height, width) brightness, sRGB 0..1.
+            name: of the view, for the record.
+
+        Returns:
+            The corners, or None where fewer than 8 are seen or all of them lie on one line.
+        """
+        picture = np.ascontiguousarray(np.rint(np.clip(grey, 0, 1) * 255), np.uint8)
+        found = self._charuco_corners(picture) if self.type == "charuco" else self._chessboard_corners(picture)
+        if found is None or len(found[0]) < MIN_CORNERS:
+            return None
+        ids, corners = found
+        points = self.points[ids]
+        if np.linalg.matrix_rank(points - points.mean(0), tol=1e-9) < 2:
+            return None
+        corners = self._refined(np.ascontiguousarray(grey, np.float32), ids, corners)
+        return Observation(name, ids, conventions.pixels_from_opencv(corners), points)
+
+    def _charuco_corners(self, picture: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        detector = cv2.aruco.CharucoDetector(self.charuco, cv2.aruco.CharucoParameters(), parameters)
+        corners, ids, _, _ = detector.detectBoard(picture)
+        if ids is None or len(ids) == 0:
+            return None
+        return ids.reshape(-1).astype(np.int64), corners.reshape(-1, 2)
+
+    def _chessboard_corners(self, picture: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
+        columns, rows = self.squares_x - 1, self.squares_y - 1
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
+        if not found:
+            return None
+        corners = corners.reshape(rows, columns, 2)
+        if not _first_square_is_dark(picture, corners):
+            corners = corners[::-1, ::-1]
+        return np.arange(rows * columns), np.ascontiguousarray(corners.reshape(-1, 2))
+
+    def _refined(self, grey: NDArray[np.float32], ids: NDArray[np.int64], corners: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Corners at the saddle of the brightness, in a window that no marker and no other corner reaches into."""
+        clear = (self.square_length_m - self.marker_length_m) / 2 if self.type == "charuco" else self.square_length_m / 2
+        metres, pixels = self.points[ids][:, None] - self.points[ids], corners[:, None] - corners
+        distance = np.linalg.norm(metres, axis=-1)
+        near = (distance > 0) & (distance < 1.01 * self.square_length_m)
+        scale = np.linalg.norm(pixels, axis=-1)[near] / distance[near]
+        smallest = np.percentile(scale, 10) * clear if near.any() else 3.0
+        half = int(np.clip(0.8 * smallest, 2, 10))
+        return cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), _SUBPIXEL).reshape(-1, 2)
+
+
+def _first_square_is_dark(picture: NDArray[np.uint8], corners: NDArray[np.float32]) -> bool:
+    """Whether the square between corners (0, 0) and (1, 1) is darker than its right neighbour.
+
+    That square touches the board's first one, which is dark, at a corner.
+    """
+
+    def brightness(row: int, column: int) -> float:
+        x, y = corners[row : row + 2, column : column + 2].reshape(-1, 2).mean(0)
+        return float(cv2.getRectSubPix(picture, (3, 3), (float(x), float(y))).mean())
+
+    return brightness(0, 0) < brightness(0, 1)

@@ -1,0 +1,100 @@
+"""How well a calibration predicts pictures that it was not made from. A small residual of the fit proves nothing of the kind."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import handeye, intrinsics, projection
+from calib.errors import CalibrationError
+from calib.model import Accuracy, Session, State, camera_points, predict
+from calib.refine import Refined, fit_board, refine
+from calib.session import TargetSession
+from datasets.calibration import Calibration
+from datasets.camera_model import Camera
+from datasets.errors import Misuse
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How well a calibration predicts a session whose arm poses are taken as reported; the board's place alone is fitted."""
+
+    rms_px: float
+    """Between seen and predicted corner [px]."""
+    rms_mm: float
+    """The same at the board, across the line of sight [mm]."""
+    view_rms_px: dict[str, float]
+    """By name of the view [px]."""
+    corners: int
+    """Corners compared."""
+    base_from_board: Array
+    """(4, 4) as fitted."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        return {**vars(self), "views": len(self.view_rms_px), "base_from_board": self.base_from_board.tolist()}
+
+
+def verify(session: TargetSession, calibration: Calibration) -> Verification:
+    """Predict the corners of `session` with `calibration`.
+
+    Raises:
+        Misuse: the calibration has no hand-eye pose, or is for images of another size.
+    """
+    if calibration.flange_from_camera is None:
+        raise Misuse("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
+    check_size(session, calibration.camera)
+    camera, flange_from_camera = calibration.camera, calibration.flange_from_camera.matrix
+    boards = np.stack([intrinsics.camera_from_board(camera, o) for o in session.observations])
+    board = handeye.assess(session.base_from_flange, boards, flange_from_camera, "given").base_from_board
+    measured = session.measured(projection.NAMES, {}, Accuracy())
+    state = fit_board(measured, State(projection.vector(camera), flange_from_camera, board, np.zeros((len(boards), 6))))
+    residuals, millimetres = _errors(measured, state)
+    by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}
+    return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), state.base_from_board)
+
+
+def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
+    """Error on views that the refinement has not seen, in up to five folds: `held_out_px`, `held_out_mm`.
+
+    The arm's poses are taken as reported, so that the figures hold what the arm adds: they are what a reconstruction
+    will meet. None where a fold could not be fitted.
+    """
+    views = len(session.base_from_flange)
+    folds = min(5, views)
+    pixels, millimetres = [], []
+    for fold in range(folds):
+        unseen = session.view % folds == fold
+        start = replace(refined.state, corrections=np.zeros((views, 6)))
+        try:
+            fitted = refine(session.some(~unseen), start, sigma_px=refined.sigmas.pixel, rounds=2)
+        except CalibrationError:
+            return {"held_out_px": None, "held_out_mm": None}
+        rest = session.some(unseen & refined.inliers)
+        errors = _errors(rest, replace(fitted.state, corrections=np.zeros((views, 6))))
+        pixels.append(errors[0])
+        millimetres.append(errors[1])
+    return {"held_out_px": rms(np.concatenate(pixels)), "held_out_mm": rms(np.concatenate(millimetres))}
+
+
+def check_size(session: TargetSession, camera: Camera) -> None:
+    """Raise Misuse where `camera` is for images of another size than those of `session`."""
+    if (camera.width, camera.height) != (session.width, session.height):
+        raise Misuse("calibration is for images of another size", where=session.provenance.get("recording", ""),
+                     why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
+                     remedy="calibrate with the camera setting of the recording")  # fmt: skip
+
+
+def rms(errors: Array) -> float:
+    """Root mean square length of (n, 2) vectors."""
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
+
+
+def _errors(session: Session, state: State) -> tuple[Array, Array]:
+    """(n, 2) seen minus predicted [px], and the same at the corner's depth [mm]."""
+    residuals = session.pixels - predict(session, state)[0]
+    depth = camera_points(session, state)[:, 2:]
+    return residuals, 1e3 * residuals * depth / state.intrinsics[:2]
