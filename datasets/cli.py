@@ -1,0 +1,115 @@
+"""The `datasets` command: build, inspect, check and export scenes."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from datasets import console
+from datasets.console import Json
+
+app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
+
+Root = Annotated[Path | None, typer.Option(help="Folder in which scene names are looked up, before $KOALA_DATA.")]
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Folder, or a name such as koala/gold_head.")]
+
+
+@app.command()
+def build(
+    recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
+    calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
+    out: Annotated[Path, typer.Option(help="Folder of the new scene; must not exist.")],
+    as_json: Json = False,
+) -> None:
+    """Make a posed scene from a recording and a calibration."""
+    from datasets.build import build as build_scene
+    from datasets.check import summary
+    from datasets.recording import Recording
+
+    with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
+        scene = build_scene(recording, calibration, out, done=shown.advance)
+    console.report({"scene": str(out), **summary(scene)}, as_json=as_json, text=f"{_text(summary(scene))}\nwritten to {out}")
+
+
+@app.command()
+def info(scene: SceneName, data_root: Root = None, as_json: Json = False) -> None:
+    """Say what a scene holds: views, camera, bounds, truth, and what its reader had to assume."""
+    from datasets.check import summary
+    from datasets.formats import load_scene
+
+    found = summary(load_scene(scene, data_root=data_root))
+    console.report(found, as_json=as_json, text=_text(found))
+
+
+@app.command()
+def check(scene: SceneName, data_root: Root = None, as_json: Json = False) -> int:
+    """Read everything in a scene and list what is wrong, a line each. Exit code 1 where there is an error."""
+    from datasets.check import check as check_scene
+
+    with console.progress("checking", 1, "views") as shown:
+
+        def advance(count: int, total: int) -> None:
+            shown.total = total
+            shown.advance(count - shown.done)
+
+        findings = check_scene(scene, data_root=data_root, done=advance)
+    errors = sum(finding.level == "error" for finding in findings)
+    verdict = f"{errors} errors, {len(findings) - errors} warnings" if findings else "nothing is wrong"
+    text = "\n".join([*(finding.line for finding in findings), verdict])
+    console.report({"errors": errors, "findings": [vars(finding) for finding in findings]}, as_json=as_json, text=text)
+    return 1 if errors else 0
+
+
+@app.command()
+def export(
+    scene: SceneName,
+    format: Annotated[str, typer.Option(help="blender or llff.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; must not exist.")],
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene in another program's format, undistorted where that format knows no lens."""
+    from datasets.build import extra_truth
+    from datasets.errors import Misuse, nearest
+    from datasets.files import refuse_existing
+    from datasets.formats import blender, find, llff, load_scene
+
+    writers = {"blender": blender.save, "llff": llff.save}
+    if format not in writers:
+        raise Misuse(f"cannot export to {format!r}", remedy=nearest(format, writers))
+    refuse_existing(out)
+    loaded = load_scene(scene, data_root=data_root)
+    with console.progress("exporting", len(loaded.views), "views") as shown:
+        limits = writers[format](loaded, out, extra=extra_truth(find(scene, data_root)), done=shown.advance)
+    count = len(loaded.views)
+    text = f"{count} views written to {out}" + (f"\n{limits}" if limits else "")
+    console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
+
+
+def _text(found: dict[str, Any]) -> str:
+    """`summary` for a person."""
+    views = ", ".join(f"{count} {split}" for split, count in found["views"].items() if count)
+    sizes = ", ".join(f"{width}x{height}" for width, height in found["sizes"][:4])
+    camera = found["camera"]
+    lens = "distorted" if found["distorted"] else "pinhole"
+    unit = "m" if found["metric"] else "units"
+    low, high = ([round(value, 4) for value in corner] for corner in found["box"])
+    nearest, furthest = found["distance_to_focus"]
+    lines = [
+        f"scene        {found['name']} ({found['format']})",
+        f"views        {views}; {sizes} px, {found['channels']} channels{', masks' if found['masks'] else ''}",
+        f"camera       {lens}, fx {camera['fx']:.2f} fy {camera['fy']:.2f} cx {camera['cx']:.2f} cy {camera['cy']:.2f}"
+        + (f" (first of {found['cameras']})" if found["cameras"] > 1 else ""),
+        f"object box   {low} to {high} {unit}",
+        f"cameras      {nearest:.3g} to {furthest:.3g} {unit} from where they look",
+        f"near, far    {found['near']:.4g}, {'infinity' if found['far'] is None else format(found['far'], '.4g')} {unit}",
+        f"background   {found['background']}",
+        f"truth        {', '.join(f'{key} ({count})' for key, count in found['truth'].items()) or 'none'}",
+    ]
+    return os.linesep.join([*lines, *(f"note         {note}" for note in found["notes"])])
+
+
+def main() -> None:
+    """Entry point of the `datasets` command."""
+    console.run(app)
