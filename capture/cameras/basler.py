@@ -1,0 +1,242 @@
+"""Basler cameras through pylon. The only module that imports pypylon.
+
+With `emulated=True` the very same code drives pylon's own emulated camera, which shows the picture files it is fed.
+"""
+
+import os
+import time
+from typing import Any, Self
+
+import numpy as np
+
+from capture.errors import CaptureError, RigConnectionError
+from capture.rig import Image
+from capture.trajectory import CameraSettings
+from datasets.region import Region
+
+TRIES = 4
+"""Exposures that may arrive damaged, one after the other, before the grab fails."""
+READY_MS = 2000
+"""How long the camera may take to accept a trigger [ms]."""
+TRANSFER_MS = 3000
+"""How long an image may take beyond its exposure time [ms]."""
+RGB8 = ("RGB8", "RGB8Packed")
+"""Eight-bit colour: what USB cameras call it, and GigE cameras and the emulation."""
+
+
+class Basler:
+    """One Basler camera with constant exposure and gain, triggered by software.
+
+    Lifecycle: the constructor touches nothing. Entering opens the camera, writes every setting, reads each back and
+    compares; on any failure the camera is closed again. Use as a context manager.
+
+    Time: `device_ticks` are the camera's own: 1 ns each on USB, 8 ns on GigE without PTP; the emulation has none (0).
+
+    Raises:
+        RigConnectionError: no camera, several without a serial number to choose by, busy, or unplugged.
+        CaptureError: a setting was not taken (requested against actual), or no whole image came within the deadline.
+    """
+
+    def __init__(self, settings: CameraSettings, *, serial: str = "", emulated: bool = False) -> None:
+        self.settings, self.serial, self.emulated = settings, serial, emulated
+        self._camera: Any = None
+        self._pylon: Any = None
+
+    def __enter__(self) -> Self:
+        if self.emulated:
+            os.environ["PYLON_CAMEMU"] = "1"  # pylon reads it when it is imported
+        from pypylon import pylon
+
+        self._pylon = pylon
+        self._camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(self._find()))
+        try:
+            self._camera.Open()
+            self._configure()
+            self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
+        except pylon.GenericException as error:
+            self._close()
+            raise RigConnectionError("camera could not be set up", where=self._name(), why=_first_line(error),
+                                     remedy="close other programs that use it, or plug it in again") from None  # fmt: skip
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._close()
+
+    def grab(self) -> Image:
+        """Trigger one exposure and wait for it; damaged images are taken again, at most `TRIES` times."""
+        reasons = []
+        try:
+            for _ in range(TRIES):
+                image, reason = self._try()
+                if image is not None:
+                    return image
+                reasons.append(reason)
+                self._restart()
+        except self._pylon.GenericException as error:
+            if self._camera.IsCameraDeviceRemoved():
+                raise RigConnectionError("camera was unplugged", where=self._name(),
+                                         remedy="plug it in and go on with --resume") from None  # fmt: skip
+            raise CaptureError("camera gave no image", where=self._name(), why=_first_line(error),
+                               remedy="check its cable and go on with --resume") from None  # fmt: skip
+        raise CaptureError(f"camera gave {TRIES} damaged images in a row", where=self._name(), why=reasons[-1],
+                           remedy="check cable and bandwidth, then go on with --resume")  # fmt: skip
+
+    def feed(self, picture: str) -> None:
+        """Emulation only: the file that the next exposures show."""
+        self._camera.StopGrabbing()
+        self._camera.TestImageSelector.Value = "Off"
+        self._camera.ImageFileMode.Value = "On"
+        self._camera.ImageFilename.Value = picture
+        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+
+    def break_next(self, count: int) -> None:
+        """Emulation only: the next `count` images arrive incomplete."""
+        self._camera.ForceFailedBufferCount.Value = count
+        self._camera.ForceFailedBuffer.Execute()
+
+    @property
+    def region(self) -> Region:
+        """The part of the sensor that images show, as read back."""
+        camera = self._camera
+        return Region(camera.Width.Value, camera.Height.Value, camera.OffsetX.Value, camera.OffsetY.Value,
+                      _value(camera, "BinningHorizontal", default=1))  # fmt: skip
+
+    def description(self) -> dict[str, Any]:
+        """Model, serial number, region, exposure, and the camera's whole state as it saves it itself."""
+        info, binning = self._camera.GetDeviceInfo(), self.region.binning
+        state = self._pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
+        pairs = (line.split("\t", 1) for line in state.splitlines() if "\t" in line and not line.startswith("#"))
+        return {
+            "driver": "basler", "model": info.GetModelName(), "serial": info.GetSerialNumber(), "emulated": self.emulated,
+            "pylon": ".".join(str(part) for part in self._pylon.GetPylonVersion()),
+            "firmware": _value(self._camera, "DeviceFirmwareVersion", default=""), "region": self.region.to_json(),
+            "sensor": {"width": self._sensor_edge("Width") * binning, "height": self._sensor_edge("Height") * binning},
+            "exposure_us": self._exposure.Value, "gain_db": self._gain_db(), "state": dict(pairs),
+        }  # fmt: skip
+
+    def _find(self) -> Any:
+        devices = self._pylon.TlFactory.GetInstance().EnumerateDevices()
+        if self.emulated:
+            devices = [device for device in devices if device.GetDeviceClass() == "BaslerCamEmu"]
+        else:
+            devices = [device for device in devices if device.GetDeviceClass() != "BaslerCamEmu"]
+        serials = [device.GetSerialNumber() for device in devices]
+        if self.serial:
+            devices = [device for device in devices if device.GetSerialNumber() == self.serial]
+        if not devices:
+            raise RigConnectionError("no such Basler camera", where=self._name(), why=f"connected: {', '.join(serials) or 'none'}",
+                                     remedy="check cable, power and the serial number in the rig file")  # fmt: skip
+        if len(devices) > 1 and not self.emulated:
+            raise RigConnectionError("several Basler cameras are connected", why=", ".join(serials),
+                                     remedy="write the serial number into the rig file")  # fmt: skip
+        return devices[0]
+
+    def _configure(self) -> None:
+        camera, wanted = self._camera, self.settings
+        for automatic in ("ExposureAuto", "GainAuto", "BalanceWhiteAuto"):
+            if _has(camera, automatic):
+                self._set(automatic, "Off")
+        self._set("PixelFormat", next((name for name in RGB8 if name in camera.PixelFormat.Symbolics), RGB8[0]))
+        if wanted.binning > 1 or _has(camera, "BinningHorizontal"):
+            self._set("BinningHorizontal", wanted.binning)
+            self._set("BinningVertical", wanted.binning)
+        self._set("OffsetX", 0)
+        self._set("OffsetY", 0)
+        self._set("Width", wanted.width)
+        self._set("Height", wanted.height)
+        self._set("OffsetX", _centred(wanted.offset_x, self._sensor_edge("Width"), wanted.width, camera.OffsetX.Inc))
+        self._set("OffsetY", _centred(wanted.offset_y, self._sensor_edge("Height"), wanted.height, camera.OffsetY.Inc))
+        self._set(self._exposure_name, wanted.exposure_us, tolerance=0.01 * wanted.exposure_us + 1)
+        self._set("Gain", wanted.gain_db, tolerance=0.05)
+        self._set("TriggerSelector", "FrameStart")
+        self._set("TriggerMode", "On")
+        self._set("TriggerSource", "Software")
+
+    def _sensor_edge(self, name: str) -> int:
+        """Binned width or height of the sensor [px]. The emulation's sensor is any size: ours is the rig's."""
+        if self.emulated:
+            return EMULATED_SENSOR[name] // self.settings.binning
+        return int(getattr(self._camera, f"{name}Max").Value)
+
+    @property
+    def _exposure_name(self) -> str:
+        return "ExposureTime" if _has(self._camera, "ExposureTime") else "ExposureTimeAbs"
+
+    @property
+    def _exposure(self) -> Any:
+        return getattr(self._camera, self._exposure_name)
+
+    def _gain_db(self) -> float:
+        return float(self._camera.Gain.Value)
+
+    def _set(self, name: str, value: Any, *, tolerance: float = 0.0) -> None:
+        """Write one setting and read it back."""
+        if not _has(self._camera, name):
+            raise CaptureError(f"camera has no setting {name}", where=self._name(), why=f"{value} was requested")
+        node = getattr(self._camera, name)
+        try:
+            node.Value = value
+        except self._pylon.GenericException:
+            limits = f", possible: {node.Min} to {node.Max}" if hasattr(node, "Min") else ""
+            raise CaptureError(f"camera did not take {name}", where=self._name(),
+                               why=f"requested {value}, it stays at {node.Value}{limits}",
+                               remedy="change the camera settings of the trajectory") from None  # fmt: skip
+        actual = node.Value
+        if actual != value and not (tolerance and abs(actual - value) <= tolerance):
+            raise CaptureError(f"camera changed {name}", where=self._name(), why=f"requested {value}, actual {actual}",
+                               remedy="change the camera settings of the trajectory")  # fmt: skip
+
+    def _try(self) -> tuple[Image | None, str]:
+        camera, raise_late = self._camera, self._pylon.TimeoutHandling_ThrowException
+        camera.WaitForFrameTriggerReady(READY_MS, raise_late)
+        host_time_ns = time.monotonic_ns()
+        camera.ExecuteSoftwareTrigger()
+        result = camera.RetrieveResult(TRANSFER_MS + int(self._exposure.Value / 1000), raise_late)
+        try:
+            if not result.GrabSucceeded():
+                return None, result.GetErrorDescription() or f"error {result.GetErrorCode()}"
+            pixels = np.array(result.Array, copy=True)
+            return Image(pixels, float(self._exposure.Value), self._gain_db(), int(result.TimeStamp), host_time_ns), ""
+        finally:
+            result.Release()
+
+    def _restart(self) -> None:
+        """Throw away whatever is still under way."""
+        self._camera.StopGrabbing()
+        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+
+    def _name(self) -> str:
+        return f"camera {self.serial}" if self.serial else "emulated camera" if self.emulated else "camera"
+
+    def _close(self) -> None:
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            camera.Close()  # stops grabbing; harmless where it was not open
+
+
+EMULATED_SENSOR = {"Width": 1920, "Height": 1080}
+"""Sensor of the simulated rig [px]: that of an acA1920-25uc."""
+
+
+def _has(camera: Any, name: str) -> bool:
+    """True where the camera has a setting and lets it be written or read now."""
+    from pypylon import genicam
+
+    node = camera.GetNodeMap().GetNode(name)
+    return node is not None and bool(genicam.IsReadable(node))
+
+
+def _value(camera: Any, name: str, *, default: Any) -> Any:
+    return getattr(camera, name).Value if _has(camera, name) else default
+
+
+def _centred(offset: int | None, available: int, wanted: int, increment: int) -> int:
+    """The offset asked for, or the one that centres the region, on the camera's grid [binned px]."""
+    return offset if offset is not None else max(available - wanted, 0) // 2 // increment * increment
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,0 +1,104 @@
+"""Opens a rig: the real one that a file describes, or the simulated one of a seed."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.rig import Camera, Robot
+from capture.rig_description import RigDescription, load_rig
+from capture.trajectory import Trajectory
+from datasets.errors import Misuse
+
+SIMULATED = "sim"
+
+
+class Witness(Protocol):
+    """Knows the truth behind each picture: only a simulation has one."""
+
+    def prepare(self, frame: int) -> None:
+        """Say which frame comes next."""
+
+    def keep_truth(self, folder: Path, name: str, split: str) -> None:
+        """Write what is true of the newest picture."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """An arm and its camera, both connected."""
+
+    robot: Robot
+    camera: Camera
+    description: RigDescription
+    name: str
+    """"sim", or the path of the rig file."""
+    witness: Witness | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+    """What a recording keeps beyond that: of a simulation its scene and seed."""
+
+    @property
+    def flange_from_camera(self) -> NDArray[np.float64]:
+        """(4, 4) nominal mount [m]."""
+        return self.description.flange_from_camera.matrix()
+
+
+def describe(name: str) -> RigDescription:
+    """The description of a rig by name; raises Misuse where its file is missing or wrong."""
+    return RigDescription() if name == SIMULATED else load_rig(name)
+
+
+@contextmanager
+def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_scale: float) -> Iterator[Rig]:
+    """Connect arm and camera, and close both again.
+
+    Args:
+        name: "sim", or the path of a rig file.
+        trajectory: camera settings and motion.
+        scene: what stands in front of the simulated camera.
+        seed: of everything random in the simulation.
+        time_scale: how much faster than real time the simulated arm is.
+    """
+    description = describe(name)
+    if name == SIMULATED:
+        with _simulated(description, trajectory, scene, seed, time_scale) as rig:
+            yield rig
+        return
+    from capture.cameras.basler import Basler
+    from capture.robots.ur import UR5e
+
+    with UR5e(host=description.robot.host, motion=trajectory.motion) as robot:
+        with Basler(trajectory.camera, serial=description.camera.serial) as camera:
+            yield Rig(robot, camera, description, name)
+
+
+@contextmanager
+def _simulated(description: RigDescription, trajectory: Trajectory, scene: str, seed: int, time_scale: float) -> Iterator[Rig]:
+    from capture.robots.ur import UR5e
+    from capture.sim.camera import SimulatedCamera
+    from capture.sim.controller import SimulatedController
+    from capture.sim.truth import RigTruth
+
+    truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
+    with SimulatedController.start(seed=seed, time_scale=time_scale) as controller:
+        camera = SimulatedCamera(trajectory, scene, truth, controller.true_base_from_flange, seed)
+        with UR5e(host=controller.host) as robot, camera:
+            yield Rig(robot, camera, description, SIMULATED, camera, {"scene": scene, "seed": seed})
+
+
+def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
+    """The simulated scene for a trajectory: the one named, else the one that suits it; "" for a real rig.
+
+    Raises:
+        Misuse: no such scene (naming the nearest), or a real rig is asked for one.
+    """
+    if rig != SIMULATED:
+        if scene:
+            raise Misuse("--scene belongs to the simulation", where=rig, remedy="leave it out, or use --rig sim")
+        return ""
+    from capture.sim.scenes import check_name
+
+    return check_name(scene) if scene else "charuco_board" if trajectory.target is not None else "gold_head"

@@ -1,0 +1,228 @@
+"""The simulated camera: renders what the lens would see from where the arm truly is, and has pylon's emulation deliver it.
+
+So the driver that grabs is the one for real cameras; only the light is computed.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.cameras.basler import Basler
+from capture.errors import SimulationError
+from capture.rig import Image
+from capture.sim.board import BoardPicture
+from capture.sim.lens import Lens, Sensor
+from capture.sim.scenes import Stage, check_name, stage
+from capture.sim.truth import RigTruth
+from capture.trajectory import Trajectory
+from datasets import files, images
+
+Maps = dict[str, NDArray[np.float32]]
+SAMPLES = 12
+"""Light paths per pixel of the supersampled pinhole picture: four times as many per pixel of the image."""
+SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
+
+
+class View(Protocol):
+    """What is in front of the lens."""
+
+    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """(height, width, 3) linear light on the pixels of the lens's camera."""
+
+    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
+
+    def mesh(self) -> Any:
+        """The object [m, base frame], a trimesh; None where there is none."""
+
+
+@dataclass
+class ObjectView:
+    """An object in the laboratory, rendered."""
+
+    stage: Stage
+    _newest: NDArray[np.float32] | None = None
+
+    @cached_property
+    def _renderer(self) -> Any:
+        from capture.sim.renderer import Renderer
+
+        return Renderer(self.stage)
+
+    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        self._newest = self._renderer.radiance(lens.pinhole, base_from_camera, samples=SAMPLES, seed=seed)
+        return lens.image(self._newest)
+
+    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """Means over each pixel: normals and depth over that part of it which shows the object, light over all of it."""
+        if self._newest is None:
+            raise SimulationError("no picture has been taken yet")
+        fine = replace(lens, supersampling=2 * lens.supersampling, taps=2 * lens.taps)
+        surfaces = self._renderer.surfaces(fine.pinhole, base_from_camera, seed=seed)
+        shown = surfaces.is_object[..., None].astype(np.float32)
+        means = fine.image(np.concatenate([shown, shown * surfaces.normals, shown * surfaces.depth[..., None]], -1))
+        alpha = means[..., :1]
+        normals = means[..., 1:4] / np.maximum(np.linalg.norm(means[..., 1:4], axis=-1, keepdims=True), 1e-6)
+        coarse = shown.reshape(lens.pinhole.height, 2, lens.pinhole.width, 2, 1).mean(axis=(1, 3))
+        specular = lens.image(self._newest * coarse)
+        return {
+            "alpha": alpha, "normals": np.where(alpha > 0, normals, 0), "depth": means[..., 4:] / np.maximum(alpha, 1e-6),
+            "specular": specular, "diffuse": lens.image(self._newest * (1 - coarse)),
+        }  # fmt: skip
+
+    def mesh(self) -> Any:
+        """See `View`."""
+        return self.stage.items[0].mesh
+
+
+@dataclass
+class BoardView:
+    """The calibration board on the table."""
+
+    board: BoardPicture
+
+    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return self.board.radiance(lens, base_from_camera)
+
+    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """Nothing per picture: the board's pose says it all."""
+        return {}
+
+    def mesh(self) -> None:
+        """None: a board is no object."""
+
+
+def make_view(scene: str, trajectory: Trajectory, seed: int) -> View:
+    """What stands in front of the camera; raises SimulationError where scene and trajectory do not belong together."""
+    check_name(scene)
+    if scene == "charuco_board":
+        if trajectory.target is None or trajectory.board is None:
+            raise SimulationError("scene 'charuco_board' needs a trajectory with 'target' and 'board'", where=trajectory.name,
+                                  remedy="use configs/trajectories/calibration_demo.yaml, or another --scene")  # fmt: skip
+        base_from_board, target = trajectory.board.matrix(), trajectory.target
+        extent = np.array([target.squares_x, target.squares_y, 0]) * target.square_length_m
+        middle = base_from_board[:3, :3] @ extent / 2 + base_from_board[:3, 3]
+        return BoardView(BoardPicture(target, base_from_board, seed, (float(middle[0]), float(middle[1]))))
+    if trajectory.object is None:
+        raise SimulationError(f"scene '{scene}' needs a trajectory with 'object'", where=trajectory.name,
+                              remedy="use configs/trajectories/koala_demo.yaml, or --scene charuco_board")  # fmt: skip
+    return ObjectView(stage(scene, centre=trajectory.object.centre, size=trajectory.object.size, seed=seed))
+
+
+class SimulatedCamera:
+    """A Basler whose light is computed; does what `capture.rig.Camera` says.
+
+    Args:
+        trajectory: its camera settings, and what stands where.
+        scene: a name of `capture.sim.scenes.SCENES`.
+        truth: the rig as it really is.
+        true_base_from_flange: asks the simulated arm where it really is.
+        seed: of textures and noise. Noise also depends on the frame, not on what was taken before.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        scene: str,
+        truth: RigTruth,
+        true_base_from_flange: Callable[[], NDArray[np.float64]],
+        seed: int,
+    ) -> None:
+        self.view = make_view(scene, trajectory, seed)
+        self.trajectory, self.truth, self.seed = trajectory, truth, seed
+        self._where, self._frame = true_base_from_flange, 0
+        self._base_from_camera: NDArray[np.float64] | None = None
+        self._driver = Basler(trajectory.camera, emulated=True)
+        self._lens: Lens | None = None
+
+    def __enter__(self) -> Self:
+        self._folder = TemporaryDirectory(prefix="koala-camera-")
+        try:
+            self._driver.__enter__()
+        except BaseException:
+            self._folder.cleanup()
+            raise
+        self._lens = Lens(self._driver.region.camera(self.truth.sensor_camera))
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._driver.__exit__(*exception)
+        self._folder.cleanup()
+
+    def prepare(self, frame: int) -> None:
+        """Say which frame the next exposure is: its noise depends on that number and on nothing before it."""
+        self._frame = frame
+
+    def grab(self) -> Image:
+        """See `capture.rig.Camera`; `device_ticks` are nanoseconds of the host's clock, as of a camera on USB."""
+        settings = self.trajectory.camera
+        self._base_from_camera = self._where() @ self.truth.flange_from_camera
+        light = self.view.radiance(self.lens, self._base_from_camera, self._seed)
+        pixels = Sensor().expose(light, exposure_us=settings.exposure_us, gain_db=settings.gain_db, binning=settings.binning,
+                                 rng=np.random.default_rng([self.seed, self._frame, 3]))  # fmt: skip
+        picture = Path(self._folder.name) / f"{self._frame}.png"
+        images.write(picture, pixels)
+        self._driver.feed(str(picture))
+        image = self._driver.grab()
+        picture.unlink()
+        if not np.array_equal(image.pixels, pixels):
+            raise SimulationError("the emulated camera changed the picture", why="pixels differ from what it was fed")
+        return replace(image, device_ticks=time.monotonic_ns())
+
+    def description(self) -> dict[str, Any]:
+        """See `capture.rig.Camera`."""
+        return {**self._driver.description(), "simulated": True}
+
+    def keep_truth(self, folder: Path, name: str, split: str) -> None:
+        """Write what is true of the newest picture: its pose; for test views also the maps of `SUFFIXES`.
+
+        folder/CHANNEL/NAME.*: `normals` (unit, base frame), `depth` (along z [m], 0 beside the object), `alpha` (share of
+        the pixel that shows the object), `diffuse` and `specular` (linear light; their sum is the whole).
+        """
+        if split == "test":
+            for channel, values in self.view.truth(self.lens, self._pose, self._seed).items():
+                images.write(folder / channel / f"{name}{SUFFIXES[channel]}", values)
+        poses = folder / "poses.json"
+        content = files.read_json(poses) if poses.exists() else self._session(folder)
+        content["base_from_camera"][name] = self._pose.tolist()
+        files.write_json(poses, content)
+
+    def _session(self, folder: Path) -> dict[str, Any]:
+        """What is true of all pictures; writes the object's mesh."""
+        mesh = self.view.mesh()
+        if mesh is not None:
+            with files.atomic_path(folder / "object.ply") as temporary:
+                mesh.export(temporary, file_type="ply", vertex_normal=True)
+        board = self.trajectory.board
+        return {
+            "format": "koala-truth", "version": 1, "camera": self.lens.camera.to_json(),
+            "sensor_camera": self.truth.sensor_camera.to_json(), "flange_from_camera": self.truth.flange_from_camera.tolist(),
+            "base_from_board": board.matrix().tolist() if board is not None else None, "base_from_camera": {},
+            "radiance_at_white": Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db),
+        }  # fmt: skip
+
+    @property
+    def lens(self) -> Lens:
+        """The lens in use, once the camera is open."""
+        if self._lens is None:
+            raise SimulationError("the camera is not open")
+        return self._lens
+
+    @property
+    def _pose(self) -> NDArray[np.float64]:
+        if self._base_from_camera is None:
+            raise SimulationError("no picture has been taken yet")
+        return self._base_from_camera
+
+    @property
+    def _seed(self) -> int:
+        return int(np.random.SeedSequence([self.seed, self._frame]).generate_state(1)[0])

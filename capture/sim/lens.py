@@ -1,0 +1,96 @@
+"""From the light that a perfect pinhole sees to the picture that a real lens and sensor deliver.
+
+A renderer knows pinholes only. `Lens` says which pinhole picture it needs (finer and a little wider than the real one) and
+averages it over each pixel of the distorting camera. `expose` then counts electrons: shot noise, read noise, eight bits.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera_model import Camera
+from datasets.images import srgb_from_linear, to_uint8
+
+Picture = NDArray[np.float32]
+MARGIN = 1
+"""Camera pixels that the pinhole sees beyond the border, for interpolation."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Resamples pinhole pictures to those of `camera`."""
+
+    camera: Camera
+    supersampling: int = 2
+    """Pixels of the pinhole picture per pixel of the camera, along each axis."""
+    taps: int = 3
+    """Each pixel averages taps x taps places, so that edges are soft as on a sensor."""
+
+    @cached_property
+    def _corners(self) -> NDArray[np.float64]:
+        """(height + 1, width + 1, 2) ideal normalised coordinates of the pixels' corners."""
+        columns, rows = np.meshgrid(np.arange(self.camera.width + 1.0), np.arange(self.camera.height + 1.0))
+        return self.camera.directions(np.stack([columns, rows], -1))[..., :2]
+
+    @cached_property
+    def pinhole(self) -> Camera:
+        """The centred pinhole whose picture covers everything that the camera sees."""
+        focal = max(self.camera.fx, self.camera.fy) * self.supersampling
+        reach = np.abs(self._corners).max(axis=(0, 1)) * focal / self.supersampling
+        half_width, half_height = self.supersampling * (np.ceil(reach).astype(int) + MARGIN)
+        return Camera(2 * int(half_width), 2 * int(half_height), focal, focal, float(half_width), float(half_height))
+
+    def places(self) -> Iterator[NDArray[np.float64]]:
+        """taps * taps times (height, width, 2): ideal normalised coordinates spread evenly over each pixel.
+
+        Inside a pixel the lens is taken as bilinear between the corners, which is good to 1e-4 px.
+        """
+        shares = (np.arange(self.taps) + 0.5) / self.taps
+        upper, lower = self._corners[:-1], self._corners[1:]
+        for down in shares:
+            edge = (1 - down) * upper + down * lower
+            for right in shares:
+                yield (1 - right) * edge[:, :-1] + right * edge[:, 1:]
+
+    def image(self, picture: Picture) -> Picture:
+        """(height, width, channels) means over the camera's pixels of a picture taken by `pinhole`."""
+        from scipy.ndimage import map_coordinates
+
+        pinhole, total = self.pinhole, 0.0
+        for place in self.places():
+            columns, rows = np.moveaxis(place * pinhole.fx + [pinhole.cx - 0.5, pinhole.cy - 0.5], -1, 0)
+            total = total + np.stack(
+                [map_coordinates(picture[..., c], [rows, columns], order=1, mode="nearest") for c in range(picture.shape[-1])], -1
+            )
+        return np.asarray(total / self.taps**2, np.float32)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How light becomes numbers."""
+
+    full_well: float = 8000.0
+    """Electrons of one photosite at saturation."""
+    read_noise: float = 6.0
+    """Standard deviation of reading one photosite [electrons]."""
+    saturation: float = 1.5
+    """Radiance that fills the well in `reference_us` at 0 dB."""
+    reference_us: float = 10000.0
+
+    def expose(
+        self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
+        """(height, width, 3) sRGB bytes of linear light; binned photosites average, so noise falls by `binning`."""
+        sites = binning**2
+        share = radiance / self.saturation * (exposure_us / self.reference_us)
+        electrons = np.minimum(np.maximum(share, 0), 1.0) * self.full_well * sites
+        noisy = rng.poisson(electrons) + rng.normal(0.0, self.read_noise * binning, electrons.shape)
+        amplified = noisy / (self.full_well * sites) * 10 ** (gain_db / 20)
+        return to_uint8(srgb_from_linear(np.clip(amplified, 0.0, 1.0)))
+
+    def white(self, exposure_us: float, gain_db: float) -> float:
+        """Radiance that becomes white: what a picture has lost by clipping lies above it."""
+        return self.saturation * self.reference_us / exposure_us / 10 ** (gain_db / 20)

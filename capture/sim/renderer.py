@@ -1,0 +1,122 @@
+"""Light on a stage, by Mitsuba 3. The only module that imports it.
+
+The vectorised variant is five times faster, but needs a system LLVM, and some versions of it end the whole process on
+some processors. So a child process tries it first; where that fails, the scalar variant does the work.
+"""
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.sim.scenes import Gold, Item, Matt, Stage
+from datasets.camera_model import Camera
+
+FAST, SURE = "llvm_ad_rgb", "scalar_rgb"
+MAX_DEPTH = 4
+"""Edges of a light path: camera - object - table - light is three."""
+MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Mitsuba's cameras have x left, y up, z forward."""
+BASE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
+"""Mitsuba's surroundings have their zenith along y."""
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """What a pinhole sees first, one ray per pixel."""
+
+    hit: NDArray[np.bool_]
+    """(h, w) the ray meets something."""
+    is_object: NDArray[np.bool_]
+    """(h, w) it meets the object."""
+    normals: NDArray[np.float32]
+    """(h, w, 3) unit, outward, in the base frame."""
+    depth: NDArray[np.float32]
+    """(h, w) along z of the camera [m]; 0 where nothing is met."""
+
+
+@cache
+def variant() -> str:
+    """The fastest variant of Mitsuba that survives a trial in a child process."""
+    asked = os.environ.get("KOALA_RENDERER", "")
+    if asked in (FAST, SURE):
+        return asked
+    trial = [sys.executable, "-m", "capture.sim.renderer_trial", FAST]
+    try:
+        done = subprocess.run(trial, capture_output=True, timeout=60, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return SURE
+    return FAST if done.returncode == 0 else SURE
+
+
+class Renderer:
+    """One stage, ready to be looked at from anywhere."""
+
+    def __init__(self, stage: Stage, *, using: str | None = None) -> None:
+        mi.set_variant(using or variant())
+        self.stage = stage
+        shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}
+        to_base = mi.ScalarTransform4f(BASE_FROM_ROOM)
+        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": to_base}
+        self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **shapes})
+        self._light = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH})
+        self._first = mi.load_dict({"type": "aov", "aovs": "normal:sh_normal,place:position,shape:shape_index"})
+        self._object_index = [shape.id() for shape in self._scene.shapes()].index("item000") + 1  # 0 is a miss
+
+    def radiance(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, samples: int, seed: int) -> NDArray[np.float32]:
+        """(h, w, 3) linear light that reaches a centred pinhole, from `samples` paths per pixel."""
+        picture = mi.render(
+            self._scene, sensor=_sensor(pinhole, base_from_camera), integrator=self._light, spp=samples, seed=seed
+        )
+        return np.array(picture, np.float32)[..., :3]
+
+    def surfaces(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, seed: int) -> Surfaces:
+        """What the pinhole's pixels show first."""
+        sensor = _sensor(pinhole, base_from_camera)
+        picture = np.array(mi.render(self._scene, sensor=sensor, integrator=self._first, spp=1, seed=seed), np.float32)
+        normals, places, index = picture[..., :3], picture[..., 3:6], picture[..., 6]
+        hit = np.linalg.norm(normals, axis=-1) > 0.5
+        depth = (places - base_from_camera[:3, 3]) @ base_from_camera[:3, 2]
+        return Surfaces(hit, hit & (np.rint(index) == self._object_index), normals, np.where(hit, depth, 0).astype(np.float32))
+
+
+def _sensor(pinhole: Camera, base_from_camera: NDArray[np.float64]) -> Any:
+    film = {"type": "hdrfilm", "width": pinhole.width, "height": pinhole.height, "rfilter": {"type": "box"},
+            "pixel_format": "rgb", "component_format": "float32"}  # fmt: skip
+    return mi.load_dict({
+        "type": "perspective", "film": film, "sampler": {"type": "independent"}, "near_clip": 0.005, "far_clip": 100.0,
+        "fov_axis": "x", "fov": float(np.rad2deg(2 * np.arctan(pinhole.width / 2 / pinhole.fx))),
+        "to_world": mi.ScalarTransform4f(base_from_camera @ MITSUBA_FROM_OPENCV),
+    })  # fmt: skip
+
+
+def _shape(item: Item) -> Any:
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(_material(item.material))
+    vertices, faces = np.asarray(item.mesh.vertices, np.float32), np.asarray(item.mesh.faces, np.uint32)
+    mesh = mi.Mesh(item.name, len(vertices), len(faces), has_vertex_normals=item.smooth,
+                   has_vertex_texcoords=item.uv is not None, props=properties)  # fmt: skip
+    values = mi.traverse(mesh)
+    values["vertex_positions"], values["faces"] = vertices.ravel(), faces.ravel()
+    if item.smooth:
+        values["vertex_normals"] = np.asarray(item.mesh.vertex_normals, np.float32).ravel()
+    if item.uv is not None:
+        values["vertex_texcoords"] = item.uv.ravel()
+    values.update()
+    return mesh
+
+
+def _material(material: Matt | Gold) -> dict[str, Any]:
+    if isinstance(material, Gold):
+        return {"type": "roughconductor", "material": "Au", "distribution": "ggx", "alpha": material.roughness}
+    if material.reflectance.ndim == 1:
+        colour: dict[str, Any] = {"type": "rgb", "value": material.reflectance.tolist()}
+    else:
+        colour = {"type": "bitmap", "bitmap": mi.Bitmap(material.reflectance), "raw": True}
+    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": colour}}

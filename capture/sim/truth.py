@@ -1,0 +1,48 @@
+"""What the simulated rig is really like, and what nobody but the evaluation may know.
+
+Camera and bracket differ from the drawing by amounts drawn from the seed, as those of any real rig do.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import pose
+from datasets.camera_model import Camera
+
+SENSOR_WIDTH, SENSOR_HEIGHT = 1920, 1080
+FOCAL_PX = 2.8e-3 / 2.2e-6
+"""A 2.8 mm lens over pixels of 2.2 um (Basler acA1920-25uc)."""
+HAND_EYE_SHIFT_M = 3e-3
+"""Length of the bracket's error."""
+HAND_EYE_TURN_RAD = np.deg2rad(1.0)
+"""Angle of the bracket's error."""
+
+
+@dataclass(frozen=True)
+class RigTruth:
+    """The true camera of the whole sensor and the true mount."""
+
+    sensor_camera: Camera
+    flange_from_camera: NDArray[np.float64]
+
+    @classmethod
+    def draw(cls, nominal_flange_from_camera: NDArray[np.float64], seed: int) -> Self:
+        """The rig of a seed: the same seed is the same rig, whatever it looks at."""
+        rng = np.random.default_rng([seed, 7])
+        focal = FOCAL_PX * (1 + rng.normal(0, 0.004))
+        camera = Camera(
+            SENSOR_WIDTH, SENSOR_HEIGHT, focal, focal * (1 + rng.normal(0, 2e-4)),
+            SENSOR_WIDTH / 2 + rng.normal(0, 10), SENSOR_HEIGHT / 2 + rng.normal(0, 10),
+            k1=-0.11 + rng.normal(0, 0.01), k2=0.06 + rng.normal(0, 0.005),
+            p1=rng.normal(0, 8e-4), p2=rng.normal(0, 8e-4), k3=-0.012,
+        )  # fmt: skip
+        error = pose.from_rotation_vector(HAND_EYE_TURN_RAD * _direction(rng), HAND_EYE_SHIFT_M * _direction(rng))
+        return cls(camera, nominal_flange_from_camera @ error)
+
+
+def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
