@@ -1,0 +1,67 @@
+"""The process that is the simulated controller: `python -m capture.sim._controller_child '{"seed": 0, ...}'`.
+
+Says {"host": ..., "side_port": ...} on standard output once all ports accept; ends when standard input closes, so that it
+never outlives who started it.
+"""
+
+import asyncio
+import json
+import random
+import sys
+from typing import Any
+
+import numpy as np
+
+from capture.kinematics import UR5E
+from capture.sim.arm import Arm
+from capture.sim.server import CYCLE_HZ, DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
+
+
+async def _listen(server: ControllerServer) -> tuple[str, int]:
+    """Open all ports on a loopback address that nobody uses; returns it and the port of the side channel."""
+    handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
+    for _ in range(50):
+        host = f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
+        opened = []
+        try:
+            for port, handler in handlers.items():
+                opened.append(await asyncio.start_server(handler, host, port))
+        except OSError:
+            for listener in opened:
+                listener.close()
+            continue
+        side = await asyncio.start_server(server.side_channel, "127.0.0.1", 0)
+        return host, side.sockets[0].getsockname()[1]
+    raise OSError(f"no loopback address with free ports {list(handlers)}")
+
+
+async def _run(options: dict[str, Any]) -> None:
+    seed = int(options["seed"])
+    length_m, angle_rad = options["length_error_m"], options["angle_error_rad"]
+    links = UR5E.calibrated(np.random.default_rng([seed, 1]), length_m, angle_rad) if length_m or angle_rad else UR5E
+    arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
+    server = ControllerServer(arm, options["time_scale"])
+    host, side_port = await _listen(server)
+    loop = asyncio.get_running_loop()
+    orphaned = asyncio.Event()
+    loop.add_reader(sys.stdin.fileno(), lambda: None if sys.stdin.buffer.read1(1024) else orphaned.set())
+    sys.stdout.write(json.dumps({"host": host, "side_port": side_port}) + "\n")
+    sys.stdout.flush()
+    due = loop.time()
+    while not orphaned.is_set():
+        server.step()
+        fastest = min((s.period_s for s in server.sessions if s.streaming), default=0.02)
+        due = max(due + max(fastest, 1 / CYCLE_HZ), loop.time())
+        await asyncio.sleep(due - loop.time())
+
+
+def main() -> None:
+    """Run until standard input closes."""
+    try:
+        asyncio.run(_run(json.loads(sys.argv[1])))
+    except KeyboardInterrupt:
+        sys.exit(0)  # Ctrl-C reaches the whole group of processes; who started this one speaks to the person
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""The simulated arm: what its encoders say, where its flange really is, and whether it may move.
+
+Time is the controller's own [s]; whoever steps the simulation says how late it is. Nothing here knows of sockets.
+"""
+
+import zlib
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.kinematics import JOINT_LIMIT, UR5E, Links, forward
+from capture.sim.profiles import Chain, Joints, Move, Profile, Stop
+from datasets import pose
+
+SAFETY_DECELERATION = 10.0
+"""Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
+RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
+"""The arm swings after a stop: frequency, decay time, and amplitude [rad per rad/s^2]."""
+
+
+class RobotMode(IntEnum):
+    """The controller's robot modes."""
+
+    POWER_OFF = 3
+    IDLE = 5
+    RUNNING = 7
+
+
+class Safety(IntEnum):
+    """The controller's safety modes."""
+
+    NORMAL = 1
+    PROTECTIVE_STOP = 3
+    ROBOT_EMERGENCY_STOP = 7
+
+
+class Arm:
+    """One UR5e with errors of its own.
+
+    Args:
+        seed: of everything random.
+        home: (6,) angles at the start [rad].
+        repeatability_m: standard deviation per axis of where the flange really stops [m].
+        repeatability_rad: the same of its orientation [rad].
+        links: the true links. The controller knows them, as it is calibrated; the nominal kinematics do not.
+    """
+
+    def __init__(self, seed: int, home: Joints, repeatability_m: float, repeatability_rad: float, links: Links = UR5E) -> None:
+        self.seed, self.links = seed, links
+        self.deviation = repeatability_m, repeatability_rad
+        self.flange_from_tcp = np.eye(4)
+        self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
+        self.profile: Profile = Stop(np.asarray(home, np.float64), np.zeros(6), 1.0)
+        self.start_s = 0.0
+        self.speed_fraction = 1.0
+        self._visits: dict[int, int] = {}
+        self._error: NDArray[np.float64] | None = None
+
+    @property
+    def may_move(self) -> bool:
+        """Powered, brakes released and not stopped for safety."""
+        return self.mode is RobotMode.RUNNING and self.safety is Safety.NORMAL
+
+    def moving(self, now: float) -> bool:
+        """Whether a motion is under way."""
+        return now < self.start_s + self.profile.duration
+
+    def target(self, now: float) -> tuple[Joints, Joints, Joints]:
+        """(6,) angles, speeds, accelerations that the controller asks for."""
+        return self.profile.at(now - self.start_s)
+
+    def actual(self, now: float) -> tuple[Joints, Joints]:
+        """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
+        angles, speeds, _ = self.target(now)
+        since = now - self.start_s - self.profile.duration
+        if not 0 <= since < 20 * RINGING_DECAY_S or self.profile.duration == 0:
+            return angles, speeds
+        slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2]
+        omega = 2 * np.pi * RINGING_HZ
+        swing = RINGING_PER_ACCELERATION * slowing * np.exp(-since / RINGING_DECAY_S)
+        sine, cosine = np.sin(omega * since), np.cos(omega * since)
+        return angles - swing * sine, speeds - swing * (omega * cosine - sine / RINGING_DECAY_S)
+
+    def base_from_tcp(self, joints: Joints) -> NDArray[np.float64]:
+        """(4, 4) as the controller reports it: calibrated links, active tool offset [m]."""
+        return forward(joints, self.links) @ self.flange_from_tcp
+
+    def true_base_from_flange(self, now: float) -> NDArray[np.float64]:
+        """(4, 4) where the flange really is [m]. The error changes with every stop, and is the same for the same visit."""
+        return forward(self.actual(now)[0], self.links) @ self._stopping_error()
+
+    def begin(self, profile: Profile, now: float) -> None:
+        """Start a motion from where the arm is."""
+        self.profile, self.start_s, self._error = profile, now, None
+
+    def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
+        """Start a movej; an arm that still moves slows down to rest first."""
+        if not np.isfinite(goal).all() or np.abs(goal).max() > JOINT_LIMIT:
+            self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
+            return
+        angles, speeds, _ = self.target(now)
+        acceleration = max(acceleration, 1e-3)
+        stop = Stop(angles, speeds, acceleration)
+        move = Move(stop.at(np.inf)[0], goal, min(max(speed, 1e-3), np.pi), acceleration)
+        self.begin(Chain(stop, move) if self.moving(now) else move, now)
+
+    def stop(self, deceleration: float, now: float) -> None:
+        """Slow down to rest; does nothing to an arm at rest."""
+        if self.moving(now):
+            angles, speeds, _ = self.target(now)
+            self.begin(Stop(angles, speeds, max(deceleration, 0.1)), now)
+
+    def stop_for_safety(self, safety: Safety, now: float) -> None:
+        """Protective or emergency stop: rest as fast as may be; an emergency stop also cuts the power."""
+        self.stop(SAFETY_DECELERATION, now)
+        self.safety = safety
+        if safety is Safety.ROBOT_EMERGENCY_STOP:
+            self.mode = RobotMode.POWER_OFF
+
+    def _stopping_error(self) -> NDArray[np.float64]:
+        if self._error is None:
+            place = zlib.crc32(np.round(self.profile.at(np.inf)[0], 6).tobytes())
+            visit = self._visits[place] = self._visits.get(place, 0) + 1
+            draw = np.random.default_rng([self.seed, place, visit]).normal(size=6)
+            self._error = pose.from_rotation_vector(draw[:3] * self.deviation[1], draw[3:] * self.deviation[0])
+        return self._error

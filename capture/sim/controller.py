@@ -1,0 +1,124 @@
+"""A simulated UR5e controller that the vendor's own client talks to: a process of its own on a loopback address.
+
+with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UR5e(simulated.host) as robot:
+    robot.move_to(joints, speed=1.0, acceleration=1.4)
+    simulated.true_base_from_flange()
+"""
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.errors import SimulationError
+
+START_TIMEOUT_S = 20.0
+REPLY_TIMEOUT_S = 5.0
+HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
+"""Where the arm stands at first: stretched upwards [rad]."""
+
+
+class SimulatedController:
+    """Handle on the process. Use `start`; leaving the context ends the process, and so does the end of this one."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int) -> None:
+        self.process, self.host, self.side_port = process, host, side_port
+        self._lock = threading.Lock()
+        self._side: socket.socket | None = None
+
+    @classmethod
+    def start(
+        cls,
+        *,
+        seed: int = 0,
+        time_scale: float = 20.0,
+        repeatability_mm: float = 0.03,
+        repeatability_deg: float = 0.005,
+        length_error_mm: float = 0.0,
+        angle_error_deg: float = 0.0,
+        home: NDArray[np.float64] | tuple[float, ...] = HOME,
+    ) -> Self:
+        """Start the process and wait until its ports accept.
+
+        Args:
+            seed: of the errors; the same seed and the same moves give the same errors.
+            time_scale: how much faster than the clock on the wall the controller's time runs.
+            repeatability_mm, repeatability_deg: one standard deviation per axis of where the flange really stops.
+            length_error_mm, angle_error_deg: the same of the arm's links against the nominal ones; the controller knows them.
+            home: (6,) joint angles at the start [rad].
+
+        Raises:
+            SimulationError: it did not start.
+        """
+        options = {
+            "seed": int(seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
+            "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
+            "length_error_m": length_error_mm / 1000, "angle_error_rad": float(np.radians(angle_error_deg)),
+        }  # fmt: skip
+        process = subprocess.Popen(
+            [sys.executable, "-m", "capture.sim._controller_child", json.dumps(options)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        timer = threading.Timer(START_TIMEOUT_S, process.kill)
+        timer.start()
+        try:
+            line = process.stdout.readline()
+        finally:
+            timer.cancel()
+        if not line:
+            process.kill()
+            words = process.communicate()[1].decode(errors="replace").strip().splitlines()
+            raise SimulationError("the simulated controller did not start", why=words[-1] if words else "it said nothing")
+        ready = json.loads(line)
+        return cls(process, ready["host"], ready["side_port"])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process; may be called twice."""
+        if self._side is not None:
+            self._side.close()
+            self._side = None
+        self.process.kill()
+        self.process.communicate()
+
+    def true_base_from_flange(self) -> NDArray[np.float64]:
+        """(4, 4) where the flange really is now [m]; for the simulated camera and for evaluation only."""
+        return np.array(self.ask("truth")["base_from_flange"])
+
+    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
+        """Send one request to the side channel and return its reply.
+
+        Requests: truth, protective_stop, emergency_stop, stop_program, drop, silent (seconds), ignore_commands (ignore).
+
+        Raises:
+            SimulationError: the process has ended, or does not know the request.
+        """
+        with self._lock:
+            try:
+                if self._side is None:
+                    self._side = socket.create_connection(("127.0.0.1", self.side_port), REPLY_TIMEOUT_S)
+                self._side.sendall((json.dumps({"do": do, **arguments}) + "\n").encode())
+                reply = b""
+                while not reply.endswith(b"\n"):
+                    chunk = self._side.recv(65536)
+                    if not chunk:
+                        raise ConnectionError("it closed the connection")
+                    reply += chunk
+            except OSError as error:
+                raise SimulationError(
+                    "the simulated controller does not answer", why=str(error), remedy="start it again"
+                ) from None
+        content = json.loads(reply)
+        if "error" in content:
+            raise SimulationError("the simulated controller refused a request", where=do, why=content["error"])
+        return content

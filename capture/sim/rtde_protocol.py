@@ -1,0 +1,110 @@
+"""The controller's side of RTDE version 2: framing, and how values are packed. All numbers are big-endian.
+
+A packet is uint16 size (header included), uint8 type, payload (Universal Robots, "Real-Time Data Exchange guide").
+"""
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+PROTOCOL_VERSION, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA = (ord(letter) for letter in "VvOISPU")
+
+_CODES = {
+    "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
+    "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
+}  # fmt: skip
+
+_VECTORS = (
+    "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current joint_control_output "
+    "actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed joint_temperatures "
+    "actual_joint_voltage payload_inertia actual_current_as_torque ft_raw_wrench external_force_torque"
+)
+_DOUBLES = (
+    "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
+    "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 standard_analog_output0 "
+    "standard_analog_output1 payload speed_slider_fraction standard_analog_output_0 standard_analog_output_1"
+)
+_OTHERS = {
+    "robot_mode": "INT32", "safety_mode": "INT32", "joint_mode": "VECTOR6INT32",
+    "runtime_state": "UINT32", "robot_status_bits": "UINT32", "safety_status_bits": "UINT32", "speed_slider_mask": "UINT32",
+    "actual_digital_input_bits": "UINT64", "actual_digital_output_bits": "UINT64",
+    "actual_tool_accelerometer": "VECTOR3D", "payload_cog": "VECTOR3D",
+    "standard_analog_output_mask": "UINT8", "standard_analog_output_type": "UINT8",
+}  # fmt: skip
+TYPES: dict[str, str] = {
+    **dict.fromkeys(_VECTORS.split(), "VECTOR6D"),
+    **dict.fromkeys(_DOUBLES.split(), "DOUBLE"),
+    **_OTHERS,
+    **{f"{kind}_digital_output{mask}": "UINT8" for kind in ("standard", "configurable", "tool") for mask in ("", "_mask")},
+}
+"""Every variable that the client may name, and its type; registers aside."""
+
+_REGISTER = re.compile(r"(input|output)_(int|double|bit)_register_(\d{1,3})$")
+
+
+def type_of(name: str) -> str:
+    """RTDE type of a variable; NOT_FOUND where there is none of that name."""
+    register = _REGISTER.match(name)
+    if register:
+        kind, number = register[2], int(register[3])
+        return (
+            {"int": "INT32", "double": "DOUBLE", "bit": "BOOL"}[kind] if number < (128 if kind == "bit" else 48) else "NOT_FOUND"
+        )
+    return TYPES.get(name, "NOT_FOUND")
+
+
+def register_of(name: str) -> tuple[str, int] | None:
+    """("int" or "double", number) of an int or double register of either direction, else None."""
+    register = _REGISTER.match(name)
+    return (register[2], int(register[3])) if register and register[2] != "bit" else None
+
+
+class Recipe:
+    """A list of variables that travel together."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = list(names)
+        self.types = [type_of(name) for name in self.names]
+        self.packing = struct.Struct(">" + "".join(_CODES[kind] for kind in self.types if kind in _CODES))
+
+    @property
+    def complete(self) -> bool:
+        """False where a variable does not exist."""
+        return "NOT_FOUND" not in self.types
+
+    def pack(self, values: Sequence[Any]) -> bytes:
+        """Bytes of one value (number or sequence) per name."""
+        flat: list[Any] = []
+        for value in values:
+            flat.extend(value) if hasattr(value, "__len__") else flat.append(value)
+        return self.packing.pack(*flat)
+
+    def unpack(self, payload: bytes) -> dict[str, Any]:
+        """Name to number or list; raises ValueError where the size is wrong."""
+        if len(payload) != self.packing.size:
+            raise ValueError(f"{len(payload)} bytes where the recipe has {self.packing.size}")
+        numbers = iter(self.packing.unpack(payload))
+        values: dict[str, Any] = {}
+        for name, kind in zip(self.names, self.types, strict=True):
+            length = int(_CODES[kind][:-1] or 1)
+            values[name] = next(numbers) if length == 1 else [next(numbers) for _ in range(length)]
+        return values
+
+
+def packet(kind: int, payload: bytes = b"") -> bytes:
+    """One framed packet."""
+    return struct.pack(">HB", len(payload) + 3, kind) + payload
+
+
+def split_packets(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
+    """(type, payload) of every complete packet, removed from `buffer`; raises ValueError on an impossible size."""
+    while len(buffer) >= 3:
+        size, kind = struct.unpack_from(">HB", buffer)
+        if size < 3:
+            raise ValueError(f"packet of size {size}")
+        if len(buffer) < size:
+            return
+        payload = bytes(buffer[3:size])
+        del buffer[:size]
+        yield kind, payload

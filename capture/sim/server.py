@@ -1,0 +1,310 @@
+"""The simulated controller as a server: RTDE, script and dashboard ports on one loopback address, and a side channel.
+
+One asyncio loop owns everything. Controller time runs `time_scale` times as fast as the clock on the wall.
+"""
+
+import asyncio
+import json
+import struct
+import time
+from typing import Any
+
+import numpy as np
+
+from capture.sim import dashboard, rtde_protocol
+from capture.sim.arm import Arm, RobotMode, Safety
+from capture.sim.rtde_protocol import Recipe, packet
+from capture.sim.script import ControlProgram
+
+RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
+VERSION = (5, 11, 5, 1010327)
+CYCLE_HZ = 500
+RUNNING_STATE, STOPPED_STATE = 2, 1
+MAX_UNREAD = 1 << 20
+"""A client that leaves this many bytes unread is cut off."""
+
+
+class Session:
+    """One RTDE connection: its recipes and what it is owed."""
+
+    def __init__(self, server: "ControllerServer", writer: asyncio.StreamWriter) -> None:
+        self.server, self.writer = server, writer
+        self.inputs: dict[int, Recipe] = {}
+        self.output: Recipe | None = None
+        self.period_s = 1.0 / CYCLE_HZ
+        self.due_s = 0.0
+        self.streaming = False
+        self.registers: set[str] = set()
+
+    def handle(self, kind: int, payload: bytes) -> bytes:
+        """Reply to one packet; empty where none is due."""
+        if kind == rtde_protocol.PROTOCOL_VERSION:
+            return packet(kind, b"\x01")
+        if kind == rtde_protocol.CONTROLLER_VERSION:
+            return packet(kind, struct.pack(">4I", *self.server.version))
+        if kind == rtde_protocol.OUTPUTS:
+            frequency = struct.unpack_from(">d", payload)[0]
+            self.output = Recipe(_names(payload[8:]))
+            self.period_s = 1.0 / min(max(frequency, 1.0), CYCLE_HZ)
+            return packet(kind, b"\x01" + ",".join(self.output.types).encode())
+        if kind == rtde_protocol.INPUTS:
+            return packet(kind, self._register_inputs(Recipe(_names(payload))))
+        if kind in (rtde_protocol.START, rtde_protocol.PAUSE):
+            self.streaming = kind == rtde_protocol.START and (self.output is None or self.output.complete)
+            return packet(kind, b"\x01" if self.streaming or kind == rtde_protocol.PAUSE else b"\x00")
+        if kind == rtde_protocol.DATA and payload:
+            self._receive(payload)
+        return b""
+
+    def _register_inputs(self, recipe: Recipe) -> bytes:
+        others = [s.registers for s in self.server.sessions if s is not self]
+        if any(name in registers for registers in others for name in recipe.names):
+            return b"\x00" + b",".join(b"IN_USE" for _ in recipe.names)
+        if not recipe.complete:
+            return b"\x00" + ",".join(recipe.types).encode()
+        self.registers.update(recipe.names)
+        number = len(self.inputs) + 1
+        self.inputs[number] = recipe
+        return bytes([number]) + ",".join(recipe.types).encode()
+
+    def _receive(self, payload: bytes) -> None:
+        recipe = self.inputs.get(payload[0])
+        if recipe is None:
+            return
+        try:
+            values = recipe.unpack(payload[1:])
+        except ValueError:
+            return  # as the controller does with a packet of the wrong size
+        self.server.write_inputs(values)
+
+    def send(self, data: bytes) -> None:
+        """Queue bytes, or cut the connection where nobody reads them."""
+        if self.writer.transport.get_write_buffer_size() > MAX_UNREAD:
+            self.writer.transport.abort()
+        elif data:
+            self.writer.write(data)
+
+
+class ControllerServer:
+    """Everything behind the three ports, and the faults that can be asked for."""
+
+    def __init__(self, arm: Arm, time_scale: float, version: tuple[int, int, int, int] = VERSION) -> None:
+        self.arm, self.time_scale, self.version = arm, time_scale, version
+        self.program: ControlProgram | None = None
+        self.sessions: list[Session] = []
+        self.digital_outputs = 0
+        self.silent_until = 0.0
+        self.deaf = False
+        self._input_written_s = 0.0
+        self._start = time.monotonic()
+
+    @property
+    def now(self) -> float:
+        """Controller time [s]."""
+        return 100.0 + (time.monotonic() - self._start) * self.time_scale
+
+    @property
+    def program_running(self) -> bool:
+        """Whether a program runs."""
+        return self.program is not None and self.program.running
+
+    @property
+    def silent(self) -> bool:
+        """Whether the data stream is frozen by a fault."""
+        return time.monotonic() < self.silent_until
+
+    def stop_program(self) -> None:
+        """End the program; the arm slows down."""
+        if self.program is not None:
+            self.program.end(self.now)
+
+    def upload(self, text: str) -> None:
+        """Start a program, as the script port does with every text that it gets."""
+        if not self.arm.may_move:
+            return
+        previous, self.program = self.program, ControlProgram(self.arm, text)
+        if previous is not None:
+            self.program.input_ints, self.program.input_doubles = previous.input_ints, previous.input_doubles
+        self.arm.stop(3.0, self.now)
+        self._input_written_s = time.monotonic()
+        self.program.cycle(self.now)
+
+    def write_inputs(self, values: dict[str, Any]) -> None:
+        """Registers and outputs that a client sets; the program sees them at once."""
+        program = self.program
+        for name, value in values.items():
+            register = rtde_protocol.register_of(name)
+            if register is not None and program is not None:
+                kind, number = register
+                (program.input_ints if kind == "int" else program.input_doubles)[number] = value
+                if program.offset == number and kind == "int":
+                    self._input_written_s = time.monotonic()
+        if "speed_slider_fraction" in values:
+            self.arm.speed_fraction = values["speed_slider_fraction"]
+        if "standard_digital_output" in values:
+            mask = values.get("standard_digital_output_mask", 0)
+            self.digital_outputs = (self.digital_outputs & ~mask) | (values["standard_digital_output"] & mask)
+        if program is not None and not self.deaf:
+            program.cycle(self.now)
+
+    def step(self) -> None:
+        """One cycle: program, safety, watchdog, data to every connection."""
+        program, now = self.program, self.now
+        if program is not None and program.running:
+            late = time.monotonic() - self._input_written_s
+            if not self.arm.may_move or (program.watchdog_s is not None and late > program.watchdog_s):
+                program.end(now)
+            elif not self.deaf:
+                program.cycle(now)
+        if self.silent:
+            return
+        wall, values = time.monotonic(), None
+        for session in list(self.sessions):
+            if session.streaming and session.output is not None and wall >= session.due_s:
+                values = values or self.variables(now)
+                session.due_s = max(session.due_s + session.period_s, wall)
+                session.send(
+                    packet(
+                        rtde_protocol.DATA, b"\x01" + session.output.pack([self._value(values, n) for n in session.output.names])
+                    )
+                )
+
+    def variables(self, now: float) -> dict[str, Any]:
+        """Name to value of what changes; every other variable is zero."""
+        arm = self.arm
+        target, target_speeds, target_accelerations = arm.target(now)
+        joints, speeds = arm.actual(now)
+        safe, powered = arm.safety is Safety.NORMAL, arm.mode is RobotMode.RUNNING
+        emergency = arm.safety is Safety.ROBOT_EMERGENCY_STOP
+        return {
+            "timestamp": now, "target_q": target, "target_qd": target_speeds, "target_qdd": target_accelerations,
+            "actual_q": joints, "actual_qd": speeds,
+            "actual_TCP_pose": _pose_numbers(arm.base_from_tcp(joints)), "target_TCP_pose": _pose_numbers(arm.base_from_tcp(target)),
+            "robot_mode": int(arm.mode), "safety_mode": int(arm.safety), "joint_mode": [253] * 6,
+            "runtime_state": RUNNING_STATE if self.program_running else STOPPED_STATE,
+            "robot_status_bits": int(powered) | int(self.program_running) << 1,
+            "safety_status_bits": int(safe) | int(arm.safety is Safety.PROTECTIVE_STOP) << 2 | int(emergency) << 6
+            | int(emergency) << 7 | int(not safe) << 10,
+            "speed_scaling": arm.speed_fraction, "target_speed_fraction": arm.speed_fraction,
+            "actual_main_voltage": 48.0, "actual_robot_voltage": 48.0, "joint_temperatures": [30.0] * 6,
+            "actual_digital_output_bits": self.digital_outputs,
+        }  # fmt: skip
+
+    def _value(self, values: dict[str, Any], name: str) -> Any:
+        if name in values:
+            return values[name]
+        register = rtde_protocol.register_of(name)
+        if register is not None:
+            kind, number = register
+            program = self.program
+            if program is None or not name.startswith("output"):
+                return 0
+            return (program.output_ints if kind == "int" else program.output_doubles)[number]
+        kind = rtde_protocol.type_of(name)
+        return [0] * {"VECTOR3D": 3}.get(kind, 6) if kind.startswith("VECTOR") else 0
+
+    async def rtde(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one RTDE connection."""
+        session = Session(self, writer)
+        self.sessions.append(session)
+        buffer = bytearray()
+        try:
+            while chunk := await reader.read(65536):
+                buffer += chunk
+                for kind, payload in rtde_protocol.split_packets(buffer):
+                    session.send(session.handle(kind, payload))
+        except (ConnectionError, ValueError, struct.error):
+            return  # a connection that breaks, or that speaks something else, is closed
+        finally:
+            self.sessions.remove(session)
+            writer.close()
+
+    async def script(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection of the script port: every "def ...: ... end" is a program."""
+        text = ""
+        try:
+            while chunk := await reader.read(65536):
+                text += chunk.decode("latin-1")
+                if text.rstrip().endswith("\nend") and text.endswith("\n"):
+                    self.upload(text)
+                    text = ""
+        except ConnectionError:
+            return
+        finally:
+            writer.close()
+
+    async def dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection of the dashboard."""
+        try:
+            writer.write(f"{dashboard.GREETING}\n".encode())
+            while line := await reader.readline():
+                if line.strip().lower() == b"quit":
+                    writer.write(b"Disconnected\n")
+                    break
+                writer.write(f"{dashboard.reply(self, line.decode('latin-1'))}\n".encode())
+        except (ConnectionError, ValueError):
+            return
+        finally:
+            writer.close()
+
+    async def side_channel(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve the simulation's own port: one JSON object a line, {"do": ...}, one reply a line."""
+        try:
+            while line := await reader.readline():
+                writer.write((json.dumps(self._side_reply(line)) + "\n").encode())
+        except (ConnectionError, ValueError):
+            return
+        finally:
+            writer.close()
+
+    def _side_reply(self, line: bytes) -> dict[str, Any]:
+        try:
+            request = json.loads(line)
+            action = _SIDE_ACTIONS[request.pop("do")]
+            return action(self, **request) or {"ok": True}
+        except (ValueError, KeyError, TypeError) as error:
+            return {"error": f"{type(error).__name__}: {error}; actions: {', '.join(_SIDE_ACTIONS)}"}
+
+    def truth(self) -> dict[str, Any]:
+        """Where the flange really is [m], the encoders' angles [rad] and the controller's time [s]."""
+        now = self.now
+        return {
+            "base_from_flange": self.arm.true_base_from_flange(now).tolist(),
+            "joints": self.arm.actual(now)[0].tolist(), "speeds": self.arm.actual(now)[1].tolist(),
+            "moving": self.arm.moving(now), "robot_time_s": now, "safety": self.arm.safety.name,
+            "mode": self.arm.mode.name, "program_running": self.program_running,
+        }  # fmt: skip
+
+    def drop(self) -> None:
+        """Cut every RTDE connection."""
+        for session in list(self.sessions):
+            session.writer.transport.abort()
+
+    def fall_silent(self, seconds: float) -> None:
+        """Send no data for some time on the wall; the connections stay open."""
+        self.silent_until = time.monotonic() + seconds
+
+    def ignore_commands(self, ignore: bool = True) -> None:
+        """Never acknowledge a command, or do so again."""
+        self.deaf = ignore
+
+
+_SIDE_ACTIONS = {
+    "truth": ControllerServer.truth,
+    "protective_stop": lambda server: server.arm.stop_for_safety(Safety.PROTECTIVE_STOP, server.now),
+    "emergency_stop": lambda server: server.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, server.now),
+    "stop_program": ControllerServer.stop_program,
+    "drop": ControllerServer.drop,
+    "silent": ControllerServer.fall_silent,
+    "ignore_commands": ControllerServer.ignore_commands,
+}
+
+
+def _names(payload: bytes) -> list[str]:
+    return [name for name in payload.decode("latin-1").split(",") if name]
+
+
+def _pose_numbers(transform: Any) -> np.ndarray:
+    from datasets import pose
+
+    return np.concatenate([transform[:3, 3], pose.rotation_vector(transform)])
