@@ -64,7 +64,7 @@ class Arm:
 
     def moving(self, now: float) -> bool:
         """Whether a motion is under way."""
-        return now < self.start_s + self.profile.duration
+        return bool(now < self.start_s + self.profile.duration)
 
     def target(self, now: float) -> tuple[Joints, Joints, Joints]:
         """(6,) angles, speeds, accelerations that the controller asks for."""
@@ -74,7 +74,7 @@ class Arm:
         """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
         angles, speeds, _ = self.target(now)
         since = now - self.start_s - self.profile.duration
-        if not 0 <= since < 20 * RINGING_DECAY_S or self.profile.duration == 0:
+        if not 0 <= since < 6 * RINGING_DECAY_S or self.profile.duration == 0:
             return angles, speeds
         slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2]
         omega = 2 * np.pi * RINGING_HZ

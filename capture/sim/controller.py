@@ -9,8 +9,9 @@ import json
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,8 @@ HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
 class SimulatedController:
     """Handle on the process. Use `start`; leaving the context ends the process, and so does the end of this one."""
 
-    def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int) -> None:
-        self.process, self.host, self.side_port = process, host, side_port
+    def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int, words: IO[bytes]) -> None:
+        self.process, self.host, self.side_port, self._words = process, host, side_port, words
         self._lock = threading.Lock()
         self._side: socket.socket | None = None
 
@@ -60,9 +61,10 @@ class SimulatedController:
             "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
             "length_error_m": length_error_mm / 1000, "angle_error_rad": float(np.radians(angle_error_deg)),
         }  # fmt: skip
+        words = tempfile.TemporaryFile()
         process = subprocess.Popen(
             [sys.executable, "-m", "capture.sim._controller_child", json.dumps(options)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words,
         )  # fmt: skip
         timer = threading.Timer(START_TIMEOUT_S, process.kill)
         timer.start()
@@ -72,10 +74,10 @@ class SimulatedController:
             timer.cancel()
         if not line:
             process.kill()
-            words = process.communicate()[1].decode(errors="replace").strip().splitlines()
-            raise SimulationError("the simulated controller did not start", why=words[-1] if words else "it said nothing")
+            process.communicate()
+            raise SimulationError("the simulated controller did not start", why=_last_line(words))
         ready = json.loads(line)
-        return cls(process, ready["host"], ready["side_port"])
+        return cls(process, ready["host"], ready["side_port"], words)
 
     def __enter__(self) -> Self:
         return self
@@ -90,6 +92,7 @@ class SimulatedController:
             self._side = None
         self.process.kill()
         self.process.communicate()
+        self._words.close()
 
     def true_base_from_flange(self) -> NDArray[np.float64]:
         """(4, 4) where the flange really is now [m]; for the simulated camera and for evaluation only."""
@@ -116,9 +119,18 @@ class SimulatedController:
                     reply += chunk
             except OSError as error:
                 raise SimulationError(
-                    "the simulated controller does not answer", why=str(error), remedy="start it again"
+                    "the simulated controller does not answer", why=f"{error}. {_last_line(self._words)}", remedy="start it again"
                 ) from None
         content = json.loads(reply)
         if "error" in content:
             raise SimulationError("the simulated controller refused a request", where=do, why=content["error"])
         return content
+
+
+def _last_line(words: IO[bytes]) -> str:
+    """What the process printed last."""
+    if words.closed:
+        return "it has been closed"
+    words.seek(0)
+    lines = words.read().decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"

@@ -1,0 +1,1 @@
+"""Arms, each behind the `Robot` protocol of `capture.rig`."""

@@ -1,0 +1,99 @@
+"""A plain client of the UR dashboard server, with a deadline on everything. It can stop the arm when all else hangs."""
+
+import re
+import socket
+from typing import Self
+
+from capture.errors import NotReady, RigConnectionError
+
+PORT, TIMEOUT_S = 29999, 1.0
+
+
+class Dashboard:
+    """One connection; `connect` opens it, `close` may be called twice."""
+
+    def __init__(self, link: socket.socket, host: str) -> None:
+        self.link, self.host = link, host
+        self._buffer = b""
+
+    @classmethod
+    def connect(cls, host: str) -> Self:
+        """Open the connection and read the greeting.
+
+        Raises:
+            RigConnectionError: nobody answers there as a UR controller does.
+        """
+        try:
+            link = socket.create_connection((host, PORT), TIMEOUT_S)
+        except OSError as error:
+            raise RigConnectionError(
+                "the robot's controller cannot be reached", where=f"{host}:{PORT}", why=error.strerror or str(error),
+                remedy="check that it is switched on, the cable, and robot.host in the rig file",
+            ) from None  # fmt: skip
+        link.settimeout(TIMEOUT_S)
+        dashboard = cls(link, host)
+        try:
+            greeting = dashboard._line()
+            if "Dashboard" not in greeting:
+                raise RigConnectionError("is no UR dashboard server", where=f"{host}:{PORT}", why=f"it says {greeting!r}")
+        except RigConnectionError:
+            dashboard.close()
+            raise
+        return dashboard
+
+    def ask(self, command: str) -> str:
+        """Reply to one command.
+
+        Raises:
+            RigConnectionError: no reply within a second.
+        """
+        try:
+            self.link.sendall(f"{command}\n".encode())
+        except OSError as error:
+            raise self._lost(command, error) from None
+        return self._line(command)
+
+    def version(self) -> str:
+        """Software of the controller, "5.11.5.1010327"."""
+        found = re.search(r"\d+(\.\d+)+", self.ask("PolyscopeVersion"))
+        return found[0] if found else "unknown"
+
+    def safety_status(self) -> str:
+        """ "NORMAL", "PROTECTIVE_STOP", "ROBOT_EMERGENCY_STOP", ..."""
+        return self.ask("safetystatus").partition(":")[2].strip()
+
+    def robot_mode(self) -> str:
+        """ "RUNNING", "IDLE", "POWER_OFF", ..."""
+        return self.ask("robotmode").partition(":")[2].strip()
+
+    def require_ready(self) -> None:
+        """Raise NotReady unless the arm could move now."""
+        safety, mode = self.safety_status(), self.robot_mode()
+        if safety not in ("NORMAL", "REDUCED"):
+            raise NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}",
+                           remedy="find the cause, release it at the pendant, then run again")  # fmt: skip
+        if mode != "RUNNING":
+            raise NotReady("the robot is not running", where=self.host, why=f"robot mode {mode}",
+                           remedy="switch the arm on and release the brakes at the pendant")  # fmt: skip
+        if "true" not in self.ask("is in remote control").lower():
+            raise NotReady("the robot is in local control", where=self.host, remedy="choose remote control at the pendant")
+
+    def close(self) -> None:
+        """Close the connection."""
+        self.link.close()
+
+    def _line(self, command: str = "greeting") -> str:
+        while b"\n" not in self._buffer:
+            try:
+                chunk = self.link.recv(4096)
+            except OSError as error:
+                raise self._lost(command, error) from None
+            if not chunk:
+                raise self._lost(command, ConnectionError("it closed the connection"))
+            self._buffer += chunk
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line.decode("latin-1").strip()
+
+    def _lost(self, command: str, error: OSError) -> RigConnectionError:
+        return RigConnectionError("the dashboard server does not answer", where=f"{self.host}:{PORT}", why=f"{command}: {error}",
+                                  remedy="check the network; the arm stops by its own watchdog")  # fmt: skip

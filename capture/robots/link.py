@@ -1,0 +1,141 @@
+"""The parent's end of the child process that holds the vendor's client."""
+
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any, Self
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One state as the child sent it, and when it arrived (monotonic host clock [s])."""
+
+    content: dict[str, Any]
+    arrived_s: float
+
+
+class ChildLink:
+    """The running child: its newest state, its answers, and the means to end it."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", link: socket.socket, words: Any) -> None:
+        self.process, self.link, self._words = process, link, words
+        self._news = threading.Condition()
+        self._sending = threading.Lock()
+        self._sample: Sample | None = None
+        self._answers: list[dict[str, Any]] = []
+        self._number = 0
+        self._closed = False
+        self._reader = threading.Thread(target=self._read, name="robot states", daemon=True)
+        self._reader.start()
+
+    @classmethod
+    def start(cls, host: str, frequency: float) -> Self:
+        """Start the child; it connects on its own and answers "ready" or "failed"."""
+        ours, theirs = socket.socketpair()
+        words = tempfile.TemporaryFile()
+        options = json.dumps({"host": host, "frequency": frequency})
+        with theirs:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "capture.robots._ur_child", str(theirs.fileno()), options],
+                pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=words, stderr=words, start_new_session=True,
+            )  # fmt: skip
+        return cls(process, ours, words)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the child still runs and its socket is open."""
+        return not self._closed and self.process.poll() is None
+
+    def request(self, do: str, **arguments: Any) -> int:
+        """Send a request; returns its number for `wait_for`, or 0 where the child has gone or does not listen."""
+        with self._sending:
+            self._number += 1
+            message = json.dumps({"do": do, "number": self._number, **arguments}) + "\n"
+            try:
+                self.link.sendall(message.encode())
+            except OSError:
+                return 0
+            return self._number
+
+    def wait_for(self, words: tuple[str, ...], timeout_s: float, *, number: int | None = None) -> dict[str, Any] | None:
+        """The first answer that has one of `words` (and, where given, says `number` to it); None: none came in time."""
+        deadline = time.monotonic() + timeout_s
+        with self._news:
+            while True:
+                for answer in self._answers:
+                    if any(word in answer and number in (None, answer[word]) for word in words):
+                        self._answers.remove(answer)
+                        return answer
+                left = deadline - time.monotonic()
+                if left <= 0 or self._closed:
+                    return None
+                self._news.wait(left)
+
+    def next_sample(self, previous: Sample | None, timeout_s: float) -> Sample | None:
+        """A sample that is not `previous`; None: none came in time."""
+        with self._news:
+            self._news.wait_for(lambda: self._sample is not previous or self._closed, timeout_s)
+            return self._sample if self._sample is not previous else None
+
+    def fresh_sample(self, age_s: float, timeout_s: float) -> Sample | None:
+        """A sample younger than `age_s`; None: none came in time."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            sample = self._sample
+            if sample is not None and time.monotonic() - sample.content["host_time_ns"] / 1e9 < age_s:
+                return sample
+            left = deadline - time.monotonic()
+            if left <= 0 or self._closed:
+                return None
+            self.next_sample(sample, left)
+
+    def close(self) -> None:
+        """Let the child slow the arm down and end; kill it where it does not within a second."""
+        try:
+            self.link.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            pass  # it has gone already
+        try:
+            self.process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            pass  # it hangs in the vendor's library
+        self.kill()
+
+    def kill(self) -> str:
+        """End the child at once; returns the last line that the vendor's library printed."""
+        self.process.kill()
+        self.process.wait()
+        self._reader.join(1.0)
+        self.link.close()
+        if self._words.closed:
+            return ""
+        self._words.seek(0)
+        lines = self._words.read().decode(errors="replace").strip().splitlines()
+        self._words.close()
+        return lines[-1].strip() if lines else ""
+
+    def _read(self) -> None:
+        buffer = b""
+        while True:
+            try:
+                chunk = self.link.recv(65536)
+            except OSError:
+                chunk = b""
+            arrived = time.monotonic()
+            *lines, buffer = (buffer + chunk).split(b"\n")
+            with self._news:
+                for line in lines:
+                    message = json.loads(line)
+                    if "state" in message:
+                        self._sample = Sample(message["state"], arrived)
+                    else:
+                        self._answers.append(message)
+                self._closed = not chunk
+                self._news.notify_all()
+            if not chunk:
+                return

@@ -1,0 +1,291 @@
+"""A UR5e through the vendor's RTDE client, which lives in a child process because it can hang or crash.
+
+The parent keeps every deadline, watches the stream of states, and has a dashboard connection of its own to stop the arm.
+"""
+
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError
+from capture.rig import RobotState
+from capture.robots.dashboard import Dashboard
+from capture.robots.link import ChildLink, Sample
+from capture.safety import Limits
+from datasets import pose
+
+CONNECT_TIMEOUT_S = 15.0
+ACCEPT_TIMEOUT_S = 2.0
+STALE_S = 0.2
+HEARTBEAT_S = 0.5
+PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
+
+
+@dataclass(frozen=True)
+class Settling:
+    """When the arm counts as still: every joint slower than `speed` [rad/s] for `time_s`, at the latest after `timeout_s` [s].
+
+    The first is measured on the controller's clock, the last on the host's.
+    """
+
+    speed: float = 0.001
+    time_s: float = 0.3
+    timeout_s: float = 5.0
+
+
+class UR5e:
+    """One UR5e: moves to joint angles, reports where the flange is.
+
+    Poses are `base_from_flange` in metres in the base of the teach pendant. The controller reports the tool centre
+    point; its active offset is read on entering, removed here and kept in `description`.
+
+    Entering succeeds completely or leaves nothing open; leaving may happen twice. `move_to` returns with the arm within
+    `tolerance` of the target and still. On every exception, Ctrl-C included, the arm has been told to stop. After a fault
+    the connection is gone: enter again. One owner; only `stop` may be called from another thread.
+
+    Args:
+        host: address of the controller.
+        limits: speeds, accelerations and angles that may be asked for.
+        settling: when the arm counts as still.
+        tolerance: measured angles are this near to the target at the end of a motion [rad].
+        frequency: samples asked of the controller [Hz].
+    """
+
+    def __init__(
+        self,
+        host: str,
+        *,
+        limits: Limits | None = None,
+        settling: Settling | None = None,
+        tolerance: float = 1e-3,
+        frequency: float = 125.0,
+    ) -> None:
+        self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
+        self.tolerance, self.frequency = tolerance, frequency
+        self._dashboard: Dashboard | None = None
+        self._link: ChildLink | None = None
+        self._tcp_from_flange = np.eye(4)
+        self._description: dict[str, Any] = {}
+        self._stopped = threading.Event()
+        self._dashboard_lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        """Connect. Raises RigConnectionError or NotReady, with nothing left open."""
+        self.close()
+        try:
+            self._dashboard = Dashboard.connect(self.host)
+            self._dashboard.require_ready()
+            self._dashboard.ask("stop")  # a program left by a killed client would block the next one for minutes
+            self._link = ChildLink.start(self.host, self.frequency)
+            ready = self._link.wait_for(("ready", "failed"), CONNECT_TIMEOUT_S)
+            if ready is None or "failed" in ready:
+                raise self._no_connection(ready)
+            self._describe(ready["tcp_offset"])
+            self._stopped.clear()
+            self.state()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if exception and exception[0] is not None:
+            self.stop()
+        self.close()
+
+    def close(self) -> None:
+        """Let the arm come to rest and close everything; may be called twice."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+        dashboard, self._dashboard = self._dashboard, None
+        if dashboard is not None:
+            try:
+                dashboard.ask("stop")
+            except RigConnectionError:
+                return  # nobody to tell: the watchdog has ended the program already
+            finally:
+                dashboard.close()
+
+    def state(self) -> RobotState:
+        """The newest state. Raises RigConnectionError where none younger than 0.2 s arrives within a second."""
+        sample = self._connected().fresh_sample(STALE_S, timeout_s=1.0)
+        if sample is None:
+            raise self._fault("no state arrives from the robot")
+        numbers = np.asarray(sample.content["tcp_pose"])
+        base_from_tcp = pose.from_rotation_vector(numbers[3:], numbers[:3])
+        return RobotState(
+            base_from_flange=base_from_tcp @ self._tcp_from_flange,
+            joints=np.asarray(sample.content["joints"]),
+            joint_speeds=np.asarray(sample.content["joint_speeds"]),
+            robot_time_s=float(sample.content["robot_time_s"]),
+            host_time_ns=int(sample.content["host_time_ns"]),
+        )
+
+    def move_to(self, joints: NDArray[np.float64], *, speed: float, acceleration: float) -> None:
+        """Move to (6,) joint angles [rad] at most at `speed` [rad/s] and `acceleration` [rad/s^2]; return when settled.
+
+        Raises:
+            SafetyError: the target or the speed is outside the limits; nothing has moved.
+            ProtectiveStop: the controller has stopped the arm for safety.
+            MotionError: it did not arrive, or was stopped; it stands still.
+            RigConnectionError: the connection was lost; the arm has been told to stop, and stops by its watchdog anyway.
+        """
+        target = self.limits.check(joints, speed, acceleration)
+        start = self.state().joints
+        self._stopped.clear()
+        try:
+            self._move(target, start, speed, acceleration)
+            self._settle(target)
+        except CaptureError:
+            raise  # the arm has been stopped where the error was found
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """Bring the arm to rest: by the client where it answers, else by the dashboard. Any thread, any number of times."""
+        self._stopped.set()
+        link = self._link
+        if link is not None and link.request("stop", deceleration=3.0) and self._rests_within(2.0):
+            return
+        self._stop_by_dashboard()
+
+    def description(self) -> dict[str, Any]:
+        """Model, address, serial number, software and tool offset of the arm."""
+        return dict(self._description)
+
+    def _connected(self) -> ChildLink:
+        if self._link is None:
+            raise RigConnectionError("the robot is not connected", where=self.host, remedy="enter the context again")
+        return self._link
+
+    def _describe(self, tcp_offset: list[float]) -> None:
+        if len(tcp_offset) != 6:
+            raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
+        self._tcp_from_flange = pose.inverse(pose.from_rotation_vector(tcp_offset[3:], tcp_offset[:3]))
+        self._description = {
+            "model": "UR5e", "host": self.host, "serial": self._dashboard.ask("get serial number"),
+            "software": self._dashboard.version(), "tcp_offset": [float(number) for number in tcp_offset],
+        }  # fmt: skip
+
+    def _move(self, target: NDArray[np.float64], start: NDArray[np.float64], speed: float, acceleration: float) -> None:
+        link = self._connected()
+        number = link.request("move", joints=target.tolist(), speed=speed, acceleration=acceleration)
+        answer = link.wait_for(("accepted", "refused"), ACCEPT_TIMEOUT_S, number=number) if number else None
+        if answer is None or "refused" in answer:
+            raise self._fault("the controller did not accept the motion")
+        distance = float(np.abs(target - start).max())
+        deadline = time.monotonic() + 1.5 * (distance / speed + speed / acceleration) + 3.0
+        sample, heard = None, time.monotonic()
+        while True:
+            newer = link.next_sample(sample, timeout_s=0.05)
+            now = time.monotonic()
+            heard, sample = (now, newer) if newer is not None else (heard, sample)
+            self._watch(link, sample, now - heard)
+            if sample is not None and sample.content["operation"] != answer["operation_before"] and not sample.content["moving"]:
+                return
+            if now > deadline:
+                left = np.degrees(np.abs(target - np.asarray(sample.content["joints"])).max()) if sample else np.nan
+                raise self._fault(f"the motion took too long, {left:.1f} degrees are left")
+
+    def _settle(self, target: NDArray[np.float64]) -> None:
+        """Return once the arm is still, and at the target; the state after that is the one to record."""
+        link, begun, sample, still_since = self._connected(), time.monotonic(), None, None
+        heard = begun
+        while True:
+            newer = link.next_sample(sample, timeout_s=0.05)
+            now = time.monotonic()
+            heard, sample = (now, newer) if newer is not None else (heard, sample)
+            self._watch(link, sample, now - heard)
+            if newer is not None:
+                moment = newer.content["robot_time_s"]
+                still = np.abs(newer.content["joint_speeds"]).max() < self.settling.speed
+                still_since = (moment if still_since is None else still_since) if still else None
+                if still_since is not None and moment - still_since >= self.settling.time_s:
+                    break
+            if now - begun > self.settling.timeout_s + self.settling.time_s:
+                raise self._fault("the arm does not come to rest")
+        off = float(np.abs(np.asarray(sample.content["joints"]) - target).max())
+        if off > self.tolerance:
+            raise self._fault(f"the arm stopped {np.degrees(off):.3f} degrees from its target")
+
+    def _watch(self, link: ChildLink, sample: Sample | None, silence_s: float) -> None:
+        """Raise where anything is not as it must be during a motion."""
+        if self._stopped.is_set():
+            raise self._stopped_error()
+        if not link.alive:
+            raise self._fault("the connection to the robot broke down")
+        if silence_s > (STALE_S if sample is not None else HEARTBEAT_S):
+            raise self._fault("the robot's data stream stands still")
+        if sample is None:
+            return
+        content = sample.content
+        if content["safety_bits"] & (PROTECTIVE_BIT | EMERGENCY_BIT):
+            raise self._fault("the robot was stopped for safety")
+        if not content["connected"]:
+            raise self._fault("the connection to the robot was lost")
+        if not content["running"]:
+            raise self._fault("the robot's program was stopped")
+
+    def _stopped_error(self) -> CaptureError:
+        if not self._rests_within(3.0):
+            self._stop_by_dashboard()
+        return MotionError("the motion was stopped on request", where=self.host, why="the arm stands still")
+
+    def _fault(self, what: str) -> CaptureError:
+        """Stop the arm by every means, close, and find out what happened."""
+        stopped = self._stop_by_dashboard()
+        link, self._link = self._link, None
+        words = ""
+        if link is not None:
+            words = link.kill()
+        try:
+            safety, mode = (self._dashboard.safety_status(), self._dashboard.robot_mode()) if self._dashboard else ("", "")
+        except RigConnectionError:
+            safety = mode = ""
+        self.close()
+        if safety == "PROTECTIVE_STOP":
+            return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what,
+                                  remedy="look for the cause, release it at the pendant, then resume")  # fmt: skip
+        if safety and safety not in ("NORMAL", "REDUCED"):
+            return NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}, robot mode {mode}",
+                            remedy="release it at the pendant, switch the arm on, then resume")  # fmt: skip
+        if not stopped:
+            return RigConnectionError(what, where=self.host, why=f"the dashboard does not answer either. {words}".strip(),
+                                      remedy="the arm stops by its own watchdog; check network and controller, then resume")  # fmt: skip
+        lost = any(word in what for word in ("connection", "stream", "state"))
+        return (RigConnectionError if lost else MotionError)(
+            what, where=self.host, why=f"the arm was stopped. {words}".strip(), remedy="resume the recording"
+        )
+
+    def _stop_by_dashboard(self) -> bool:
+        """Whether the dashboard took the order to stop; tries once more over a new connection."""
+        with self._dashboard_lock:
+            for attempt in range(2):
+                try:
+                    if attempt or self._dashboard is None:
+                        self._dashboard = Dashboard.connect(self.host)
+                    self._dashboard.ask("stop")
+                    return True
+                except RigConnectionError:
+                    continue
+        return False
+
+    def _rests_within(self, seconds: float) -> bool:
+        link, deadline = self._link, time.monotonic() + seconds
+        while link is not None and time.monotonic() < deadline:
+            sample = link.fresh_sample(STALE_S, timeout_s=0.1)
+            if sample is not None and np.abs(sample.content["joint_speeds"]).max() < 0.01:
+                return True
+            time.sleep(0.01)
+        return False
+
+    def _no_connection(self, answer: dict[str, Any] | None) -> CaptureError:
+        why = answer["failed"] if answer else f"no answer within {CONNECT_TIMEOUT_S:.0f} s. {self._link.kill()}".strip()
+        remedy = "end the other program that controls the robot" if "use" in why else "check the controller, then run again"
+        return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
