@@ -133,9 +133,7 @@ def inside(folder: Path, name: str, *, where: object = "") -> Path:
     root = Path(folder).resolve()
     path = (root / name).resolve()
     if Path(name).is_absolute() or not path.is_relative_to(root):
-        raise DatasetError(
-            f"path {name!r} leaves the folder", where=where or folder, remedy="use paths relative to it"
-        )
+        raise DatasetError(f"path {name!r} leaves the folder", where=where or folder, remedy="use paths relative to it")
     return Path(folder) / name
 
 

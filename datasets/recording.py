@@ -93,7 +93,9 @@ class Recording:
         """Read a recording, complete or not. A last line cut off by a kill is dropped; any other damage raises."""
         path = Path(path)
         if not (path / MANIFEST).is_file():
-            raise Misuse("is not a recording", where=path, why=f"no {MANIFEST} in it", remedy="give a folder made by 'capture run'")
+            raise Misuse(
+                "is not a recording", where=path, why=f"no {MANIFEST} in it", remedy="give a folder made by 'capture run'"
+            )
         manifest = files.read_json(path / MANIFEST, kind=FORMAT, version=VERSION)
         lines = (path / FRAMES).read_text(encoding="utf-8").split("\n") if (path / FRAMES).is_file() else []
         frames = []
@@ -111,11 +113,12 @@ class Recording:
     def append(self, frame: Frame) -> None:
         """Make a frame part of the recording; returns once it is on the disk. Its image must be there already."""
         path = self.path / FRAMES
-        complete = "".join(json.dumps(f.to_json(), allow_nan=False) + "\n" for f in self.frames)
         line = json.dumps(frame.to_json(), allow_nan=False) + "\n"
         with open(path, "r+b" if path.exists() else "w+b") as file:
-            file.seek(len(complete.encode()))  # overwrites what a kill left of a line
-            file.truncate()
+            for _ in self.frames:
+                file.readline()
+            file.seek(file.tell())
+            file.truncate()  # drops what a kill left of a line
             file.write(line.encode())
             file.flush()
             os.fsync(file.fileno())

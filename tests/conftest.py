@@ -1,0 +1,79 @@
+"""What tests of every package share: real data where it is there, and small made-up scenes."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import images, pose
+from datasets.camera_model import Camera
+from datasets.scene import Scene, View
+
+ROOT = Path(__file__).parent.parent
+SHARED = ROOT.parent / "shared" / "data"
+
+LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
+"""A real-looking lens: barrel distortion, off-centre, pixels not quite square."""
+PINHOLE = Camera(96, 72, 90.0, 90.0, 48.0, 36.0)
+
+
+@pytest.fixture
+def real_data() -> Callable[[str], Path]:
+    """Folder of a real data set by name; skips the test, saying so, where that is absent."""
+
+    def folder(name: str) -> Path:
+        if not (SHARED / name).exists():
+            pytest.skip(f"real data set {name} is absent: {SHARED / name} does not exist")
+        return SHARED / name
+
+    return folder
+
+
+def texture(points: np.ndarray) -> np.ndarray:
+    """(..., 3) smooth colours of (..., 3) unit directions: what a far wall shows, so that any resampling has an exact answer."""
+    x, y, z = np.moveaxis(points / np.linalg.norm(points, axis=-1, keepdims=True), -1, 0)
+    return np.stack([0.5 + 0.3 * np.sin(9 * x + 2 * z), 0.5 + 0.3 * np.cos(8 * y - x), 0.5 + 0.3 * np.sin(7 * x * y + 5 * z)], -1)
+
+
+@pytest.fixture
+def far_wall() -> Callable[[Camera, np.ndarray], np.ndarray]:
+    """Exact (height, width, 3) picture of the `texture` at infinity, from a camera and its world_from_camera."""
+
+    def picture(camera: Camera, world_from_camera: np.ndarray) -> np.ndarray:
+        return texture(camera.directions(camera.pixel_centres()) @ world_from_camera[:3, :3].T)
+
+    return picture
+
+
+@pytest.fixture
+def make_scene(tmp_path: Path, far_wall: Callable[[Camera, np.ndarray], np.ndarray]) -> Callable[..., Scene]:
+    """Factory of small scenes with images and truth on disk: cameras on a ring that look at the origin."""
+
+    def make(camera: Camera = PINHOLE, count: int = 9, *, truth: bool = True, mask: bool = False) -> Scene:
+        folder = tmp_path / "source"
+        views = []
+        for index in range(count):
+            angle, name = 2 * np.pi * index / count, f"{index:03d}"
+            matrix = pose.look_at((0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.2 + 0.02 * index), (0, 0, 0))
+            images.write(folder / f"{name}.png", far_wall(camera, matrix))
+            maps = {}
+            if truth and index % 4 == 0:
+                size = (camera.height, camera.width)
+                normal = np.broadcast_to(matrix[:3, 2] * -1, (*size, 3))
+                for key, values in {"normals": normal, "depth": np.full((*size, 1), 0.4), "alpha": np.ones((*size, 1))}.items():
+                    maps[key] = folder / f"{name}_{key}.exr"
+                    images.write(maps[key], values.astype(np.float32))
+            masked = None
+            if mask:
+                masked = folder / f"{name}_mask.png"
+                columns, rows = np.moveaxis(camera.pixel_centres(), -1, 0)
+                disc = np.hypot(columns - camera.cx, rows - camera.cy) < 20
+                images.write(masked, np.uint8(disc * 255))
+            split = "test" if index % 4 == 0 else "train"
+            views.append(View(name, camera, matrix, split, folder / f"{name}.png", masked, maps))
+        box = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.12]])
+        background = "white" if mask else "scene"
+        return Scene("little", tuple(views), 0.1, np.inf, box, background, metric=True, provenance={"made": "for a test"})
+
+    return make

@@ -1,0 +1,75 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from datasets.camera_model import Camera
+from datasets.conventions import pixels_from_opencv
+from datasets.errors import DatasetError
+
+
+def between(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+cameras = st.builds(
+    Camera, width=st.just(640), height=st.just(480), fx=between(400, 900), fy=between(400, 900), cx=between(280, 360),
+    cy=between(200, 280), k1=between(-0.2, 0.2), k2=between(-0.05, 0.05), p1=between(-2e-3, 2e-3), p2=between(-2e-3, 2e-3),
+    k3=between(-0.01, 0.01),
+)  # fmt: skip
+pixels = st.tuples(between(0, 640), between(0, 480))
+
+
+@given(cameras, pixels)
+def test_project_inverts_directions(camera: Camera, pixel: tuple[float, float]) -> None:
+    ray = camera.directions(pixel)
+    assert ray[2] == 1.0
+    assert np.abs(camera.project(2.5 * ray) - pixel).max() < 1e-7  # Newton's end, times a focal length
+
+
+@given(cameras, st.tuples(between(-0.5, 0.5), between(-0.4, 0.4)))
+def test_undistort_inverts_distort(camera: Camera, point: tuple[float, float]) -> None:
+    assert np.abs(camera.undistort(camera.distort(point)) - point).max() < 1e-9
+
+
+@given(cameras, pixels, st.integers(1, 2000), st.integers(1, 2000))
+def test_scaling_is_exact(camera: Camera, pixel: tuple[float, float], width: int, height: int) -> None:
+    """The same ray meets the same spot of the picture, whatever the picture's resolution."""
+    small = camera.scaled(width, height)
+    moved = np.array(pixel) * [width / 640, height / 480]
+    assert np.abs(small.directions(moved) - camera.directions(pixel)).max() < 1e-9
+
+
+@given(cameras, st.tuples(between(-0.5, 0.5), between(-0.4, 0.4), between(0.5, 3)))
+def test_projection_is_opencvs_half_a_pixel_away(camera: Camera, point: tuple[float, float, float]) -> None:
+    """OpenCV puts the first pixel's centre at (0, 0): its principal point is half a pixel less than ours."""
+    opencv_matrix = replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5).matrix
+    theirs, _ = cv2.projectPoints(np.array([point]), np.zeros(3), np.zeros(3), opencv_matrix, camera.distortion)
+    assert np.abs(camera.project(point) - pixels_from_opencv(theirs[0, 0])).max() < 1e-7
+
+
+def test_pixel_centres_start_at_half() -> None:
+    centres = Camera(3, 2, 1, 1, 1, 1).pixel_centres()
+    assert centres.shape == (2, 3, 2)
+    assert centres[0, 0].tolist() == [0.5, 0.5] and centres[1, 2].tolist() == [2.5, 1.5]
+
+
+def test_centred_means_pinhole_square_and_in_the_middle() -> None:
+    centred = Camera(640, 480, 500, 500, 320, 240)
+    assert centred.is_centred
+    assert not any(replace(centred, **change).is_centred for change in ({"fy": 501.0}, {"cx": 321.0}, {"k1": 1e-9}))
+
+
+@given(cameras)
+def test_json_round_trip_is_exact(camera: Camera) -> None:
+    assert Camera.from_json(camera.to_json(), where="here") == camera
+
+
+@pytest.mark.parametrize("change", [{"fx": np.nan}, {"fx": 0.0}, {"width": 0}, {"fx": "wide"}, {"zoom": 2}, {"width": np.inf}])
+def test_impossible_cameras_are_refused(change: dict) -> None:
+    good = Camera(640, 480, 500, 500, 320, 240).to_json()
+    with pytest.raises(DatasetError, match="here"):
+        Camera.from_json(good | change, where="here")

@@ -1,0 +1,80 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import pose
+from datasets.errors import DatasetError, Misuse
+from datasets.recording import FRAMES, Frame, Recording
+
+
+def frame(index: int) -> Frame:
+    return Frame(index, f"{index:03d}", "train", f"images/{index:03d}.png", pose.from_rotation_vector((0.1, 0.2, index)),
+                 np.arange(6.0), 1.5, 10**18 + index, 7, 1e4, 0.3, "")  # fmt: skip
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    recording = Recording.create(tmp_path / "rec", {"trajectory": {"name": "t"}})
+    for index in range(3):
+        recording.append(frame(index))
+    return recording
+
+
+def test_frames_come_back(recording: Recording) -> None:
+    again = Recording.open(recording.path)
+    assert [f.name for f in again.frames] == ["000", "001", "002"] and again.trajectory == {"name": "t"}
+    assert np.abs(again.frames[2].base_from_flange - frame(2).base_from_flange).max() < 1e-15
+    assert again.frames[1].host_time_ns == 10**18 + 1  # does not fit a float
+
+
+@pytest.mark.parametrize("cut", [1, 20, 200])
+def test_a_last_line_cut_off_is_dropped_and_taken_again(recording: Recording, cut: int) -> None:
+    path = recording.path / FRAMES
+    path.write_bytes(path.read_bytes()[:-cut])
+    resumed = Recording.open(recording.path)
+    assert [f.name for f in resumed.frames] == ["000", "001"]
+    resumed.append(frame(2))
+    resumed.append(frame(3))
+    assert [f.name for f in Recording.open(recording.path).frames] == ["000", "001", "002", "003"]
+    assert len(path.read_text().splitlines()) == 4
+
+
+def test_damage_in_the_middle_names_the_line(recording: Recording) -> None:
+    path = recording.path / FRAMES
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text(lines[0] + lines[1][:50] + "\n" + lines[2])
+    with pytest.raises(DatasetError, match="line 2"):
+        Recording.open(recording.path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"base_from_flange": np.full((4, 4), np.nan).tolist()}, "not finite"),
+        ({"joints": [1, 2]}, "six finite"),
+        ({"image": "../../x.png"}, "leaves the folder"),
+        ({"colour": 1}, "not complete"),
+    ],
+)
+def test_impossible_frames_are_refused(recording: Recording, change: dict, words: str) -> None:
+    path = recording.path / FRAMES
+    path.write_text(json.dumps(frame(0).to_json() | change) + "\n")
+    with pytest.raises(DatasetError, match=words) as caught:
+        Recording.open(recording.path)
+    assert "line 1" in str(caught.value)
+
+
+def test_a_frame_that_json_cannot_hold_is_not_written(recording: Recording) -> None:
+    with pytest.raises(ValueError):
+        recording.append(replace(frame(3), settle_s=np.nan))
+    assert len(Recording.open(recording.path).frames) == 3
+
+
+def test_create_and_open_refuse(recording: Recording, tmp_path: Path) -> None:
+    with pytest.raises(Misuse, match="already exists"):
+        Recording.create(recording.path, {})
+    with pytest.raises(Misuse, match="is not a recording"):
+        Recording.open(tmp_path)
