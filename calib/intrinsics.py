@@ -25,6 +25,9 @@ GAIN = 0.002
 """Share by which a larger model must lower the held-out error to be kept: less is the luck of the draw."""
 MAX_FOCAL_STD = 0.03
 """Relative standard deviation of the focal length from which on it counts as not observed."""
+MIN_TILT_RAD = float(np.deg2rad(6))
+"""Rms angle between the target's normals and their mean below which the views count as one direction."""
+_TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _FIXED = {"k1": cv2.CALIB_FIX_K1, "k2": cv2.CALIB_FIX_K2, "p1": cv2.CALIB_ZERO_TANGENT_DIST, "k3": cv2.CALIB_FIX_K3}
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
@@ -70,10 +73,11 @@ def calibrate(
         if errors[model] < (1 - GAIN) * errors[chosen]:
             chosen = model
     camera, std, poses = _fit(observations, width, height, chosen)
+    _check_directions(poses)
     relative = max(std["fx"] / camera.fx, std["fy"] / camera.fy)
     if relative > MAX_FOCAL_STD:
         raise Unobservable("focal length is not observable", why=f"its standard deviation is {relative:.1%} of it",
-                           remedy="tilt the target by 20 to 40 degrees in several directions and fill the image with it")  # fmt: skip
+                           remedy=_TILT)  # fmt: skip
     residuals = [reproject(camera, p, o) - o.pixels for p, o in zip(poses, observations, strict=True)]
     return Intrinsics(
         camera, std, _rms(residuals), errors[chosen],
@@ -90,6 +94,20 @@ def check_enough(observations: Sequence[Observation]) -> None:
             "target is seen too little", why=f"{corners} corners in {len(observations)} views, at least {MIN_TOTAL_CORNERS} "
             f"in {MIN_VIEWS} are needed", remedy="record more views with the whole target in the picture, sharp and evenly lit",
         )  # fmt: skip
+
+
+def _check_directions(camera_from_board: NDArray[np.float64]) -> None:
+    """Raise Unobservable where all of the (views, 4, 4) poses look at the target from one direction.
+
+    Focal length and distance then trade freely, the fit goes astray and states a small deviation all the same.
+    """
+    normals = camera_from_board[:, :3, 2]
+    mean = normals.mean(0) / np.linalg.norm(normals.mean(0))
+    spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
+    if spread < MIN_TILT_RAD:
+        raise Unobservable(
+            "focal length is not observable", why=f"the target is tilted by {np.rad2deg(spread):.2g} deg only", remedy=_TILT
+        )
 
 
 def camera_from_board(camera: Camera, observation: Observation) -> NDArray[np.float64]:
