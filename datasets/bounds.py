@@ -89,27 +89,28 @@ def surroundings(views: Sequence[View]) -> tuple[Box, float, float]:
 def mask_box(views: Sequence[View], box: ArrayLike, *, views_used: int = 24, resolution: int = 48) -> Box:
     """`box` tightened to the visual hull: what no alpha or mask declares empty.
 
-    Conservative: masks are widened by half a voxel's diagonal as each camera sees it. Two passes, the second in the
-    box that the first found.
+    Conservative: masks are widened by half a voxel's diagonal as each camera sees it. Three passes, each in
+    the box that the last one found.
     """
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
     masks = [_mask(view) for view in chosen]
     result = np.asarray(box, np.float64)
-    for _ in range(2):
+    for _ in range(3):
         voxel = (result[1] - result[0]) / resolution
         axes = [result[0, k] + voxel[k] * (np.arange(resolution) + 0.5) for k in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        seen, possible = np.zeros(len(points), int), np.ones(len(points), bool)
+        seen = np.zeros(len(points), int)
         for view, mask in zip(chosen, masks, strict=True):
-            _carve(view, mask, points, float(np.linalg.norm(voxel)) / 2, seen, possible)
-        kept = points[possible & (seen >= max(len(chosen) // 4, 1))]
+            counted, possible = _carve(view, mask, points, float(np.linalg.norm(voxel)) / 2)
+            points, seen = points[possible], (seen + counted)[possible]
+        kept = points[seen >= max(len(chosen) // 4, 1)]
         if not len(kept):
             return np.asarray(box, np.float64)
         result = np.stack([np.maximum(kept.min(0) - voxel, result[0]), np.minimum(kept.max(0) + voxel, result[1])])
     return result
 
 
-_CELL = 4
+_CELL = 2
 """Pixels per side of a mask cell."""
 
 
@@ -122,28 +123,28 @@ def _mask(view: View) -> NDArray[np.bool_]:
     return padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL).any(axis=(1, 3))
 
 
-def _carve(view: View, mask: NDArray[np.bool_], points: NDArray[np.float64], radius: float,
-           seen: NDArray[np.int_], possible: NDArray[np.bool_]) -> None:  # fmt: skip
-    """Count where this view sees the points in `seen`, and clear `possible` where it sees them empty."""
+def _carve(view: View, mask: NDArray[np.bool_], points: NDArray[np.float64],
+           radius: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
+    """Which (n, 3) points this view sees at all, and which it allows to belong to the object, as (n,) each."""
     from scipy.ndimage import maximum_filter
 
     camera = view.camera
+    seen, possible = np.zeros(len(points), bool), np.ones(len(points), bool)
     local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
     front = local[:, 2] > 2 * radius
-    if not front.any():
-        return
-    field = np.abs(local[front, :2]).max(1) / local[front, 2] < 1.5 * _half_field(camera)  # distortion is sane in there
-    index = np.flatnonzero(front)[field]
+    safe_depth = np.where(front, local[:, 2], 1.0)
+    index = np.flatnonzero(front & (np.abs(local[:, :2]).max(1) < 1.5 * _half_field(camera) * safe_depth))  # a sane lens there
     pixels = camera.project(local[index])
     inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(1)
     index, pixels = index[inside], pixels[inside]
     if not len(index):
-        return
+        return seen, possible
     footprint = radius * max(camera.fx, camera.fy) / (float(local[index, 2].min()) - radius) / _CELL
     wide = maximum_filter(mask, size=2 * int(np.ceil(footprint)) + 1, mode="nearest")
     column, row = (pixels / _CELL).astype(int).T
-    seen[index] += 1
-    possible[index] &= wide[row, column]
+    seen[index] = True
+    possible[index] = wide[row, column]
+    return seen, possible
 
 
 def _half_field(camera: Camera) -> float:

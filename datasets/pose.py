@@ -16,7 +16,7 @@ Matrix = NDArray[np.float64]
 def rigid(rotation: ArrayLike, translation: ArrayLike) -> Matrix:
     """(..., 4, 4) transforms from (..., 3, 3) rotation matrices and (..., 3) translations [m]."""
     rotation, translation = np.asarray(rotation, np.float64), np.asarray(translation, np.float64)
-    pose = np.zeros(np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1]) + (4, 4))
+    pose = np.zeros((*np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1]), 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = rotation, translation, 1.0
     return pose
 

@@ -18,6 +18,9 @@ COLOUR, SMOOTH, NEAREST = 5, 1, 0
 """Orders of interpolation. COLOUR: quintic spline, nearly as sharp as a sinc, so that detail and noise survive (Thevenaz
 et al. 2000, "Interpolation Revisited"); SMOOTH: linear, never overshoots; NEAREST: for what must not be mixed."""
 
+BORDER = 12
+"""Pixels by which a picture is carried on around its border, slope and all, so that the spline has no kink there."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
@@ -49,15 +52,16 @@ class Pinhole:
         """
         from scipy.ndimage import map_coordinates
 
-        columns, rows = np.moveaxis(self.source_pixels(self.camera.pixel_centres()) - 0.5, -1, 0)
+        columns, rows = np.moveaxis(self.source_pixels(self.camera.pixel_centres()) - 0.5 + BORDER, -1, 0)
         has_alpha = order == COLOUR and picture.shape[-1] in (2, 4)
         if has_alpha:
             picture = np.concatenate([picture[..., :-1] * picture[..., -1:], picture[..., -1:]], axis=-1)
-        channels = [map_coordinates(picture[..., k], [rows, columns], np.float32, order, mode="mirror")
+        wider = np.pad(picture, ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), "reflect", reflect_type="odd")
+        channels = [map_coordinates(wider[..., k], [rows, columns], np.float32, order, mode="mirror")
                     for k in range(picture.shape[-1])]  # fmt: skip
         result = np.stack(channels, axis=-1)
-        if has_alpha:
-            alpha = np.clip(result[..., -1:], 0, 1)
+        if has_alpha:  # both overshoot alike at an edge: divide before either is clipped
+            alpha = result[..., -1:]
             result = np.concatenate([result[..., :-1] / np.where(alpha > 1e-3, alpha, 1.0), alpha], axis=-1)
         return np.clip(result, 0, 1) if order == COLOUR else result
 
