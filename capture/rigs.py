@@ -68,16 +68,25 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
             yield rig
         return
     from capture.cameras.basler import Basler
-    from capture.robots.ur import UR5e
 
-    with UR5e(host=description.robot.host, motion=trajectory.motion) as robot:
-        with Basler(trajectory.camera, serial=description.camera.serial) as camera:
+    with Basler(trajectory.camera, serial=description.camera.serial) as camera:
+        with _arm(description.robot.host, description, trajectory) as robot:
             yield Rig(robot, camera, description, name)
+
+
+def _arm(host: str, description: RigDescription, trajectory: Trajectory, *, simulated: bool = False) -> Robot:
+    from capture.robots.ur import Deadlines, Settling, UR5e
+    from capture.safety import Limits
+
+    motion, robot = trajectory.motion, description.robot
+    limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
+    settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
+    deadlines = Deadlines(stale_s=2.0, watchdog_hz=0.5) if simulated else Deadlines()  # rendering takes all of the computer
+    return UR5e(host, limits=limits, settling=settling, deadlines=deadlines)
 
 
 @contextmanager
 def _simulated(description: RigDescription, trajectory: Trajectory, scene: str, seed: int, time_scale: float) -> Iterator[Rig]:
-    from capture.robots.ur import UR5e
     from capture.sim.camera import SimulatedCamera
     from capture.sim.controller import SimulatedController
     from capture.sim.truth import RigTruth
@@ -85,7 +94,7 @@ def _simulated(description: RigDescription, trajectory: Trajectory, scene: str, 
     truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
     with SimulatedController.start(seed=seed, time_scale=time_scale) as controller:
         camera = SimulatedCamera(trajectory, scene, truth, controller.true_base_from_flange, seed)
-        with UR5e(host=controller.host) as robot, camera:
+        with camera, _arm(controller.host, description, trajectory, simulated=True) as robot:
             yield Rig(robot, camera, description, SIMULATED, camera, {"scene": scene, "seed": seed})
 
 

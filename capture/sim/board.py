@@ -68,26 +68,41 @@ class BoardPicture:
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
         """(height, width, 3) linear light on each pixel of the lens's camera, averaged over its area."""
-        total = np.zeros((lens.camera.height, lens.camera.width, 3))
+        light = self._table_light(base_from_camera, _rays(lens.middles()))
+        board = np.zeros(light.shape[:2])
+        covered = np.zeros(light.shape[:2])
         for place in lens.places():
-            directions = np.concatenate([place, np.ones_like(place[..., :1])], -1) @ base_from_camera[:3, :3].T
-            total += self._seen(base_from_camera[:3, 3], directions)
-        return (total / lens.taps**2).astype(np.float32)
+            on_board, white = self._board_light(base_from_camera, _rays(place))
+            covered[on_board] += 1
+            board[on_board] += INK + (PAPER - INK) * white
+        share = (covered / lens.taps**2)[..., None]
+        return (light[..., 3:] * (light[..., :3] * (1 - share) + (board / lens.taps**2)[..., None])).astype(np.float32)
 
-    def _seen(self, origin: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        target, board_from_base = self.target, pose.inverse(self.base_from_board)
-        start, heading = board_from_base[:3, :3] @ origin + board_from_base[:3, 3], directions @ board_from_base[:3, :3].T
-        places = (start - heading * (start[2] / np.where(heading[..., 2:] == 0, 1e-12, heading[..., 2:])))[..., :2]
-        extent = np.array([target.squares_x, target.squares_y]) * target.square_length_m
-        on_board = ((places > -BORDER) & (places < extent + BORDER)).all(-1) & (heading[..., 2] > 0)
-        white = self.whiteness(places)[..., None]
-        board = (INK + (PAPER - INK) * white) * np.array([1.0, 0.99, 0.97])
-        down = directions[..., 2:]
-        on_table = (origin - directions * (origin[2] / np.where(np.abs(down) < 1e-9, -1e-9, down)))[..., :2]
-        cell = (on_table - self.centre) / TABLE_SIZE + 0.5
+    def _board_light(
+        self, base_from_camera: NDArray[np.float64], rays: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Where (h, w, 3) rays meet the board, and the whiteness there (n,)."""
+        board_from_camera = pose.inverse(self.base_from_board) @ base_from_camera
+        start, heading = board_from_camera[:3, 3], rays @ board_from_camera[:3, :3].T
+        facing = heading[..., 2] > 1e-9
+        places = start[:2] - heading[..., :2] * (start[2] / np.where(facing, heading[..., 2], 1.0))[..., None]
+        extent = np.array([self.target.squares_x, self.target.squares_y]) * self.target.square_length_m
+        on_board = ((places > -BORDER) & (places < extent + BORDER)).all(-1) & facing & (start[2] < 0)
+        return on_board, self.whiteness(places[on_board])
+
+    def _table_light(self, base_from_camera: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(h, w, 4) colour of the table, and the brightness of the lamps above it, where (h, w, 3) rays meet it."""
+        heading = rays @ base_from_camera[:3, :3].T
+        down = np.minimum(heading[..., 2:], -1e-9)
+        places = (base_from_camera[:3, 3] - heading * (base_from_camera[2, 3] / down))[..., :2] - self.centre
+        cell = places / TABLE_SIZE + 0.5
         resolution = self._table.shape[0]
-        column, row = np.moveaxis(np.floor(np.clip(cell, 0, 1 - 1e-9) * resolution).astype(np.int64), -1, 0)
-        seen = (down[..., 0] < 0) & ((cell > 0) & (cell < 1)).all(-1)
-        table = np.where(seen[..., None], self._table[row, column], 0.1)
-        lamp = 1.0 - 0.35 * np.clip(np.linalg.norm(on_table - self.centre, axis=-1), 0, 1)[..., None]
-        return np.where(on_board[..., None], board, table) * lamp
+        column, row = np.moveaxis((np.clip(cell, 0, 1 - 1e-9) * resolution).astype(np.int64), -1, 0)
+        seen = ((cell > 0) & (cell < 1)).all(-1) & (heading[..., 2] < 0)
+        colour = np.where(seen[..., None], self._table[row, column], 0.1)
+        lamp = 1.0 - 0.35 * np.clip(np.linalg.norm(places, axis=-1, keepdims=True), 0, 1)
+        return np.concatenate([colour, lamp], -1)
+
+
+def _rays(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([places, np.ones_like(places[..., :1])], -1)

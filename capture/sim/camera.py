@@ -25,7 +25,7 @@ from capture.trajectory import Trajectory
 from datasets import files, images
 
 Maps = dict[str, NDArray[np.float32]]
-SAMPLES = 12
+SAMPLES = 16
 """Light paths per pixel of the supersampled pinhole picture: four times as many per pixel of the image."""
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
 

@@ -55,6 +55,11 @@ class Lens:
             for right in shares:
                 yield (1 - right) * edge[:, :-1] + right * edge[:, 1:]
 
+    def middles(self) -> NDArray[np.float64]:
+        """(height, width, 2) ideal normalised coordinates of the pixels' middles."""
+        corners = self._corners
+        return (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4
+
     def image(self, picture: Picture) -> Picture:
         """(height, width, channels) means over the camera's pixels of a picture taken by `pinhole`."""
         from scipy.ndimage import map_coordinates

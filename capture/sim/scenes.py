@@ -104,7 +104,8 @@ def _object_mesh(name: str, centre: NDArray[np.float64], size: NDArray[np.float6
 
 def _table(centre: NDArray[np.float64], rng: np.random.Generator) -> Item:
     half = TABLE_SIZE / 2
-    corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]]) + [centre[0], centre[1], 0]
+    x, y = centre[:2]
+    corners = [[x - half, y - half, 0], [x + half, y - half, 0], [x + half, y + half, 0], [x - half, y + half, 0]]
     mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     return Item("table", mesh, Matt(textures.table_top(rng)), uv=uv)
