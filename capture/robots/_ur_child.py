@@ -15,8 +15,6 @@ from typing import Any
 
 PERIOD_S = 0.005
 KICK_S = 0.05
-WATCHDOG_HZ = 5.0
-"""The controller ends its program, and so the motion, when nothing is heard for 1 / WATCHDOG_HZ seconds."""
 VARIABLES = [
     "timestamp",
     "actual_q",
@@ -32,7 +30,7 @@ VARIABLES = [
 class _Client:
     """Both connections of the vendor's library."""
 
-    def __init__(self, host: str, frequency: float) -> None:
+    def __init__(self, host: str, frequency: float, watchdog_hz: float) -> None:
         from rtde_control import RTDEControlInterface
         from rtde_receive import RTDEReceiveInterface
 
@@ -43,7 +41,7 @@ class _Client:
             if time.monotonic() > deadline:
                 raise RuntimeError("connected, but the control program does not run")
             time.sleep(0.01)
-        if not self.control.setWatchdog(WATCHDOG_HZ):
+        if not self.control.setWatchdog(watchdog_hz):
             raise RuntimeError("the controller refused the watchdog")
 
     def state(self) -> dict[str, Any]:
@@ -112,7 +110,7 @@ def main() -> None:
     link = socket.socket(fileno=int(sys.argv[1]))
     options = json.loads(sys.argv[2])
     try:
-        client = _Client(options["host"], options["frequency"])
+        client = _Client(**options)
         _say(link, {"ready": True, "tcp_offset": client.control.getTCPOffset()})
     except (RuntimeError, OSError) as error:
         with contextlib.suppress(OSError):

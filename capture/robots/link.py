@@ -34,11 +34,11 @@ class ChildLink:
         self._reader.start()
 
     @classmethod
-    def start(cls, host: str, frequency: float) -> Self:
+    def start(cls, host: str, frequency: float, watchdog_hz: float) -> Self:
         """Start the child; it connects on its own and answers "ready" or "failed"."""
         ours, theirs = socket.socketpair()
         words = tempfile.TemporaryFile()
-        options = json.dumps({"host": host, "frequency": frequency})
+        options = json.dumps({"host": host, "frequency": frequency, "watchdog_hz": watchdog_hz})
         with theirs:
             process = subprocess.Popen(
                 [sys.executable, "-m", "capture.robots._ur_child", str(theirs.fileno()), options],

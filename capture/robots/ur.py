@@ -18,10 +18,6 @@ from capture.robots.link import ChildLink, Sample
 from capture.safety import Limits
 from datasets import pose
 
-CONNECT_TIMEOUT_S = 15.0
-ACCEPT_TIMEOUT_S = 2.0
-STALE_S = 0.2
-HEARTBEAT_S = 0.5
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
 
 
@@ -35,6 +31,20 @@ class Settling:
     speed: float = 0.001
     time_s: float = 0.3
     timeout_s: float = 5.0
+
+
+@dataclass(frozen=True)
+class Deadlines:
+    """How long to wait, on the host's clock. A busy computer that drives a simulated arm needs longer ones than a real rig."""
+
+    stale_s: float = 0.2
+    """No new sample for this long: the data stream stands still [s]."""
+    watchdog_hz: float = 5.0
+    """The controller stops its program when it hears nothing for one period [Hz]."""
+    accept_s: float = 2.0
+    """Until the controller takes a motion [s]."""
+    connect_s: float = 15.0
+    """Until the control program runs [s]."""
 
 
 class UR5e:
@@ -51,6 +61,7 @@ class UR5e:
         host: address of the controller.
         limits: speeds, accelerations and angles that may be asked for.
         settling: when the arm counts as still.
+        deadlines: how long to wait for what.
         tolerance: measured angles are this near to the target at the end of a motion [rad].
         frequency: samples asked of the controller [Hz].
     """
@@ -61,11 +72,12 @@ class UR5e:
         *,
         limits: Limits | None = None,
         settling: Settling | None = None,
+        deadlines: Deadlines | None = None,
         tolerance: float = 1e-3,
         frequency: float = 125.0,
     ) -> None:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
-        self.tolerance, self.frequency = tolerance, frequency
+        self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
         self._dashboard: Dashboard | None = None
         self._link: ChildLink | None = None
         self._tcp_from_flange = np.eye(4)
@@ -80,8 +92,8 @@ class UR5e:
             self._dashboard = Dashboard.connect(self.host)
             self._dashboard.require_ready()
             self._dashboard.ask("stop")  # a program left by a killed client would block the next one for minutes
-            self._link = ChildLink.start(self.host, self.frequency)
-            ready = self._link.wait_for(("ready", "failed"), CONNECT_TIMEOUT_S)
+            self._link = ChildLink.start(self.host, self.frequency, self.deadlines.watchdog_hz)
+            ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
                 raise self._no_connection(ready)
             self._describe(ready["tcp_offset"])
@@ -112,8 +124,8 @@ class UR5e:
                 dashboard.close()
 
     def state(self) -> RobotState:
-        """The newest state. Raises RigConnectionError where none younger than 0.2 s arrives within a second."""
-        sample = self._connected().fresh_sample(STALE_S, timeout_s=1.0)
+        """The newest state. Raises RigConnectionError where none that is new enough arrives within a second."""
+        sample = self._connected().fresh_sample(self.deadlines.stale_s, timeout_s=1.0 + self.deadlines.stale_s)
         if sample is None:
             raise self._fault("no state arrives from the robot")
         numbers = np.asarray(sample.content["tcp_pose"])
@@ -176,7 +188,7 @@ class UR5e:
     def _move(self, target: NDArray[np.float64], start: NDArray[np.float64], speed: float, acceleration: float) -> None:
         link = self._connected()
         number = link.request("move", joints=target.tolist(), speed=speed, acceleration=acceleration)
-        answer = link.wait_for(("accepted", "refused"), ACCEPT_TIMEOUT_S, number=number) if number else None
+        answer = link.wait_for(("accepted", "refused"), self.deadlines.accept_s, number=number) if number else None
         if answer is None or "refused" in answer:
             raise self._fault("the controller did not accept the motion")
         distance = float(np.abs(target - start).max())
@@ -220,7 +232,7 @@ class UR5e:
             raise self._stopped_error()
         if not link.alive:
             raise self._fault("the connection to the robot broke down")
-        if silence_s > (STALE_S if sample is not None else HEARTBEAT_S):
+        if silence_s > self.deadlines.stale_s + (0.0 if sample is not None else 0.3):  # the first may be under way still
             raise self._fault("the robot's data stream stands still")
         if sample is None:
             return
@@ -256,11 +268,11 @@ class UR5e:
             return NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}, robot mode {mode}",
                             remedy="release it at the pendant, switch the arm on, then resume")  # fmt: skip
         if not stopped:
-            return RigConnectionError(what, where=self.host, why=f"the dashboard does not answer either. {words}".strip(),
+            return RigConnectionError(what, where=self.host, why="; ".join(filter(None, ("the dashboard does not answer either", words))),
                                       remedy="the arm stops by its own watchdog; check network and controller, then resume")  # fmt: skip
         lost = any(word in what for word in ("connection", "stream", "state"))
         return (RigConnectionError if lost else MotionError)(
-            what, where=self.host, why=f"the arm was stopped. {words}".strip(), remedy="resume the recording"
+            what, where=self.host, why="; ".join(filter(None, ("the arm was stopped", words))), remedy="resume the recording"
         )
 
     def _stop_by_dashboard(self) -> bool:
@@ -279,13 +291,13 @@ class UR5e:
     def _rests_within(self, seconds: float) -> bool:
         link, deadline = self._link, time.monotonic() + seconds
         while link is not None and time.monotonic() < deadline:
-            sample = link.fresh_sample(STALE_S, timeout_s=0.1)
+            sample = link.fresh_sample(self.deadlines.stale_s, timeout_s=0.1)
             if sample is not None and np.abs(sample.content["joint_speeds"]).max() < 0.01:
                 return True
             time.sleep(0.01)
         return False
 
     def _no_connection(self, answer: dict[str, Any] | None) -> CaptureError:
-        why = answer["failed"] if answer else f"no answer within {CONNECT_TIMEOUT_S:.0f} s. {self._link.kill()}".strip()
+        why = answer["failed"] if answer else f"no answer within {self.deadlines.connect_s:.0f} s. {self._link.kill()}".strip()
         remedy = "end the other program that controls the robot" if "use" in why else "check the controller, then run again"
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
