@@ -1,0 +1,105 @@
+"""The command as a person meets it: output, exit codes 0, 1 and 2, one line on errors."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from datasets.formats import koala
+from datasets.scene import Scene
+
+
+def run(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    code = "from datasets.cli import main; main()"
+    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=60,
+                          env={**os.environ, **environment}, check=False)  # fmt: skip
+
+
+@pytest.fixture
+def saved(make_scene: Callable[..., Scene], tmp_path: Path) -> Path:
+    koala.save(make_scene(), tmp_path / "koala" / "little")
+    return tmp_path / "koala" / "little"
+
+
+def test_help_is_instant_and_names_the_commands() -> None:
+    run("--help")
+    start = time.perf_counter()
+    shown = run("--help")
+    assert time.perf_counter() - start < 1.0  # 0.1 s on an idle core; a heavy import alone takes longer than this
+    assert shown.returncode == 0 and all(command in shown.stdout for command in ("build", "info", "check", "export"))
+
+
+def test_info_for_a_person_and_for_a_program(saved: Path) -> None:
+    text = run("info", saved)
+    assert text.returncode == 0 and "6 train, 3 test; 96x72 px" in text.stdout and "near, far" in text.stdout
+    found = json.loads(run("info", "koala/little", "--json", KOALA_DATA=str(saved.parent.parent)).stdout)
+    assert found["views"]["train"] == 6 and found["far"] is None
+
+
+@pytest.mark.parametrize("layout", ["blender", "llff"])
+def test_export_says_what_is_lost_and_never_overwrites(saved: Path, tmp_path: Path, layout: str) -> None:
+    done = run("export", saved, "--format", layout, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0 and json.loads(done.stdout)["views"] == 9 and "koala.json" in json.loads(done.stdout)["limits"]
+    assert run("check", tmp_path / "out").stdout == "nothing is wrong\n"
+    again = run("export", saved, "--format", layout, "--out", tmp_path / "out")
+    assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_check_fails_where_something_is_wrong(saved: Path) -> None:
+    (saved / "images" / "001.png").unlink()
+    failed = run("check", saved)
+    assert failed.returncode == 1 and "001.png: no such image" in failed.stdout and "1 errors, 0 warnings" in failed.stdout
+    assert json.loads(run("check", saved, "--json").stdout)["errors"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("info", "nowhere/at/all"), 2, "no such scene"),
+        (("info",), 2, "SCENE"),
+        (("export", "{scene}", "--format", "lff", "--out", "x"), 2, "did you mean 'llff'"),
+        (("build", "{scene}", "--calibration", "none.json", "--out", "x"), 2, "is not a recording"),
+        (("inf",), 2, "inf"),
+    ],
+)
+def test_misuse_is_one_line_and_exit_code_2(saved: Path, arguments: tuple[str, ...], code: int, words: str) -> None:
+    failed = run(*(argument.format(scene=saved) for argument in arguments))
+    assert failed.returncode == code and words in failed.stderr
+    assert len(failed.stderr.strip().splitlines()) == 1 and "Traceback" not in failed.stderr
+
+
+def test_a_broken_file_is_one_line_and_exit_code_1(saved: Path) -> None:
+    (saved / "cameras.json").write_text("{")
+    failed = run("info", saved)
+    assert failed.returncode == 1 and "not valid JSON" in failed.stderr and len(failed.stderr.strip().splitlines()) == 1
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    """Writes are limited to 2 kB a file; the signal that the system sends is ignored, so that the write fails instead."""
+    from datasets.camera_model import Camera
+
+    koala.save(make_scene(Camera(96, 72, 90.0, 91.0, 50.0, 34.0, k1=-0.1)), tmp_path / "scene")
+    code = (
+        "import errno, os, resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
+        "from datasets.cli import main; main()"
+    )
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "export",
+        str(tmp_path / "scene"),
+        "--format",
+        "blender",
+        "--out",
+        str(tmp_path / "o" / "x"),
+    ]
+    failed = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert failed.returncode == 1 and "Traceback" not in failed.stderr and "error:" in failed.stderr
+    assert list((tmp_path / "o").iterdir()) == []

@@ -1,0 +1,65 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import images
+from datasets.errors import DatasetError, Misuse
+from datasets.formats import find, load_scene
+from datasets.scene import Scene
+
+
+def test_a_mask_becomes_the_alpha(make_scene: Callable[..., Scene]) -> None:
+    view = make_scene(mask=True).views[0]
+    picture = view.read()
+    assert picture.shape == (72, 96, 4) and set(np.unique(picture[..., 3])) == {0.0, 1.0}
+    assert np.array_equal(picture[..., :3], images.read(view.image)) and view.read_image().shape[-1] == 3
+
+
+def test_sizes_are_compared(make_scene: Callable[..., Scene]) -> None:
+    view = make_scene().views[0]
+    images.write(view.truth["depth"], np.zeros((72, 95, 1), np.float32))
+    with pytest.raises(DatasetError, match="it is 95x72, its camera says 96x72"):
+        view.read_truth("depth")
+    with pytest.raises(DatasetError, match="wrong size"):
+        replace(view, camera=view.camera.scaled(48, 36)).read()
+
+
+def test_normals_are_unit_or_nothing(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    """8-bit files hold (n + 1) / 2: (255, 128, 128) is nearly (1, 0, 0), (128, 128, 128) is no surface."""
+    view = make_scene().views[0]
+    stored = np.full((72, 96, 3), 128, np.uint8)
+    stored[:36, :, 0] = 255
+    images.write(tmp_path / "n.png", stored)
+    normals = replace(view, truth={"normals": tmp_path / "n.png"}).read_truth("normals")
+    assert np.abs(normals[:36] - [1, 0, 0]).max() < 0.01 and np.array_equal(normals[36:], np.zeros((36, 96, 3)))
+    with pytest.raises(Misuse, match="no truth called 'specular'"):
+        view.read_truth("specular")
+
+
+def test_split_names_what_there_is(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene()
+    assert len(scene.split("test")) == 3
+    with pytest.raises(Misuse, match=r"no val views.*it has test, train"):
+        scene.split("val")
+
+
+def test_names_are_looked_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a" / "koala" / "head").mkdir(parents=True)
+    (tmp_path / "b" / "koala" / "head").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("KOALA_DATA", str(tmp_path / "b"))
+    assert find("koala/head") == tmp_path / "b" / "koala" / "head"
+    assert find("koala/head", tmp_path / "a") == tmp_path / "a" / "koala" / "head"
+    assert find("a/koala/head") == Path("a/koala/head")
+    with pytest.raises(Misuse, match=r"looked in .*none.*, .*b/none"):
+        find("none")
+
+
+def test_unknown_folders_and_formats(tmp_path: Path) -> None:
+    with pytest.raises(Misuse, match="holds no scene that Koala knows"):
+        load_scene(tmp_path)
+    with pytest.raises(Misuse, match="did you mean 'blender'"):
+        load_scene(tmp_path, format="blendr")
