@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import corners
 from calib.errors import TargetError
 from datasets import conventions
 from datasets.errors import nearest
@@ -120,53 +121,58 @@ class Board:
         found = self._charuco_corners(picture) if self.type == "charuco" else self._chessboard_corners(picture)
         if found is None or len(found[0]) < MIN_CORNERS:
             return None
-        ids, corners = found
+        ids, places = found
         points = self.points[ids]
         if np.linalg.matrix_rank(points - points.mean(0), tol=1e-9) < 2:
             return None
-        corners = self._refined(np.ascontiguousarray(grey, np.float32), ids, corners)
-        return Observation(name, ids, conventions.pixels_from_opencv(corners), points)
+        places = self._refined(np.ascontiguousarray(grey, np.float32), ids, places)
+        return Observation(name, ids, conventions.pixels_from_opencv(places), points)
 
     def _charuco_corners(self, picture: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         detector = cv2.aruco.CharucoDetector(self.charuco, cv2.aruco.CharucoParameters(), parameters)
-        corners, ids, _, _ = detector.detectBoard(picture)
+        places, ids, _, _ = detector.detectBoard(picture)
         if ids is None or len(ids) == 0:
             return None
-        return ids.reshape(-1).astype(np.int64), corners.reshape(-1, 2)
+        return ids.reshape(-1).astype(np.int64), places.reshape(-1, 2)
 
     def _chessboard_corners(self, picture: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
         columns, rows = self.squares_x - 1, self.squares_y - 1
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
+        found, places = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
         if not found:
             return None
-        corners = corners.reshape(rows, columns, 2)
-        if not _first_square_is_dark(picture, corners):
-            corners = corners[::-1, ::-1]
-        return np.arange(rows * columns), np.ascontiguousarray(corners.reshape(-1, 2))
+        places = places.reshape(rows, columns, 2)
+        if not _first_square_is_dark(picture, places):
+            places = places[::-1, ::-1]
+        return np.arange(rows * columns), np.ascontiguousarray(places.reshape(-1, 2))
 
-    def _refined(self, grey: NDArray[np.float32], ids: NDArray[np.int64], corners: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Corners at the saddle of the brightness, in a window that no marker and no other corner reaches into."""
-        clear = (self.square_length_m - self.marker_length_m) / 2 if self.type == "charuco" else self.square_length_m / 2
-        metres, pixels = self.points[ids][:, None] - self.points[ids], corners[:, None] - corners
-        distance = np.linalg.norm(metres, axis=-1)
-        near = (distance > 0) & (distance < 1.01 * self.square_length_m)
-        scale = np.linalg.norm(pixels, axis=-1)[near] / distance[near]
-        smallest = np.percentile(scale, 10) * clear if near.any() else 3.0
-        half = int(np.clip(0.8 * smallest, 2, 10))
-        return cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), _SUBPIXEL).reshape(-1, 2)
+    def _refined(self, grey: NDArray[np.float32], ids: NDArray[np.int64], found: NDArray[np.float32]) -> NDArray[np.float64]:
+        """(n, 2) corners to a few hundredths of a pixel: `cornerSubPix` brings them near, a fit of the picture there."""
+        points = self.points[ids, :2]
+        metres, pixels = np.linalg.norm(points[:, None] - points, axis=-1), np.linalg.norm(found[:, None] - found, axis=-1)
+        neighbours = (metres > 0) & (metres < 1.01 * self.square_length_m)
+        scale = np.percentile(pixels[neighbours] / metres[neighbours], 10) if neighbours.any() else 0.0
+        half = int(np.clip(0.8 * scale * self._clear_m / np.sqrt(2), 2, 10))
+        near = cv2.cornerSubPix(grey, found.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), _SUBPIXEL).reshape(-1, 2)
+        return corners.fit(grey, near.astype(np.float64), points, 0.9 * self._clear_m)
+
+    @property
+    def _clear_m(self) -> float:
+        """Radius around a corner in which only its own two edges are seen: to the nearest marker, or half a square [m]."""
+        margin = self.square_length_m - self.marker_length_m
+        return margin / np.sqrt(2) if self.type == "charuco" else self.square_length_m / 2
 
 
-def _first_square_is_dark(picture: NDArray[np.uint8], corners: NDArray[np.float32]) -> bool:
-    """Whether the square between corners (0, 0) and (1, 1) is darker than its right neighbour.
+def _first_square_is_dark(picture: NDArray[np.uint8], places: NDArray[np.float32]) -> bool:
+    """Whether the square between the corners (0, 0) and (1, 1) is darker than its right neighbour.
 
     That square touches the board's first one, which is dark, at a corner.
     """
 
     def brightness(row: int, column: int) -> float:
-        x, y = corners[row : row + 2, column : column + 2].reshape(-1, 2).mean(0)
+        x, y = places[row : row + 2, column : column + 2].reshape(-1, 2).mean(0)
         return float(cv2.getRectSubPix(picture, (3, 3), (float(x), float(y))).mean())
 
     return brightness(0, 0) < brightness(0, 1)

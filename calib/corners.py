@@ -1,0 +1,116 @@
+"""Corners of a checkered target to a few thousandths of a pixel, by fitting what a corner looks like.
+
+Around a corner c, where two edges with unit normals n1, n2 cross, a picture blurred by s pixels is
+
+    brightness(u) = level + slope . (u - c) + contrast * erf(n1 . (u - c) / (s sqrt 2)) * erf(n2 . (u - c) / (s sqrt 2)).
+
+All corners of a view are fitted at once by Gauss-Newton, each on the pixels of a disc on the board (an ellipse in the picture) that
+no marker and no other corner reaches. Unlike `cornerSubPix`, which weighs gradients, it is unbiased for tilted boards.
+Pixel coordinates here are OpenCV's: the first centre is at (0, 0).
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+Array = NDArray[np.float64]
+MAX_RADIUS_PX = 9
+"""Pixels further from the corner are left out: there the lens bends the edges."""
+MIN_PIXELS = 24
+"""A corner with fewer pixels in its disc keeps its place."""
+MAX_SHIFT_PX = 1.5
+"""A fit that ends further away from its start has fitted something else."""
+_STEPS = 15
+
+
+def fit(grey: NDArray[np.float32], start: Array, points: Array, clear_m: float) -> Array:
+    """Corners near `start`.
+
+    Args:
+        grey: (height, width) brightness 0..1.
+        start: (n, 2) where they are to about half a pixel [px].
+        points: (n, 2) where they are on the board [m]; n >= 4, not on a line.
+        clear_m: radius of the disc on the board in which nothing but the corner's two edges is seen [m].
+
+    Returns:
+        (n, 2) corners [px]; where no fit was possible, the start.
+    """
+    pixels_per_metre = _local_scale(start, points)
+    offsets, values, weight = _patches(grey, start, pixels_per_metre, clear_m)
+    parameters = _initial(values, weight, pixels_per_metre)
+    moved = np.zeros(len(start), bool)
+    for _ in range(_STEPS):
+        predicted, jacobian = _model(parameters, offsets)
+        weighted = jacobian * weight[..., None]
+        normal = np.swapaxes(weighted, 1, 2) @ jacobian
+        diagonal = np.einsum("nii->ni", normal)
+        diagonal += 1e-4 * diagonal + 1e-9
+        step = np.linalg.solve(normal, np.einsum("nmk,nm->nk", weighted, values - predicted)[..., None])[..., 0]
+        step[:, :2] = np.clip(step[:, :2], -0.5, 0.5)
+        step[:, 2:5] = np.clip(step[:, 2:5], -0.2, 0.2)
+        parameters = parameters + step
+        moved = np.abs(step[:, :2]).max(1) > 1e-3
+    shift, blur = parameters[:, :2], np.exp(parameters[:, 4])
+    good = (weight.sum(1) >= MIN_PIXELS) & ~moved & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
+    good &= np.isfinite(parameters).all(1) & (blur > 0.2) & (blur < 4) & (np.abs(parameters[:, 5]) > 0.02)
+    return start + np.where(good[:, None], shift, 0.0)
+
+
+def _local_scale(start: Array, points: Array) -> Array:
+    """(n, 2, 2) derivative of pixels by board coordinates at each corner [px / m], from one homography."""
+    homography, _ = cv2.findHomography(points, start, cv2.LMEDS)
+    if homography is None:
+        homography, _ = cv2.findHomography(points, start)
+    projected = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    pixels = projected[:, :2] / projected[:, 2:]
+    return (homography[:2, :2] - pixels[..., None] * homography[2, :2]) / projected[:, 2, None, None]
+
+
+def _patches(grey: NDArray[np.float32], start: Array, scale: Array, clear_m: float) -> tuple[Array, Array, Array]:
+    """(n, m, 2) offsets of pixel centres from the start, (n, m) brightness there, (n, m) 1 inside the disc, else 0."""
+    height, width = grey.shape
+    reach = np.arange(-MAX_RADIUS_PX, MAX_RADIUS_PX + 1)
+    window = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
+    pixels = np.rint(start).astype(int)[:, None] + window
+    offsets = pixels - start[:, None]
+    inside = ((pixels >= 0) & (pixels < [width, height])).all(-1)
+    column, row = np.moveaxis(np.where(inside[..., None], pixels, 0), -1, 0)
+    on_board = np.einsum("nij,nmj->nmi", np.linalg.inv(scale), offsets)
+    near = (np.linalg.norm(on_board, axis=-1) <= clear_m) & (np.linalg.norm(offsets, axis=-1) <= MAX_RADIUS_PX)
+    return offsets, grey[row, column].astype(np.float64), (near & inside).astype(np.float64)
+
+
+def _initial(values: Array, weight: Array, scale: Array) -> Array:
+    """(n, 9) start: shift 0, directions of the normals from the board, blur of 0.7 px, contrast and level by least squares."""
+    count = np.maximum(weight.sum(1), 1)
+    level = (values * weight).sum(1) / count
+    edges = np.arctan2(scale[:, 1], scale[:, 0])  # (n, 2) directions of the board's x and y axes in the picture
+    parameters = np.zeros((len(values), 9))
+    parameters[:, 2:4], parameters[:, 4], parameters[:, 6] = edges[:, ::-1] + np.pi / 2, np.log(0.7), level
+    parameters[:, 5] = np.sqrt(((values - level[:, None]) ** 2 * weight).sum(1) / count)
+    return parameters
+
+
+def _model(parameters: Array, offsets: Array) -> tuple[Array, Array]:
+    """(n, m) brightness and (n, m, 9) derivative by shift (2), two angles, log blur, contrast, level, slope (2)."""
+    shift, angles, blur = parameters[:, None, :2], parameters[:, 2:4], np.exp(parameters[:, 4])[:, None]
+    contrast, level, slope = parameters[:, 5, None], parameters[:, 6, None], parameters[:, 7:]
+    from_corner = offsets - shift
+    values, derivatives, scaled, turned = [], [], [], []
+    for angle in angles.T:
+        normal, tangent = np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)
+        distance = np.einsum("nmi,ni->nm", from_corner, normal) / blur
+        values.append(erf(distance / np.sqrt(2)))
+        derivatives.append(np.sqrt(2 / np.pi) * np.exp(-0.5 * distance**2))
+        scaled.append(distance)
+        turned.append((normal, np.einsum("nmi,ni->nm", from_corner, tangent) / blur))
+    by_distance = [contrast * derivatives[0] * values[1], contrast * derivatives[1] * values[0]]
+    jacobian = np.empty((*values[0].shape, 9))
+    for axis in range(2):
+        pull = by_distance[0] * turned[0][0][:, axis, None] + by_distance[1] * turned[1][0][:, axis, None]
+        jacobian[..., axis] = -pull / blur - slope[:, axis, None]
+        jacobian[..., 2 + axis] = by_distance[axis] * turned[axis][1]
+    jacobian[..., 4] = -(by_distance[0] * scaled[0] + by_distance[1] * scaled[1])
+    jacobian[..., 5], jacobian[..., 6], jacobian[..., 7:] = values[0] * values[1], 1.0, from_corner
+    return contrast * values[0] * values[1] + level + np.einsum("nmi,ni->nm", from_corner, slope), jacobian
