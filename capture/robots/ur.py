@@ -128,6 +128,8 @@ class UR5e:
         sample = self._connected().fresh_sample(self.deadlines.stale_s, timeout_s=1.0 + self.deadlines.stale_s)
         if sample is None:
             raise self._fault("no state arrives from the robot")
+        if not sample.content["connected"]:  # the vendor's client goes on returning the last values
+            raise self._fault("the connection to the robot was lost")
         numbers = np.asarray(sample.content["tcp_pose"])
         base_from_tcp = pose.from_rotation_vector(numbers[3:], numbers[:3])
         return RobotState(
@@ -190,6 +192,9 @@ class UR5e:
         number = link.request("move", joints=target.tolist(), speed=speed, acceleration=acceleration)
         answer = link.wait_for(("accepted", "refused"), self.deadlines.accept_s, number=number) if number else None
         if answer is None or "refused" in answer:
+            self._watch(
+                link, link.fresh_sample(self.deadlines.stale_s, timeout_s=0.1), 0.0
+            )  # says more, where there is more to say
             raise self._fault("the controller did not accept the motion")
         distance = float(np.abs(target - start).max())
         deadline = time.monotonic() + 1.5 * (distance / speed + speed / acceleration) + 3.0

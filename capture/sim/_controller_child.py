@@ -57,10 +57,7 @@ async def _run(options: dict[str, Any]) -> None:
 
 def main() -> None:
     """Run until standard input closes."""
-    try:
-        asyncio.run(_run(json.loads(sys.argv[1])))
-    except KeyboardInterrupt:
-        sys.exit(0)  # Ctrl-C reaches the whole group of processes; who started this one speaks to the person
+    asyncio.run(_run(json.loads(sys.argv[1])))
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ class SimulatedController:
         words = tempfile.TemporaryFile()
         process = subprocess.Popen(
             [sys.executable, "-m", "capture.sim._controller_child", json.dumps(options)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, start_new_session=True,
         )  # fmt: skip
         timer = threading.Timer(START_TIMEOUT_S, process.kill)
         timer.start()

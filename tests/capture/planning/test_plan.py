@@ -1,0 +1,79 @@
+"""Plans put the camera where the trajectory wants it, without touching anything, and say what cannot be."""
+
+import numpy as np
+import pytest
+
+from capture.errors import PlanningError, UnreachableError
+from capture.kinematics import JOINT_LIMIT, forward
+from capture.planning import Obstacles, connect, plan
+from capture.rig_description import RigDescription
+from capture.trajectory import Trajectory, load_trajectory
+from datasets import pose
+
+MOUNT = RigDescription().flange_from_camera.matrix()
+
+
+def _orbit(**changes):
+    view = {"kind": "orbit", "target": (0.4, 0, 0.14), "distance": 0.4, "count": 6, "elevation_deg": 40, **changes}
+    return Trajectory(name="orbit", views=[view])
+
+
+@pytest.mark.parametrize("name", ["koala_demo", "koala", "calibration_demo"])
+def test_shipped_trajectories_are_reachable(configs, name):
+    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+    planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
+    assert len(planned) == len(trajectory.viewpoints())
+    here = planned[0].joints
+    for view, asked in zip(planned, trajectory.viewpoints(), strict=True):
+        reached = forward(view.joints) @ MOUNT
+        np.testing.assert_allclose(reached, view.viewpoint.base_from_camera, atol=2e-6)
+        np.testing.assert_allclose(reached[:3, 2:], asked.base_from_camera[:3, 2:], atol=2e-6)  # rolled at most
+        assert np.abs(view.joints).max() < JOINT_LIMIT
+        for there in view.way:
+            assert obstacles.margin(np.linspace(here, there, 100)).min() > -0.005
+            here = there
+        assert (here == view.joints).all()
+
+
+def test_the_demonstration_sees_the_object_from_all_sides(configs):
+    trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+    offset = np.array([view.base_from_camera[:3, 3] for view in trajectory.viewpoints()]) - trajectory.views[0].target
+    azimuth = np.sort(np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
+    assert np.diff(azimuth, append=azimuth[0] + 360).max() < 30
+    assert np.linalg.norm(offset, axis=1) == pytest.approx(0.4)
+
+
+def test_the_same_trajectory_gives_the_same_plan():
+    first, second = plan(_orbit(), MOUNT), plan(_orbit(), MOUNT)
+    assert all((a.joints == b.joints).all() for a, b in zip(first, second, strict=True))
+
+
+def test_views_out_of_reach_are_named_with_their_reason():
+    with pytest.raises(UnreachableError) as caught:
+        plan(_orbit(target=(0.75, 0, 0.14), elevation_deg=10), MOUNT)
+    message = str(caught.value)
+    assert "of 6 views cannot be taken" in message and "out of reach, wrist" in message and caught.value.exit_code == 2
+
+
+def test_views_inside_the_table_or_the_object_are_named():
+    with pytest.raises(UnreachableError, match="to table too near"):
+        plan(_orbit(elevation_deg=1, target=(0.4, 0, 0.01)), MOUNT)
+    volume = {"centre": (0.4, 0, 0.3), "size": (0.7, 0.7, 0.6)}
+    with pytest.raises(UnreachableError, match="to object too near"):
+        plan(Trajectory(name="boxed", views=_orbit().views, object=volume), MOUNT)
+
+
+def test_joint_views_are_kept_and_judged():
+    degrees = [(0, -90, 90, -90, -90, 0), (20, -90, 90, -90, -90, 10)]
+    planned = plan(Trajectory(name="joints", views=[{"kind": "joints", "joints_deg": degrees}]), MOUNT)
+    np.testing.assert_allclose([view.joints for view in planned], np.radians(degrees))
+    assert planned[0].viewpoint.base_from_camera is not None
+    with pytest.raises(UnreachableError, match="joint 6 at 400 degrees, limit 360"):
+        plan(Trajectory(name="joints", views=[{"kind": "joints", "joints_deg": [(0, -90, 90, -90, -90, 400)]}]), MOUNT)
+
+
+def test_an_arm_in_the_table_is_told_so():
+    stuck = np.array([0, 0.3, 0, -np.pi / 2, 0, 0])
+    obstacles = Obstacles(pose.rigid(np.eye(3), [0, 0, 0.1]), 0.02, table_z=0.0)
+    with pytest.raises(PlanningError, match="stands too near already"):
+        connect(stuck, np.add(stuck, [0, 0.1, 0, 0, 0, 0]), obstacles)

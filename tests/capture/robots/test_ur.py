@@ -1,0 +1,176 @@
+"""The driver with the vendor's own client over loopback, through good and bad days."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError
+from capture.kinematics import forward
+from capture.robots.ur import Deadlines, Settling, UR5e
+from capture.sim.controller import SimulatedController
+from datasets import pose
+
+GOALS = np.array([[0.2, -1.4, 0.9, -1.5, -1.5, 0.2], [0.5, -1.2, 1.2, -1.5, -1.2, 0.4], [0.1, -1.3, 1.0, -1.8, -1.5, -0.2]])
+FAR = np.array([2.0, -1.2, 0.8, -1.5, -1.0, 0.2])
+BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
+"""Tests run beside others on two cores: a pause of half a second is no fault there."""
+
+
+def _robot(simulated, **options):
+    return UR5e(simulated.host, settling=Settling(timeout_s=20.0), deadlines=BUSY, **options)
+
+
+@pytest.fixture
+def simulated():
+    with SimulatedController.start(seed=3, time_scale=20.0) as found:
+        yield found
+
+
+@pytest.fixture
+def slow():
+    """Slow enough for a fault in the middle of a motion."""
+    with SimulatedController.start(seed=3, time_scale=1.0) as found:
+        yield found
+
+
+def _at_rest(simulated):
+    deadline = time.monotonic() + 3.0
+    while time.monotonic() < deadline:
+        if np.abs(simulated.ask("truth")["speeds"]).max() < 1e-3:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_it_goes_where_it_is_sent_and_says_where_it_is(simulated):
+    with _robot(simulated) as robot:
+        assert robot.description()["model"] == "UR5e" and robot.description()["software"].startswith("5.")
+        stamps = []
+        for goal in GOALS:
+            robot.move_to(goal, speed=1.0, acceleration=1.4)
+            state = robot.state()
+            np.testing.assert_allclose(state.joints, goal, atol=1e-6)
+            assert np.abs(state.joint_speeds).max() < 1e-3
+            np.testing.assert_allclose(state.base_from_flange, forward(goal), atol=1e-6)
+            distance, angle = pose.difference(state.base_from_flange, simulated.true_base_from_flange())
+            assert 0 < distance < 3e-5 * 6 and angle < np.radians(0.005) * 6  # three axes, each within 3.5 deviations
+            stamps.append((state.robot_time_s, state.host_time_ns))
+        assert np.diff(stamps, axis=0).min() > 0
+
+
+def test_the_tool_offset_is_removed(simulated):
+    from rtde_control import RTDEControlInterface
+
+    client = RTDEControlInterface(simulated.host)
+    assert client.setTcp([0.01, 0.02, 0.1, 0.0, 0.3, 0.0])
+    client.stopScript()
+    client.disconnect()
+    with _robot(simulated) as robot:
+        robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+        np.testing.assert_allclose(robot.description()["tcp_offset"], [0.01, 0.02, 0.1, 0, 0.3, 0], atol=1e-9)
+        np.testing.assert_allclose(robot.state().base_from_flange, forward(GOALS[0]), atol=1e-6)
+
+
+def test_an_arm_as_built_reports_its_own_kinematics():
+    with SimulatedController.start(seed=3, length_error_mm=1.0, angle_error_deg=0.05) as simulated, _robot(simulated) as robot:
+        robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+        reported, true = robot.state().base_from_flange, simulated.true_base_from_flange()
+        assert pose.difference(reported, true)[0] < 2e-4 < pose.difference(forward(GOALS[0]), true)[0]
+
+
+def test_an_unsafe_target_moves_nothing(simulated):
+    with _robot(simulated) as robot:
+        before = robot.state().joints
+        with pytest.raises(SafetyError):
+            robot.move_to(FAR, speed=5.0, acceleration=1.4)
+        np.testing.assert_array_equal(robot.state().joints, before)
+        robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+
+
+@pytest.mark.parametrize(
+    ("fault", "arguments", "error", "words"),
+    [
+        ("protective_stop", {}, ProtectiveStop, "protective stop: the arm stands still"),
+        ("emergency_stop", {}, NotReady, "safety status ROBOT_EMERGENCY_STOP"),
+        ("stop_program", {}, MotionError, "program was stopped"),
+        ("drop", {}, RigConnectionError, "lost|broke down"),
+        ("silent", {"seconds": 60}, RigConnectionError, "data stream stands still"),
+    ],
+)
+def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(slow, fault, arguments, error, words):
+    with pytest.raises(error, match=words) as caught, _robot(slow) as robot:
+        timer = threading.Timer(0.7, slow.ask, [fault], arguments)
+        timer.start()
+        try:
+            robot.move_to(FAR, speed=1.0, acceleration=1.4)
+        finally:
+            timer.cancel()
+    assert "\n" not in str(caught.value) and slow.host in str(caught.value)
+    assert _at_rest(slow)
+    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3  # it did not simply go on to the end
+
+
+def test_after_a_lost_connection_the_driver_can_enter_again(slow):
+    robot = _robot(slow)
+    with pytest.raises(CaptureError), robot:  # lost while idle, or noticed when the motion is refused
+        slow.ask("drop")
+        robot.move_to(FAR, speed=1.0, acceleration=1.4)
+    with robot:
+        robot.move_to(robot.state().joints + 0.05, speed=1.0, acceleration=1.4)
+
+
+def test_a_killed_client_is_noticed_and_the_arm_stops(slow):
+    with pytest.raises(RigConnectionError), _robot(slow) as robot:
+        threading.Timer(0.7, robot._link.process.kill).start()
+        robot.move_to(FAR, speed=1.0, acceleration=1.4)
+    assert _at_rest(slow)
+
+
+def test_stop_from_another_thread(slow):
+    with _robot(slow) as robot:
+        threading.Timer(0.7, robot.stop).start()
+        with pytest.raises(MotionError, match="stopped on request"):
+            robot.move_to(FAR, speed=1.0, acceleration=1.4)
+        assert _at_rest(slow)
+        robot.stop()
+        robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)  # the connection is still good
+
+
+def test_ctrl_c_in_motion_stops_the_arm(slow):
+    with pytest.raises(KeyboardInterrupt), _robot(slow) as robot:
+        threading.Timer(0.7, os.kill, [os.getpid(), signal.SIGINT]).start()
+        robot.move_to(FAR, speed=1.0, acceleration=1.4)
+    assert _at_rest(slow)
+    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3
+
+
+def test_an_exception_in_the_block_stops_and_closes(simulated):
+    robot = _robot(simulated)
+    with pytest.raises(ZeroDivisionError), robot:
+        raise ZeroDivisionError
+    with pytest.raises(RigConnectionError, match="not connected"):
+        robot.state()
+    robot.close()
+
+
+def test_entering_a_stopped_robot_says_so_and_leaves_nothing_open(simulated):
+    simulated.ask("protective_stop")
+    with pytest.raises(NotReady, match="safety status PROTECTIVE_STOP"), _robot(simulated):
+        pytest.fail("entered a robot that cannot move")
+    assert not simulated.ask("truth")["program_running"]
+
+
+def test_nobody_there_is_one_clear_line():
+    with pytest.raises(RigConnectionError, match=r"cannot be reached .*robot\.host"), UR5e("127.9.9.9"):
+        pytest.fail("entered a robot that is not there")
+
+
+def test_a_second_owner_is_refused(simulated):
+    with _robot(simulated) as first:
+        with pytest.raises(CaptureError, match="does not take the control program"), _robot(simulated):
+            pytest.fail("entered a robot that somebody else controls")
+        del first

@@ -1,0 +1,76 @@
+"""The simulated arm: small errors that repeat with the seed, a swing that dies away, and stops for safety."""
+
+import numpy as np
+import pytest
+
+from capture.kinematics import UR5E, forward
+from capture.sim.arm import Arm, Safety
+from capture.sim.profiles import Stop
+from datasets import pose
+
+HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
+GOAL = np.array([0.3, -1.2, 1.0, -1.4, -1.5, 0.2])
+
+
+def _arm(seed=0, links=UR5E):
+    return Arm(seed, HOME, repeatability_m=3e-5, repeatability_rad=1e-4, links=links)
+
+
+def _visit(arm, goal, now):
+    arm.move_to(goal, 1.0, 1.4, now)
+    return now + arm.profile.duration + 2.0
+
+
+def _error(arm, now):
+    return pose.inverse(forward(arm.actual(now)[0])) @ arm.true_base_from_flange(now)
+
+
+def test_the_flange_stops_beside_where_the_encoders_say():
+    arm, now, errors = _arm(), 0.0, []
+    for goal in np.random.default_rng(0).uniform(-1, 1, (200, 6)):
+        now = _visit(arm, HOME + 0.3 * goal, now)
+        errors.append(_error(arm, now)[:3, 3])
+    assert np.std(errors) == pytest.approx(3e-5, rel=0.12)  # 600 draws: 2.9% standard error, four of them
+    assert np.abs(np.mean(errors, axis=0)).max() < 1e-5
+
+
+def test_the_same_visit_has_the_same_error_whatever_came_before():
+    direct, roundabout, other = _arm(), _arm(), _arm(seed=1)
+    now = _visit(roundabout, HOME + 0.1, _visit(roundabout, HOME - 0.1, 0.0))
+    end, later = _visit(direct, GOAL, 0.0), _visit(roundabout, GOAL, now)
+    np.testing.assert_array_equal(direct.true_base_from_flange(end), roundabout.true_base_from_flange(later))
+    again = _visit(roundabout, GOAL, _visit(roundabout, HOME, later))
+    assert np.abs(_error(roundabout, again) - _error(direct, end)).max() > 1e-7  # a second visit repeats, but not exactly
+    assert np.abs(_error(other, _visit(other, GOAL, 0.0)) - _error(direct, end)).max() > 1e-7
+
+
+def test_the_arm_swings_after_a_stop_and_comes_to_rest():
+    arm = _arm()
+    arm.move_to(GOAL, 1.0, 1.4, 0.0)
+    end = arm.profile.duration
+    just, later = arm.actual(end + 0.02), arm.actual(end + 0.5)
+    assert 1e-5 < np.abs(just[0] - GOAL).max() < 1e-3 and np.abs(just[1]).max() > 1e-3
+    np.testing.assert_array_equal(later[0], GOAL)
+    assert not later[1].any()
+
+
+def test_the_controller_knows_the_calibrated_links():
+    links = UR5E.calibrated(np.random.default_rng(0), 1e-3, 1e-3)
+    arm = _arm(links=links)
+    now = _visit(arm, GOAL, 0.0)
+    reported, true = arm.base_from_tcp(arm.actual(now)[0]), arm.true_base_from_flange(now)
+    assert pose.difference(reported, true)[0] < 2e-4 < pose.difference(forward(GOAL), true)[0]
+
+
+def test_an_emergency_stop_ends_the_motion_and_the_power():
+    arm = _arm()
+    arm.move_to(GOAL, 1.0, 1.4, 0.0)
+    arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, 0.8)
+    assert isinstance(arm.profile, Stop) and arm.profile.duration < 0.2 and not arm.may_move
+    assert np.abs(arm.target(5.0)[0] - GOAL).max() > 0.1
+
+
+def test_a_target_beyond_the_joint_limits_is_a_protective_stop():
+    arm = _arm()
+    arm.move_to(np.array([7.0, 0, 0, 0, 0, 0]), 1.0, 1.0, 0.0)
+    assert arm.safety is Safety.PROTECTIVE_STOP and not arm.moving(0.1)

@@ -1,0 +1,60 @@
+"""The simulated controller as a process: it starts, answers, and never outlives who started it."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from capture.errors import SimulationError
+from capture.kinematics import forward
+from capture.sim.controller import HOME, SimulatedController
+
+
+def _accepts(host, port):
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex((host, port)) == 0
+
+
+def test_ports_accept_while_it_lives_and_not_after():
+    with SimulatedController.start() as simulated, SimulatedController.start() as other:
+        assert simulated.host != other.host
+        assert all(_accepts(simulated.host, port) for port in (30004, 30003, 29999))
+        np.testing.assert_allclose(simulated.true_base_from_flange(), forward(HOME), atol=1e-3)
+    assert not _accepts(simulated.host, 30004)
+    with pytest.raises(SimulationError, match="does not answer"):
+        simulated.true_base_from_flange()
+
+
+def test_unknown_requests_name_the_known_ones():
+    with SimulatedController.start() as simulated:
+        with pytest.raises(SimulationError, match=r"'dance'.*actions: truth, protective_stop"):
+            simulated.ask("dance")
+        assert simulated.ask("truth")["mode"] == "RUNNING"
+
+
+def test_it_dies_with_its_parent():
+    code = "import time\nfrom capture.sim.controller import SimulatedController\ns = SimulatedController.start()\nprint(s.host, flush=True)\ntime.sleep(60)"
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    host = parent.stdout.readline().strip()
+    assert _accepts(host, 29999)
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait()
+    parent.stdout.close()
+    deadline = time.monotonic() + 5
+    while _accepts(host, 29999) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _accepts(host, 29999)
+
+
+def test_strangers_on_the_ports_do_no_harm():
+    with SimulatedController.start() as simulated:
+        for port, words in ((30004, b"\x00\x01X"), (30004, b"\xff\xffU" + bytes(10)), (30003, b"def x"), (29999, b"\xff\n")):
+            with socket.create_connection((simulated.host, port), 1.0) as stranger:
+                stranger.sendall(words)
+        assert simulated.ask("truth")["safety"] == "NORMAL"

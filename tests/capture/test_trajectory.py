@@ -1,0 +1,80 @@
+"""Trajectory files: the ones that we ship load, and every mistake in one names its place."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from capture.trajectory import Box, load_trajectory
+from datasets.errors import Misuse
+
+SMALL = """\
+name: small
+views:
+  - kind: orbit
+    target: [0.4, 0.0, 0.1]
+    distance: 0.4
+    count: 10
+split: {train: 8, test: 2}
+"""
+
+
+def _load(tmp_path, text):
+    path = tmp_path / "small.yaml"
+    path.write_text(text)
+    return load_trajectory(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "splits"),
+    [("koala_demo", {"train": 40, "test": 10}), ("koala", {"train": 40, "test": 10}), ("calibration_demo", {"calibration": 25})],
+)
+def test_shipped_files_load(configs, name, splits):
+    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+    viewpoints = trajectory.viewpoints()
+    assert Counter(view.split for view in viewpoints) == splits
+    names = [view.name for view in viewpoints]
+    assert names == sorted(set(names)) and names[0] == "000"
+
+
+def test_the_same_file_gives_the_same_views(configs):
+    path = configs / "trajectories" / "calibration_demo.yaml"
+    first, second = load_trajectory(path).viewpoints(), load_trajectory(path).viewpoints()
+    assert all((a.base_from_camera == b.base_from_camera).all() for a, b in zip(first, second, strict=True))
+
+
+def test_test_views_lie_between_training_views(tmp_path):
+    splits = _load(tmp_path, SMALL).splits
+    assert splits == ["train", "train", "test", "train", "train", "train", "train", "test", "train", "train"]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("count: 10", "cuont: 10"), ["line 6", "unknown key 'views.0.cuont'", "did you mean 'count'?"]),
+        (("split:", "splits:"), ["line 7", "unknown key 'splits'", "did you mean 'split'?"]),
+        (("count: 10", "count: 11"), ["split asks for 8 + 2 views, but views give 11"]),
+        (("kind: orbit", "kind: circle"), ["line 3", "'circle'"]),
+        (("distance: 0.4", "distance: -0.4"), ["line 5", "distance", "given: -0.4"]),
+        (("distance: 0.4", "distance: 0.4\n    distance: 0.5"), ["line 6", "given twice"]),
+        (("name: small", "name: ../small"), ["line 1", "name"]),
+    ],
+)
+def test_mistakes_are_named(tmp_path, change, expected):
+    assert SMALL.count(change[0]) == 1
+    with pytest.raises(Misuse) as caught:
+        _load(tmp_path, SMALL.replace(*change))
+    assert [part for part in expected if part not in str(caught.value)] == []
+
+
+def test_a_target_session_has_no_split(tmp_path):
+    target = "target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022}\n"
+    with pytest.raises(Misuse, match="a session with a target has no split"):
+        _load(tmp_path, SMALL + target)
+    assert set(_load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target)).splits) == {"calibration"}
+
+
+def test_box_corners():
+    np.testing.assert_allclose(Box(centre=(1, 2, 3), size=(0.2, 0.4, 0.6)).corners, [[0.9, 1.8, 2.7], [1.1, 2.2, 3.3]])
+    with pytest.raises(ValueError, match="positive"):
+        Box(centre=(0, 0, 0), size=(1, 0, 1))
