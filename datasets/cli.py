@@ -34,7 +34,7 @@ def build(
 
 @app.command()
 def info(scene: SceneName, data_root: Root = None, as_json: Json = False) -> None:
-    """Say what a scene holds: views, camera, bounds, truth, and what its reader had to assume."""
+    """Say what a scene holds: views, camera, bounds, truth."""
     from datasets.check import summary
     from datasets.formats import load_scene
 
@@ -44,7 +44,9 @@ def info(scene: SceneName, data_root: Root = None, as_json: Json = False) -> Non
 
 @app.command()
 def check(scene: SceneName, data_root: Root = None, as_json: Json = False) -> int:
-    """Read everything in a scene and list what is wrong, a line each. Exit code 1 where there is an error."""
+    """Read everything in a scene and list what is wrong.
+
+    Each finding is one line: what, where, why and how to mend it. Exit code 1 where there is an error."""
     from datasets.check import check as check_scene
 
     with console.progress("checking", 1, "views") as shown:
@@ -64,18 +66,18 @@ def check(scene: SceneName, data_root: Root = None, as_json: Json = False) -> in
 @app.command()
 def export(
     scene: SceneName,
-    format: Annotated[str, typer.Option(help="blender or llff.")],
+    format: Annotated[str, typer.Option(help="blender, llff or koala.")],
     out: Annotated[Path, typer.Option(help="Folder to write; must not exist.")],
     data_root: Root = None,
     as_json: Json = False,
 ) -> None:
-    """Write a scene in another program's format, undistorted where that format knows no lens."""
+    """Write a scene in another format, undistorted where that knows no lens."""
     from datasets.build import extra_truth
     from datasets.errors import Misuse, nearest
     from datasets.files import refuse_existing
-    from datasets.formats import blender, find, llff, load_scene
+    from datasets.formats import blender, find, koala, llff, load_scene
 
-    writers = {"blender": blender.save, "llff": llff.save}
+    writers = {"blender": blender.save, "llff": llff.save, "koala": koala.save}
     if format not in writers:
         raise Misuse(f"cannot export to {format!r}", remedy=nearest(format, writers))
     refuse_existing(out)

@@ -39,10 +39,20 @@ class View:
     def read(self) -> NDArray[np.float32]:
         """(height, width, 3 or 4) sRGB in 0..1, alpha straight; the mask, where there is one, becomes the alpha.
 
+        Grey becomes three equal channels; EXR holds linear light and is brought to sRGB, where it may exceed 1.
+
         Raises:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
         picture = self.read_image()
+        if picture.shape[-1] not in (1, 2, 3, 4):
+            raise DatasetError(
+                "image has too many channels", where=self.image, why=f"{picture.shape[-1]}", remedy="give RGB or RGBA"
+            )
+        if picture.shape[-1] < 3:
+            picture = np.concatenate([picture[..., :1]] * 3 + [picture[..., 1:]], axis=-1)
+        if self.image.suffix.lower() == ".exr":
+            picture = np.concatenate([images.srgb_from_linear(picture[..., :3]), picture[..., 3:]], axis=-1)
         if self.mask is not None:
             mask = images.read(self.mask)
             self._check_size(mask, self.mask)

@@ -6,7 +6,7 @@ that every pixel of it was seen.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,11 @@ class Pinhole:
         """(..., 2) pixels of the new picture to (..., 2) pixels of the old one."""
         return self.source.project(self.camera.directions(pixels) @ self.source_from_camera[:3, :3].T)
 
+    @cached_property
+    def _centres(self) -> NDArray[np.float64]:
+        """(height, width, 2) where the new picture's pixel centres lie in the old one."""
+        return self.source_pixels(self.camera.pixel_centres())
+
     def depth_factor(self) -> NDArray[np.float32]:
         """(height, width, 1) what a depth along the old z is multiplied by to lie along the new z."""
         directions = self.camera.directions(self.camera.pixel_centres()) @ self.source_from_camera[:3, :3].T
@@ -52,7 +57,7 @@ class Pinhole:
         """
         from scipy.ndimage import map_coordinates
 
-        columns, rows = np.moveaxis(self.source_pixels(self.camera.pixel_centres()) - 0.5 + BORDER, -1, 0)
+        columns, rows = np.moveaxis(self._centres - 0.5 + BORDER, -1, 0)
         has_alpha = order == COLOUR and picture.shape[-1] in (2, 4)
         if has_alpha:
             picture = np.concatenate([picture[..., :-1] * picture[..., -1:], picture[..., -1:]], axis=-1)
@@ -63,10 +68,10 @@ class Pinhole:
         if has_alpha:  # both overshoot alike at an edge: divide before either is clipped
             alpha = result[..., -1:]
             result = np.concatenate([result[..., :-1] / np.where(alpha > 1e-3, alpha, 1.0), alpha], axis=-1)
-        return np.clip(result, 0, 1) if order == COLOUR else result
+        return (np.clip(result, 0, 1) if order == COLOUR else result).astype(np.float32)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=8)
 def pinhole(source: Camera) -> Pinhole:
     """The largest centred pinhole of `source`'s shape that sees only what `source` saw.
 

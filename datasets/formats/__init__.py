@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import KoalaError, Misuse, nearest
-from datasets.formats import blender, colmap, koala, llff, nerfstudio
+from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio
 from datasets.scene import Scene
 
 FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
@@ -14,6 +14,7 @@ FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
     "blender": (blender.detect, blender.load),
     "nerfstudio": (nerfstudio.detect, nerfstudio.load),
     "llff": (llff.detect, llff.load),
+    "dtu": (dtu.detect, dtu.load),
     "colmap": (colmap.detect, colmap.load),
 }
 """Name of each layout with its test and its reader; the first whose test says yes is taken."""
@@ -50,7 +51,7 @@ def detect(folder: Path) -> str:
         if matches(folder):
             return name
     raise Misuse("holds no scene that Koala knows", where=folder,
-                 why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy or COLMAP model in it",
+                 why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model",
                  remedy="give the folder that holds one of these")  # fmt: skip
 
 

@@ -45,9 +45,13 @@ def place(view: View, folder: Path, stem: str, *, merge_mask: bool) -> Placed:
     if same and not merged:
         image = _kept(view, view.image, target)
     else:
-        picture = view.read() if merged else view.read_image()
-        suffix = view.image.suffix if view.image.suffix.lower() in images.FLOAT_SUFFIXES else ".png"
-        image = _written(target, suffix, picture if same else pinhole.resample(picture))
+        as_float = view.image.suffix.lower() == ".exr"
+        picture = view.read_image()
+        if merged and view.mask is not None:
+            picture = np.concatenate([picture[..., :3], view.read()[..., 3:]], axis=-1)
+        if not same:
+            picture = pinhole.resample(picture, undistort.SMOOTH if as_float else undistort.COLOUR)
+        image = _written(target, ".exr" if as_float else ".png", picture)
     mask = None
     if view.mask is not None and not merged:
         at = folder / "masks" / Path(stem).name

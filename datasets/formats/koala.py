@@ -6,9 +6,10 @@ SCENE/masks/         where there are masks
 SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation alone
 """
 
+import errno
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +31,26 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None) -> None:
+def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
     """Write a scene folder, images included. `extra` maps further relative names to files to take along.
+
+    Returns:
+        What the layout cannot hold of the scene: nothing.
 
     Raises:
         Misuse: `path` holds something already.
     """
     with files.atomic_folder(path) as folder:
-        views = [_saved_view(view, folder) for view in scene.views]
+        views = []
+        for view in scene.views:
+            views.append(_saved_view(view, folder))
+            done()
         for name, source in (extra or {}).items():
             link(source, folder / name)
         if scene.points is not None:
             np.savez_compressed(folder / POINTS, points=scene.points)
         files.write_json(folder / FILE, {"format": FORMAT, "version": VERSION, **sidecar.facts(scene), "views": views})
+    return ""
 
 
 def _saved_view(view: View, folder: Path) -> dict[str, Any]:
@@ -74,7 +82,17 @@ def link(source: Path, target: Path) -> None:
     try:
         os.link(Path(source).resolve(), target)
     except OSError:
+        _copy(source, target)
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file; a full disk is told of the target, where `shutil` would name the source."""
+    try:
         shutil.copyfile(source, target)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise OSError(error.errno, error.strerror, str(target)) from None
+        raise
 
 
 def load(folder: Path, *, problems: list[KoalaError] | None = None) -> Scene:

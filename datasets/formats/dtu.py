@@ -1,0 +1,112 @@
+"""DTU in the layout of IDR and NeuS: `cameras_sphere.npz`, `image/`, `mask/`.
+
+`world_mat_i` is the projection K [R | t] of camera i for the original image size, in OpenCV's axes and pixel origin;
+`scale_mat_i` takes the unit sphere about the object to the world. The world is that of the file (millimetres for DTU).
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import bounds, images, pose
+from datasets.camera_model import Camera
+from datasets.conventions import pixels_from_opencv
+from datasets.errors import DatasetError, KoalaError
+from datasets.formats import assemble
+from datasets.formats.llff import PICTURES
+from datasets.scene import Scene, View
+
+CAMERAS = ("cameras_sphere.npz", "cameras.npz")
+
+
+def detect(folder: Path) -> bool:
+    """True for a folder with `cameras_sphere.npz` or `cameras.npz` and `image/`."""
+    return any((folder / name).is_file() for name in CAMERAS) and (folder / "image").is_dir()
+
+
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
+         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+    """Read a DTU folder; every `hold_out`-th view by sorted name is a test view.
+
+    The file does not say which image size its matrices are for: the power of two times the present size that puts the
+    principal point nearest to the middle is taken, and named in the notes.
+
+    Raises:
+        DatasetError: a camera or a mask is missing, or the cameras are no plain arrays.
+    """
+    source = next((folder / name for name in CAMERAS if (folder / name).is_file()), folder / CAMERAS[0])
+    stored = _arrays(source)
+    pictures = _sorted(folder / (images_folder or "image"))
+    masks = _sorted(folder / "mask") if (folder / "mask").is_dir() else []
+    if masks and len(masks) != len(pictures):
+        raise DatasetError("masks and images do not correspond", where=folder / "mask", why=f"{len(masks)} and {len(pictures)}")
+    gathering = assemble.Gathering(folder, problems)
+    for index, picture in enumerate(pictures):
+        where = f"{source}, world_mat_{index} ({picture.name})"
+        try:
+            if f"world_mat_{index}" not in stored:
+                raise DatasetError("camera is missing", where=where, remedy="one world_mat for each image, in the order of names")
+            matrix, camera, factor = _posed(stored[f"world_mat_{index}"], images.size(picture), where=where)
+            gathering.views.append(View(picture.stem, camera, matrix, "train", picture, masks[index] if masks else None))
+            if factor != 1 and not gathering.notes:
+                full = f"{camera.width * factor:g}x{camera.height * factor:g}"
+                gathering.notes.append(f"{source.name} is for images of {full}, {picture.parent.name} holds "
+                                       f"{camera.width}x{camera.height}: intrinsics are scaled")  # fmt: skip
+        except KoalaError as error:
+            gathering.complain(error)
+    views = assemble.hold_out(gathering.finished(listed_in=picture.parent.name), hold_out)
+    scene = assemble.scene(gathering, views, provenance={"format": "dtu", "source": str(folder.absolute())})
+    return _in_sphere(scene, stored["scale_mat_0"]) if "scale_mat_0" in stored else scene
+
+
+def _in_sphere(scene: Scene, scale_mat: NDArray[np.float64]) -> Scene:
+    """The scene with the box cut to the cube about the unit sphere, and near and far to it where nothing else is seen."""
+    centre, radius = scale_mat[:3, 3], float(scale_mat[0, 0])
+    cube = np.stack([centre - radius, centre + radius])
+    box = np.stack([np.maximum(scene.box[0], cube[0]), np.minimum(scene.box[1], cube[1])])
+    box = box if scene.background == "white" and (box[0] < box[1]).all() else cube
+    near, far = bounds.depth_range(scene.views, box)
+    return Scene(**{**vars(scene), "box": box, "near": near if scene.background == "white" else min(near, scene.near),
+                    "far": far if scene.background == "white" else scene.far})  # fmt: skip
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {
+                name: stored[name].astype(np.float64) for name in stored.files if name.startswith(("world_mat_", "scale_mat_"))
+            }
+    except (ValueError, OSError, EOFError, KeyError) as error:
+        raise DatasetError("is not a file of plain arrays", where=path, why=str(error)) from None
+
+
+def _sorted(folder: Path) -> list[Path]:
+    found = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES)
+    if not found:
+        raise DatasetError("scene has no images", where=folder, remedy="put the images there")
+    return found
+
+
+def _posed(world_mat: NDArray[np.float64], size: tuple[int, int], *, where: str) -> tuple[NDArray[np.float64], Camera, float]:
+    """World from camera, intrinsics at the picture's `size`, and by what the matrix's picture was larger."""
+    from scipy.linalg import rq
+
+    if world_mat.shape != (4, 4) or not np.isfinite(world_mat).all():
+        raise DatasetError("projection is not a finite 4x4 matrix", where=where)
+    intrinsics, rotation = rq(world_mat[:3, :3])
+    signs = np.diag(np.sign(np.diag(intrinsics)))
+    intrinsics, rotation = intrinsics @ signs, signs @ rotation
+    if np.linalg.det(rotation) < 0:  # the projection is known up to its sign
+        rotation, world_mat = -rotation, -world_mat
+    translation = np.linalg.solve(intrinsics, world_mat[:3, 3])
+    intrinsics = intrinsics / intrinsics[2, 2]
+    if abs(intrinsics[0, 1]) > 1e-3 * intrinsics[0, 0]:
+        raise DatasetError("pixels are skewed", where=where, why=f"skew {intrinsics[0, 1]:.3g}")
+    cx, cy = (float(value) for value in pixels_from_opencv(intrinsics[:2, 2]))
+    width, height = size
+    factor = float(2.0 ** np.round(np.log2(2 * max(cx, 1.0) / width)))
+    full = Camera(round(width * factor), round(height * factor), float(intrinsics[0, 0]), float(intrinsics[1, 1]), cx, cy)
+    camera_from_world = pose.checked(pose.rigid(rotation, translation), where=where)
+    return pose.inverse(camera_from_world), full.scaled(width, height).checked(where=where), factor
