@@ -8,12 +8,14 @@ JSON lines over the socket FD. It says {"ready": ...} or {"failed": ...}, then {
 import contextlib
 import json
 import os
+import select
 import socket
 import sys
 import time
 from typing import Any
 
-PERIOD_S = 0.005
+BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
+"""The client is asked this often in motion and for a while after it, and else [s]."""
 KICK_S = 0.05
 VARIABLES = [
     "timestamp",
@@ -64,7 +66,7 @@ class _Client:
 def _serve(client: _Client, link: socket.socket) -> None:
     """Loop until the link closes; then slow the arm down."""
     link.setblocking(False)
-    buffer, kicked, stamp = b"", 0.0, -1.0
+    buffer, kicked, stamp, busy_until = b"", 0.0, -1.0, 0.0
     while True:
         begun = time.monotonic()
         try:
@@ -76,15 +78,18 @@ def _serve(client: _Client, link: socket.socket) -> None:
             pass  # nothing was asked
         *lines, buffer = buffer.split(b"\n")
         for line in lines:
+            busy_until = begun + BUSY_AFTER_S
             _say(link, _obey(client, json.loads(line)))
         if begun - kicked >= KICK_S:
             client.control.kickWatchdog()
             kicked = begun
         state = client.state()
+        busy_until = begun + BUSY_AFTER_S if state["moving"] else busy_until
         if state["robot_time_s"] != stamp or not (state["connected"] and state["running"]):
             stamp = state["robot_time_s"]
             _say(link, {"state": state})
-        time.sleep(max(0.0, PERIOD_S - (time.monotonic() - begun)))
+        period = BUSY_PERIOD_S if begun < busy_until else IDLE_PERIOD_S
+        select.select([link], [], [], max(0.0, period - (time.monotonic() - begun)))
     client.control.stopJ(2.0, True)
 
 

@@ -15,6 +15,7 @@ from capture.sim import dashboard, rtde_protocol
 from capture.sim.arm import Arm, RobotMode, Safety
 from capture.sim.rtde_protocol import Recipe, packet
 from capture.sim.script import ControlProgram
+from datasets import pose
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 VERSION = (5, 11, 5, 1010327)
@@ -97,6 +98,7 @@ class ControllerServer:
         self.deaf = False
         self._input_written_s = 0.0
         self._start = time.monotonic()
+        self._poses: dict[bytes, np.ndarray] = {}
 
     @property
     def now(self) -> float:
@@ -179,7 +181,7 @@ class ControllerServer:
         return {
             "timestamp": now, "target_q": target, "target_qd": target_speeds, "target_qdd": target_accelerations,
             "actual_q": joints, "actual_qd": speeds,
-            "actual_TCP_pose": _pose_numbers(arm.base_from_tcp(joints)), "target_TCP_pose": _pose_numbers(arm.base_from_tcp(target)),
+            "actual_TCP_pose": self._tcp_pose(joints), "target_TCP_pose": self._tcp_pose(target),
             "robot_mode": int(arm.mode), "safety_mode": int(arm.safety), "joint_mode": [253] * 6,
             "runtime_state": RUNNING_STATE if self.program_running else STOPPED_STATE,
             "robot_status_bits": int(powered) | int(self.program_running) << 1,
@@ -189,6 +191,14 @@ class ControllerServer:
             "actual_main_voltage": 48.0, "actual_robot_voltage": 48.0, "joint_temperatures": [30.0] * 6,
             "actual_digital_output_bits": self.digital_outputs,
         }  # fmt: skip
+
+    def _tcp_pose(self, joints: np.ndarray) -> np.ndarray:
+        """Position [m] and rotation vector [rad]; kept for the arm at rest, which asks for the same one again and again."""
+        key = joints.tobytes() + self.arm.flange_from_tcp.tobytes()
+        if key not in self._poses:
+            base_from_tcp = self.arm.base_from_tcp(joints)
+            self._poses = {key: np.concatenate([base_from_tcp[:3, 3], pose.rotation_vector(base_from_tcp)])}
+        return self._poses[key]
 
     def _value(self, values: dict[str, Any], name: str) -> Any:
         if name in values:
@@ -302,9 +312,3 @@ _SIDE_ACTIONS = {
 
 def _names(payload: bytes) -> list[str]:
     return [name for name in payload.decode("latin-1").split(",") if name]
-
-
-def _pose_numbers(transform: Any) -> np.ndarray:
-    from datasets import pose
-
-    return np.concatenate([transform[:3, 3], pose.rotation_vector(transform)])
