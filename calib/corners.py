@@ -51,9 +51,9 @@ def fit(grey: NDArray[np.float32], start: Array, points: Array, clear_m: float) 
         step[:, 2:5] = np.clip(step[:, 2:5], -0.2, 0.2)
         parameters = parameters + step
         moved = np.abs(step[:, :2]).max(1) > 1e-3
-    shift, blur = parameters[:, :2], np.exp(parameters[:, 4])
+    shift, blur = parameters[:, :2], _blur(parameters)
     good = (weight.sum(1) >= MIN_PIXELS) & ~moved & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
-    good &= np.isfinite(parameters).all(1) & (blur > 0.2) & (blur < 4) & (np.abs(parameters[:, 5]) > 0.02)
+    good &= np.isfinite(parameters).all(1) & (blur < 4) & (np.abs(parameters[:, 5]) > 0.02)
     return start + np.where(good[:, None], shift, 0.0)
 
 
@@ -82,19 +82,24 @@ def _patches(grey: NDArray[np.float32], start: Array, scale: Array, clear_m: flo
 
 
 def _initial(values: Array, weight: Array, scale: Array) -> Array:
-    """(n, 9) start: shift 0, directions of the normals from the board, blur of 0.7 px, contrast and level by least squares."""
+    """(n, 9) start: shift 0, directions of the normals from the board, lens blur of 0.5 px, contrast and level by least squares."""
     count = np.maximum(weight.sum(1), 1)
     level = (values * weight).sum(1) / count
     edges = np.arctan2(scale[:, 1], scale[:, 0])  # (n, 2) directions of the board's x and y axes in the picture
     parameters = np.zeros((len(values), 9))
-    parameters[:, 2:4], parameters[:, 4], parameters[:, 6] = edges[:, ::-1] + np.pi / 2, np.log(0.7), level
+    parameters[:, 2:4], parameters[:, 4], parameters[:, 6] = edges[:, ::-1] + np.pi / 2, np.log(0.5), level
     parameters[:, 5] = np.sqrt(((values - level[:, None]) ** 2 * weight).sum(1) / count)
     return parameters
 
 
+def _blur(parameters: Array) -> Array:
+    """(n,) standard deviation of the blur [px]: that of the lens and that of a square pixel, whose variance is 1/12 in any direction."""
+    return np.sqrt(np.exp(2 * parameters[:, 4]) + 1 / 12)
+
+
 def _model(parameters: Array, offsets: Array) -> tuple[Array, Array]:
-    """(n, m) brightness and (n, m, 9) derivative by shift (2), two angles, log blur, contrast, level, slope (2)."""
-    shift, angles, blur = parameters[:, None, :2], parameters[:, 2:4], np.exp(parameters[:, 4])[:, None]
+    """(n, m) brightness and (n, m, 9) derivative by shift (2), two angles, log of the lens's blur, contrast, level, slope (2)."""
+    shift, angles, blur = parameters[:, None, :2], parameters[:, 2:4], _blur(parameters)[:, None]
     contrast, level, slope = parameters[:, 5, None], parameters[:, 6, None], parameters[:, 7:]
     from_corner = offsets - shift
     values, derivatives, scaled, turned = [], [], [], []
@@ -111,6 +116,7 @@ def _model(parameters: Array, offsets: Array) -> tuple[Array, Array]:
         pull = by_distance[0] * turned[0][0][:, axis, None] + by_distance[1] * turned[1][0][:, axis, None]
         jacobian[..., axis] = -pull / blur - slope[:, axis, None]
         jacobian[..., 2 + axis] = by_distance[axis] * turned[axis][1]
-    jacobian[..., 4] = -(by_distance[0] * scaled[0] + by_distance[1] * scaled[1])
+    of_lens = np.exp(2 * parameters[:, 4, None]) / blur**2  # share of the lens in the blur's square
+    jacobian[..., 4] = -of_lens * (by_distance[0] * scaled[0] + by_distance[1] * scaled[1])
     jacobian[..., 5], jacobian[..., 6], jacobian[..., 7:] = values[0] * values[1], 1.0, from_corner
     return contrast * values[0] * values[1] + level + np.einsum("nmi,ni->nm", from_corner, slope), jacobian

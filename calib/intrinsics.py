@@ -168,6 +168,8 @@ def _fit(
         ) from None
     if not np.isfinite(rms):
         raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+        raise Unobservable("focal length is not observable", why=f"the fit gives {matrix[0, 0]:.3g} px", remedy=_TILT)
     focal, centre = matrix[[0, 1], [0, 1]], conventions.pixels_from_opencv(matrix[:2, 2])
     values = np.concatenate([focal, centre, distortion.ravel()[:5]])
     camera = projection.with_vector(Camera(width, height, 1, 1, 0, 0), values).checked(where="estimated camera")

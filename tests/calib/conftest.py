@@ -1,17 +1,21 @@
 """Simulated target sessions without pictures: true corners, noise on corners and on the arm's reports."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 
 from calib import model, projection
 from calib.targets import Board, Observation
-from datasets import pose
+from datasets import images, pose
 from datasets.camera_model import Camera
+from datasets.recording import Frame, Recording
 
 BOARD = Board("charuco", 11, 8, 0.03, 0.022, "DICT_5X5_100")
 CAMERA = Camera(960, 600, 850.0, 848.0, 484.0, 296.0, -0.08, 0.05, 0.0006, -0.0004, 0.0)
+SMALL_CAMERA = CAMERA.scaled(480, 300)
 FLANGE_FROM_CAMERA = pose.from_rotation_vector([0.05, -0.03, 1.55], [0.06, 0.01, 0.08])
 BASE_FROM_BOARD = pose.from_rotation_vector([np.pi, 0.0, 0.0], [0.35, 0.10, 0.0])  # lies on the table, z into it
 
@@ -26,6 +30,7 @@ class Simulated:
     camera: Camera = CAMERA
     flange_from_camera: np.ndarray = None
     base_from_board: np.ndarray = None
+    taken: np.ndarray = None  # (views, 4, 4) true base_from_camera
 
     def session(self, **options) -> model.Session:
         view = np.repeat(np.arange(len(self.observations)), [len(o.ids) for o in self.observations])
@@ -73,7 +78,47 @@ def _simulate(seed=0, views=20, noise_px=0.1, translation_m=5e-5, rotation_deg=0
         error = np.concatenate([rng.normal(0, translation_m, 3), rng.normal(0, np.deg2rad(rotation_deg), 3)])
         true = view @ pose.inverse(FLANGE_FROM_CAMERA)
         reported.append(true @ pose.inverse(model.perturbed(np.eye(4), error)))
-    return Simulated(BOARD, observations, np.stack(reported), camera, FLANGE_FROM_CAMERA, BASE_FROM_BOARD)
+    return Simulated(BOARD, observations, np.stack(reported), camera, FLANGE_FROM_CAMERA, BASE_FROM_BOARD, base_from_camera)
+
+
+@lru_cache
+def _rays(camera, samples):
+    """samples^2 pictures (height, width, 3) of ray directions, spread over each pixel without lines that edges could lie along."""
+    places = np.arange(samples**2)[:, None] * [0.7548776662, 0.5698402910] % 1 - 0.5  # Roberts' R2 sequence
+    return [camera.directions(camera.pixel_centres() + place - places.mean(0)) for place in places]
+
+
+def _board_picture(board, per_square):
+    """(height, width) print of a board, 0..1, without a margin; drawn here, square by square."""
+    rows, columns = np.arange(board.squares_y * per_square) // per_square, np.arange(board.squares_x * per_square) // per_square
+    picture = ((rows[:, None] + columns) % 2).astype(np.float32)
+    if board.type == "charuco":
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+        side = round(per_square * board.marker_length_m / board.square_length_m)
+        assert side == pytest.approx(per_square * board.marker_length_m / board.square_length_m), "the print must be exact"
+        squares = [(row, column) for row in range(board.squares_y) for column in range(board.squares_x) if (row + column) % 2]
+        for number, (row, column) in enumerate(squares):
+            y, x = (per_square * place + (per_square - side) // 2 for place in (row, column))
+            picture[y : y + side, x : x + side] = dictionary.generateImageMarker(number, side, borderBits=1) / 255
+    return picture
+
+
+def _photograph(board, camera, camera_from_board, *, rng, noise=0.01, samples=4):
+    """Picture of a board on grey ground: every pixel is the mean of samples^2 rays through the true lens."""
+    per_square = 90
+    print_ = _board_picture(board, per_square)
+    image = np.zeros((camera.height, camera.width))
+    board_from_camera = pose.inverse(camera_from_board)
+    for rays in _rays(camera, samples):
+        directions = rays @ board_from_camera[:3, :3].T
+        reach = -board_from_camera[2, 3] / directions[..., 2]
+        hit = board_from_camera[:3, 3] + reach[..., None] * directions
+        at = np.floor(hit[..., :2] / board.square_length_m * per_square).astype(int)
+        on = ((at >= 0) & (at < [print_.shape[1], print_.shape[0]])).all(-1)
+        at = np.where(on[..., None], at, 0)
+        image += np.where(on, 0.1 + 0.75 * print_[at[..., 1], at[..., 0]], 0.85)
+    image = cv2.GaussianBlur(image / samples**2, (0, 0), 0.5) + rng.normal(0, noise, image.shape)  # no lens is sharper
+    return np.clip(image, 0, 1).astype(np.float32)
 
 
 @pytest.fixture(scope="session")
@@ -95,6 +140,45 @@ def small(simulate):
 
 
 @pytest.fixture(scope="session")
-def with_camera():
-    """Function that changes fields of a simulated session."""
-    return replace
+def photograph():
+    """Function that takes a picture of a board through the true lens."""
+    return _photograph
+
+
+@pytest.fixture(scope="session")
+def board_picture():
+    """Function that draws a board."""
+    return _board_picture
+
+
+@pytest.fixture(scope="session")
+def make_recording():
+    """Function that writes a recording of a target session, pictures and all, and returns its truth."""
+
+    def make(path, *, seed=0, views=12, blank=(), camera=SMALL_CAMERA):
+        session = _simulate(seed=seed, views=views, camera=camera)
+        recording = Recording.create(path, {"trajectory": {}, "board": {**BOARD.to_json(), "name": "extra keys do no harm"}})
+        rng = np.random.default_rng(seed)
+        for index, reported in enumerate(session.reported):
+            name = f"{index:03d}"
+            camera_from_board = pose.inverse(session.taken[index]) @ BASE_FROM_BOARD
+            grey = (
+                np.full((camera.height, camera.width), 0.5)
+                if index in blank
+                else _photograph(BOARD, camera, camera_from_board, rng=rng)
+            )
+            image = path / "images" / f"{name}.png"
+            images.write(image, np.rint(255 * np.repeat(grey[..., None], 3, -1)).astype(np.uint8))
+            recording.append(
+                Frame(index, name, "calibration", f"images/{name}.png", reported, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "0" * 64)
+            )
+        return session
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory, make_recording):
+    """(path, truth) of a recorded target session of 12 views, the last of which shows no target."""
+    path = tmp_path_factory.mktemp("calib") / "recording"
+    return path, make_recording(path, blank=(11,))

@@ -8,9 +8,12 @@ import pytest
 import yaml
 
 from calib import handeye, intrinsics
+from calib.calibrate import calibrate_handeye
+from calib.report import notes
 from calib.session import observe
 from calib.targets import Board
 from datasets import conventions, pose
+from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -76,3 +79,40 @@ def test_charuco_agrees_with_the_published_answer(charuco):
     # the source drew its axes into some corners: a fresh solve agrees within about 1 mm
     distance, angle = pose.difference(found.flange_from_camera, published)
     assert distance < 1.5e-3 and np.rad2deg(angle) < 0.3
+
+
+def test_refinement_of_visp_stays_with_the_published_answer_and_admits_the_arm_errors(visp):
+    session, camera = visp
+    found = calibrate_handeye(session, Calibration(camera, {}))
+    difference = 1e3 * (found.flange_from_camera.matrix[:3, 3] - [0.05772, -0.03392, -0.04228])
+    # the arm's poses scatter by millimetres; both answers must agree within the stated uncertainty
+    assert (np.abs(difference) < 2 * found.flange_from_camera.translation_std_mm).all()
+    assert np.linalg.norm(difference) < 1.0
+    assert found.residuals["arm_translation_mm"] > 1 and any("less accurate than stated" in note for note in notes(found))
+
+
+def test_refinement_of_charuco_agrees_within_its_uncertainty(charuco):
+    session, camera, published = charuco
+    found = calibrate_handeye(session, Calibration(camera, {}))
+    difference = 1e3 * (found.flange_from_camera.matrix[:3, 3] - published[:3, 3])
+    assert (np.abs(difference) < 3 * found.flange_from_camera.translation_std_mm).all()
+    assert np.linalg.norm(difference) < 2.0
+    assert found.residuals["rms_px"] < 0.4  # the drawn axes spoil a few corners
+
+
+def test_intrinsics_from_the_pictures_agree_with_the_maker_s(charuco):
+    session, camera, _ = charuco
+    found = intrinsics.calibrate(session.observations, session.width, session.height)
+    # twelve views that cover a third of the image: within four deviations of the camera's own figures
+    assert abs(found.camera.fx - camera.fx) < max(4 * found.std["fx"], 5) and abs(found.camera.cx - camera.cx) < max(
+        4 * found.std["cx"], 8
+    )
+
+
+def test_axes_of_the_answer_are_a_camera_on_a_flange(visp):
+    session, camera = visp
+    found = closed_form(session, camera, "park")
+    boards = session.base_from_flange @ found.flange_from_camera
+    forward = boards[:, :3, 2]
+    assert (forward[:, 2] < -0.5).all(), "the camera looks down at the table"
+    assert found.translation_residual_m.mean() < 8e-3

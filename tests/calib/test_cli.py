@@ -1,0 +1,77 @@
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+
+
+def calib(*arguments):
+    """Run the command as a person does."""
+    code = "import sys; from calib.cli import main; sys.argv[0] = 'calib'; main()"
+    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def handeye(recorded, tmp_path_factory):
+    """(finished command, its output file)."""
+    out = tmp_path_factory.mktemp("calib") / "calibration.json"
+    return calib("handeye", recorded[0], "--out", out), out
+
+
+def test_handeye_writes_a_calibration_and_says_what_it_found(handeye):
+    result, out = handeye
+    assert result.returncode == 0, result.stderr
+    assert "flange_from_camera" in result.stdout and " ± " in result.stdout and "px rms" in result.stdout
+    assert "note: no target was found in view 011" in result.stdout
+    assert json.loads(out.read_text())["format"] == "koala-calibration"
+
+
+def test_verify_reads_it(handeye, recorded):
+    result = calib("verify", recorded[0], "--calibration", handeye[1], "--json")
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["views"] == 11 and 0 < found["rms_mm"] < 0.5
+
+
+def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
+    first = calib("intrinsics", recorded[0], "--out", tmp_path / "camera.json", "--json")
+    assert first.returncode == 0, first.stderr
+    assert json.loads(first.stdout)["residuals"]["views_used"] == 11 and "flange_from_camera" not in json.loads(first.stdout)
+    second = calib("handeye", recorded[0], "--intrinsics", tmp_path / "camera.json", "--out", tmp_path / "rig.json", "--json")
+    assert second.returncode == 0, second.stderr
+    assert len(json.loads(second.stdout)["flange_from_camera"]["translation_std_mm"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["handeye", "/nowhere", "--out", "{tmp}/c.json"], "is not a recording"),
+        (["handeye", "{recording}", "--out", "{tmp}"], "is a folder"),
+        (["handeye", "{recording}", "--out", "{tmp}/c.json", "--intrinsics", "{tmp}/no.json"], "no such file"),
+        (["handeye", "{recording}", "--out", "{tmp}/c.json", "--arm-mm", "nan"], "--arm-mm"),
+        (["handeye", "{recording}"], "--out"),
+        (["verify", "{recording}"], "--calibration"),
+        (["handeyes"], "handeyes"),
+    ],
+)
+def test_misuse_is_one_line_and_exit_code_2(recorded, tmp_path, arguments, message):
+    result = calib(*(a.format(tmp=tmp_path, recording=recorded[0]) for a in arguments))
+    assert result.returncode == 2
+    assert message in result.stderr and len(result.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_file_is_not_overwritten(handeye, recorded):
+    before = handeye[1].read_bytes()
+    result = calib("handeye", recorded[0], "--out", handeye[1])
+    assert result.returncode == 2 and "already exists" in result.stderr
+    assert handeye[1].read_bytes() == before
+
+
+def test_help_is_instant():
+    calib("--help")  # the first call compiles
+    start = time.perf_counter()
+    result = calib("handeye", "--help")
+    assert result.returncode == 0 and "RECORDING" in result.stdout
+    assert time.perf_counter() - start < 1.0  # 0.1 s on an idle core
