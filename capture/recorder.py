@@ -19,7 +19,7 @@ Advance = Callable[[str], None]
 
 
 def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False, planned: list[PlannedView] | None = None,
-           advance: Advance | None = None) -> Recording:  # fmt: skip
+           advance: Advance = lambda name: None) -> Recording:  # fmt: skip
     """Take every view of `trajectory` that `out` does not hold yet.
 
     Each frame counts once its image and its truth are on the disk and its line is written; a kill at any moment costs at
@@ -31,7 +31,7 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
         out: the recording. New or empty, unless `resume`.
         resume: go on with the recording in `out`, which must be of the same trajectory and rig.
         planned: the plan, where it has been made already.
-        advance: called with the name of each finished frame.
+        advance: called with the name of each frame that is there, those of before too.
 
     Raises:
         Misuse: `out` holds something else than this session.
@@ -45,6 +45,7 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
     for index, view in enumerate(planned):
         name = view.viewpoint.name
         if name in taken:
+            advance(name)
             continue
         follows = index > 0 and previous == planned[index - 1].viewpoint.name
         way = view.way if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
@@ -54,8 +55,7 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
         arrived = time.monotonic()
         previous = name
         recording.append(_expose(recording, rig, index, view, arrived, motion.settle_time_s))
-        if advance is not None:
-            advance(name)
+        advance(name)
     return recording
 
 

@@ -25,9 +25,10 @@ from capture.trajectory import Trajectory
 from datasets import files, images
 
 Maps = dict[str, NDArray[np.float32]]
-SAMPLES = 16
-"""Light paths per pixel of the supersampled pinhole picture: four times as many per pixel of the image."""
+SAMPLES = 9
+"""Light paths per pixel of the supersampled pinhole picture, four times as many per pixel of the image: noise of 36 dB."""
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
+LIGHT = ("diffuse", "specular")
 
 
 class View(Protocol):
@@ -186,10 +187,12 @@ class SimulatedCamera:
         """Write what is true of the newest picture: its pose; for test views also the maps of `SUFFIXES`.
 
         folder/CHANNEL/NAME.*: `normals` (unit, base frame), `depth` (along z [m], 0 beside the object), `alpha` (share of
-        the pixel that shows the object), `diffuse` and `specular` (linear light; their sum is the whole).
+        the pixel that shows the object), `diffuse` and `specular` (linear light, 1 is the picture's white; they sum to it).
         """
         if split == "test":
+            white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)
             for channel, values in self.view.truth(self.lens, self._pose, self._seed).items():
+                values = values / white if channel in LIGHT else values
                 images.write(folder / channel / f"{name}{SUFFIXES[channel]}", values)
         poses = folder / "poses.json"
         content = files.read_json(poses) if poses.exists() else self._session(folder)
@@ -207,7 +210,6 @@ class SimulatedCamera:
             "format": "koala-truth", "version": 1, "camera": self.lens.camera.to_json(),
             "sensor_camera": self.truth.sensor_camera.to_json(), "flange_from_camera": self.truth.flange_from_camera.tolist(),
             "base_from_board": board.matrix().tolist() if board is not None else None, "base_from_camera": {},
-            "radiance_at_white": Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db),
         }  # fmt: skip
 
     @property

@@ -62,6 +62,7 @@ class Renderer:
 
     def __init__(self, stage: Stage, *, using: str | None = None) -> None:
         mi.set_variant(using or variant())
+        mi.set_log_level(mi.LogLevel.Error)
         self.stage = stage
         shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}
         to_base = mi.ScalarTransform4f(BASE_FROM_ROOM)
