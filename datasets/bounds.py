@@ -120,7 +120,8 @@ def _mask(view: View) -> NDArray[np.bool_]:
     inside = picture[..., 0 if view.mask else -1] > 0
     height, width = inside.shape
     padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
-    return padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL).any(axis=(1, 3))
+    cells = padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL)
+    return np.any(cells, axis=(1, 3))
 
 
 def _carve(view: View, mask: NDArray[np.bool_], points: NDArray[np.float64],

@@ -11,14 +11,16 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from datasets.errors import KoalaError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
-_ClickException = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+_INTERRUPTED = 130
+"""What newer versions of typer return, in silence, where Ctrl-C stopped a command."""
+_ClickException: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 """Base of typer's complaints about arguments: from click, or from the copy of click inside newer versions of typer."""
 _state = {"debug": False, "json": False}
 
@@ -41,6 +43,8 @@ def run(app: typer.Typer) -> None:
     _state.update(debug="--debug" in sys.argv, json="--json" in sys.argv)
     try:
         result = app(standalone_mode=False)
+        if result == _INTERRUPTED:
+            raise KeyboardInterrupt
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except _ClickException as error:
@@ -62,7 +66,7 @@ def _os_error(error: OSError) -> str:
     return f"{error.filename or ''}: {error.strerror or error}".lstrip(": ")
 
 
-def _fail(message: str, code: int, error: BaseException | None = None) -> None:
+def _fail(message: str, code: int, error: BaseException | None = None) -> NoReturn:
     if _state["debug"] and error is not None:
         import traceback
 

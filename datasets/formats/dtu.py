@@ -38,7 +38,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     """
     source = next((folder / name for name in CAMERAS if (folder / name).is_file()), folder / CAMERAS[0])
     stored = _arrays(source)
-    pictures = _sorted(folder / (images_folder or "image"))
+    home = images_folder or "image"
+    pictures = _sorted(folder / home)
     masks = _sorted(folder / "mask") if (folder / "mask").is_dir() else []
     if masks and len(masks) != len(pictures):
         raise DatasetError("masks and images do not correspond", where=folder / "mask", why=f"{len(masks)} and {len(pictures)}")
@@ -52,11 +53,11 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, masks[index] if masks else None))
             if factor != 1 and not gathering.notes:
                 full = f"{camera.width * factor:g}x{camera.height * factor:g}"
-                gathering.notes.append(f"{source.name} is for images of {full}, {picture.parent.name} holds "
+                gathering.notes.append(f"{source.name} is for images of {full}, {home} holds "
                                        f"{camera.width}x{camera.height}: intrinsics are scaled")  # fmt: skip
         except KoalaError as error:
             gathering.complain(error)
-    views = assemble.hold_out(gathering.finished(listed_in=picture.parent.name), hold_out)
+    views = assemble.hold_out(gathering.finished(listed_in=home), hold_out)
     scene = assemble.scene(gathering, views, provenance={"format": "dtu", "source": str(folder.absolute())})
     return _in_sphere(scene, stored["scale_mat_0"]) if "scale_mat_0" in stored else scene
 

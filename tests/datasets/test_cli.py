@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -102,4 +103,30 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Sc
     ]
     failed = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert failed.returncode == 1 and "Traceback" not in failed.stderr and "error:" in failed.stderr
+    assert list((tmp_path / "o").iterdir()) == []
+
+
+def test_ctrl_c_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    from datasets.camera_model import Camera
+
+    koala.save(make_scene(Camera(320, 240, 300.0, 301.0, 160.0, 120.0, k1=-0.1), 40, truth=False), tmp_path / "scene")
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom datasets.cli import main; main()"
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "export",
+        str(tmp_path / "scene"),
+        "--format",
+        "llff",
+        "--out",
+        str(tmp_path / "o" / "x"),
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 30
+    while not list((tmp_path / "o").glob(".x.*/images/*.png")) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 1 and errors.startswith("error: stopped by Ctrl-C") and len(errors.strip().splitlines()) == 1
     assert list((tmp_path / "o").iterdir()) == []

@@ -83,3 +83,18 @@ def test_colmap_reprojects_its_own_points(real_data: Folder) -> None:
     inside = ((pixels > 0) & (pixels < [view.camera.width, view.camera.height])).all(1)
     assert inside.mean() > 0.9
     assert view.read().shape == (view.camera.height, view.camera.width, 3)
+
+
+def test_dtu_scales_its_matrices_and_sees_its_object(real_data: Folder) -> None:
+    """The stated trap: matrices for 1600x1200, images of 800x600. The centre of the unit sphere lies in every mask's middle."""
+    scene = load_scene(real_data("dtu_scan37"))
+    assert counts(scene) == (42, 7) and "1600x1200" in scene.notes[0] and scene.background == "white"
+    camera = scene.views[0].camera
+    assert (camera.width, camera.height) == (800, 600) and abs(camera.cx - 400) < 20 and abs(camera.cy - 300) < 20
+    with np.load(real_data("dtu_scan37") / "cameras_sphere.npz") as stored:
+        for index, view in enumerate(scene.views):
+            projected = stored[f"world_mat_{index}"] @ [10.0, 20.0, 700.0, 1.0]  # any point: K [R | t] was taken apart rightly
+            local = (np.array([10.0, 20.0, 700.0]) - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+            theirs = (projected[:2] / projected[2] + 0.5) / 2  # OpenCV's origin, twice the size
+            assert np.abs(view.camera.project(local) - theirs).max() < 0.3  # skew of the file's matrices is left out
+    assert view.read().shape == (600, 800, 4)

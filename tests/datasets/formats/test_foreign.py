@@ -1,0 +1,202 @@
+"""Made-up folders of other programs: what their formats allow, and what goes wrong in them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets import images, pose
+from datasets.camera_model import Camera
+from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from datasets.errors import DatasetError, KoalaError, Misuse
+from datasets.formats import colmap, detect, llff, load_scene
+
+SIZE = (30, 40, 3)
+
+
+@pytest.fixture
+def transforms(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a nerfstudio folder of ten images; keyword arguments enter the file, `frame` each frame."""
+
+    def write(*, frame: dict[str, Any] | None = None, drop: tuple[str, ...] = (), **content: Any) -> Path:
+        frames = []
+        for index in range(10):
+            image = f"images/{index:02d}.png"
+            images.write(tmp_path / image, np.random.default_rng(index).random(SIZE))
+            matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0)) @ OPENCV_FROM_OPENGL
+            frames.append({"file_path": image, "transform_matrix": matrix.tolist(), **(frame or {})})
+        known = {"fl_x": 50.0, "fl_y": 51.0, "cx": 20.5, "cy": 14.5, "w": 40, "h": 30, "frames": frames, **content}
+        (tmp_path / "transforms.json").write_text(json.dumps({k: v for k, v in known.items() if k not in drop}))
+        return tmp_path
+
+    return write
+
+
+def test_opengl_axes_become_ours(transforms: Callable[..., Path]) -> None:
+    scene = load_scene(transforms())
+    for index, view in enumerate(scene.views):
+        assert np.abs(view.world_from_camera - pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0))).max() < 1e-12
+    assert scene.views[0].camera == Camera(40, 30, 50.0, 51.0, 20.5, 14.5)
+    assert [view.split for view in scene.views] == ["test", *["train"] * 7, "test", "train"]
+
+
+def test_nerfstudios_order_of_distortion_params(transforms: Callable[..., Path]) -> None:
+    camera = load_scene(transforms(distortion_params=[0.1, 0.2, 0.3, 0.0, 0.4, 0.5])).views[0].camera
+    assert (camera.k1, camera.k2, camera.k3, camera.p1, camera.p2) == (0.1, 0.2, 0.3, 0.4, 0.5)
+
+
+def test_field_of_view_stands_in_for_the_focal_length(transforms: Callable[..., Path]) -> None:
+    folder = transforms(
+        drop=("fl_x", "fl_y", "cx", "cy", "w", "h"), camera_angle_x=2 * np.arctan(20 / 70), camera_angle_y=2 * np.arctan(15 / 80)
+    )
+    camera = load_scene(folder).views[0].camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((70, 80, 20, 15))
+
+
+def test_a_frames_own_intrinsics_come_first(transforms: Callable[..., Path]) -> None:
+    assert load_scene(transforms(frame={"fl_x": 60.0})).views[3].camera.fx == 60.0
+
+
+def test_splits_of_the_file_are_kept(transforms: Callable[..., Path]) -> None:
+    names = [f"images/{index:02d}.png" for index in range(10)]
+    scene = load_scene(transforms(train_filenames=names[:6], val_filenames=names[6:8], test_filenames=names[8:]))
+    assert [view.split for view in scene.views] == ["train"] * 6 + ["val"] * 2 + ["test"] * 2
+    with pytest.raises(DatasetError, match=r"test_filenames lists what is not among the frames \(other\.png\)"):
+        load_scene(transforms(test_filenames=["other.png"]))
+
+
+def test_masks_of_all_frames_make_a_white_background(transforms: Callable[..., Path], tmp_path: Path) -> None:
+    images.write(tmp_path / "mask.png", np.full(SIZE[:2], 255, np.uint8))
+    scene = load_scene(transforms(frame={"mask_path": "mask.png"}))
+    assert scene.background == "white" and scene.views[0].read().shape == (30, 40, 4)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"camera_model": "OPENCV_FISHEYE"}, "camera model OPENCV_FISHEYE is not supported"),
+        ({"k4": 0.1}, "distortion k4 is not supported"),
+        ({"drop": ("fl_x", "fl_y")}, "no focal length"),
+        ({"fl_x": float("nan")}, "not finite"),
+        ({"fl_x": "wide"}, "camera is not complete"),
+        ({"frames": []}, r"scene has no images \(transforms.json lists none\)"),
+        ({"frames": [{"file_path": "images/none.png"}]}, "lists 1, none of which exists"),
+        ({"frames": [{"path": "x"}]}, "no list of frames"),
+        ({"frame": {"file_path": "../../etc/passwd"}}, "leaves the folder"),
+        ({"frame": {"transform_matrix": [[1, 0], [0, 1]]}}, "pose is not 4x4"),
+        ({"frame": {"transform_matrix": np.full((4, 4), np.nan).tolist()}}, "pose is not finite"),
+    ],
+)
+def test_what_cannot_be_read_is_named(transforms: Callable[..., Path], content: dict[str, Any], words: str) -> None:
+    with pytest.raises(DatasetError, match=words) as caught:
+        load_scene(transforms(**content))
+    assert "\n" not in str(caught.value)
+
+
+def test_problems_are_gathered_where_a_list_is_given(transforms: Callable[..., Path]) -> None:
+    folder = transforms()
+    content = json.loads((folder / "transforms.json").read_text())
+    content["frames"][2]["transform_matrix"][0][0] = float("nan")
+    (folder / "transforms.json").write_text(json.dumps(content))
+    problems: list[KoalaError] = []
+    scene = load_scene(folder, problems=problems)
+    assert len(scene.views) == 9 and len(problems) == 1 and "images/02.png" in str(problems[0])
+
+
+@pytest.fixture
+def rows(tmp_path: Path) -> Callable[..., Path]:
+    """Writes an LLFF folder of eight images; `change` alters the (8, 17) rows first."""
+
+    def write(change: Callable[[np.ndarray], None] = lambda rows: None) -> Path:
+        made = []
+        for index in range(8):
+            images.write(tmp_path / "images" / f"{index}.png", np.random.default_rng(index).random(SIZE))
+            matrix = pose.look_at((0.1 * index, 0, -1), (0, 0, 2)) @ OPENCV_FROM_LLFF
+            made.append(np.concatenate([np.c_[matrix[:3], [60, 80, 100]].ravel(), [1.0, 5.0]]))
+        made = np.stack(made)
+        change(made)
+        np.save(tmp_path / "poses_bounds.npy", made)
+        return tmp_path
+
+    return write
+
+
+def test_llff_columns_by_hand(tmp_path: Path) -> None:
+    """Axes down, right, back of a camera with our axes in the world: (0 1 0), (1 0 0), (0 0 -1)."""
+    row = np.concatenate([np.c_[[[0, 1, 0], [1, 0, 0], [0, 0, -1]], [7, 8, 9], [60, 80, 100]].ravel(), [1.0, 5.0]])
+    images.write(tmp_path / "images" / "a.png", np.zeros(SIZE))
+    np.save(tmp_path / "poses_bounds.npy", row[None])
+    view = load_scene(tmp_path, hold_out=0).views[0]
+    assert np.array_equal(view.world_from_camera, pose.rigid(np.eye(3), (7, 8, 9)))
+    assert view.camera == Camera(40, 30, 50.0, 50.0, 20.0, 15.0)  # half the size that hwf speaks of
+    assert np.array_equal(llff.row_of(view.world_from_camera, Camera(80, 60, 100, 100, 40, 30), 1, 5), row)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: rows.__setitem__((3, 3), np.nan), r"row 3 \(3\.png\): pose is not finite"),
+        (lambda rows: rows.__setitem__((3, 4), 0), "height, width and focal length are not positive"),
+        (lambda rows: rows.__setitem__((slice(None), 9), 60), "image has another shape than its camera"),
+        (lambda rows: rows.__setitem__((slice(None), 15), 9), "near and far are not in order"),
+        (lambda rows: rows.__setitem__((0, 16), np.nan), "near and far are not in order"),
+    ],
+)
+def test_impossible_rows_are_named(rows: Callable[..., Path], change: Callable, words: str) -> None:
+    with pytest.raises(DatasetError, match=words):
+        load_scene(rows(change))
+
+
+def test_rows_and_images_must_correspond(rows: Callable[..., Path]) -> None:
+    folder = rows()
+    (folder / "images" / "3.png").unlink()
+    with pytest.raises(DatasetError, match="8 rows, images holds 7 images"):
+        load_scene(folder)
+
+
+def test_pickles_are_never_opened(rows: Callable[..., Path]) -> None:
+    folder = rows()
+    np.save(folder / "poses_bounds.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(DatasetError, match="not a plain array"):
+        load_scene(folder)
+
+
+def test_the_largest_images_are_taken_unless_others_are_asked_for(rows: Callable[..., Path]) -> None:
+    folder = rows()
+    for index in range(8):
+        images.write(folder / "images_2" / f"{index}.png", np.zeros((15, 20, 3)))
+    assert load_scene(folder).views[0].camera.width == 40
+    assert load_scene(folder, images="images_2").views[0].camera == Camera(20, 15, 25.0, 25.0, 10.0, 7.5)
+    with pytest.raises(Misuse, match="no folder of images"):
+        load_scene(folder, images="images_4")
+
+
+def test_colmap_text_model(tmp_path: Path) -> None:
+    """One camera at (1, 2, 3) turned by 180 degrees about x: camera_from_world has t = -R c = (-1, 2, 3)."""
+    model = tmp_path / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text("1 SIMPLE_RADIAL 40 30 50 20.5 14.5 0.1\n")
+    (model / "images.txt").write_text("7 0 1 0 0 -1 2 3 1 a.png\n\n")
+    (model / "points3D.txt").write_text("")
+    images.write(tmp_path / "images" / "a.png", np.zeros(SIZE))
+    assert detect(tmp_path) == "colmap"
+    view = load_scene(tmp_path, hold_out=0).views[0]
+    assert view.camera == Camera(40, 30, 50.0, 50.0, 20.5, 14.5, k1=0.1)
+    assert np.abs(view.world_from_camera - pose.rigid(np.diag([1.0, -1, -1]), (1, 2, 3))).max() < 1e-12
+    (model / "cameras.txt").write_text("1 OPENCV_FISHEYE 40 30 50 50 20.5 14.5 0 0 0 0\n")
+    with pytest.raises(DatasetError, match="OPENCV_FISHEYE is not supported"):
+        colmap.load(tmp_path)
+
+
+def test_blender_without_test_file_holds_out(tmp_path: Path) -> None:
+    frames = []
+    for index in range(9):
+        images.write(tmp_path / "train" / f"{index}.png", np.ones((30, 40, 4)))
+        matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0)) @ OPENCV_FROM_OPENGL
+        frames.append({"file_path": f"./train/{index}", "transform_matrix": matrix.tolist()})
+    (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    scene = load_scene(tmp_path)
+    assert len(scene.split("test")) == 2 and scene.background == "white"
