@@ -43,8 +43,8 @@ class CameraDescription(Schema):
 class RigDescription(Schema):
     """One rig: arm, camera and bracket."""
 
-    robot: RobotDescription = Field(RobotDescription(), description="the arm")
-    camera: CameraDescription = Field(CameraDescription(), description="the camera")
+    robot: RobotDescription = Field(default_factory=RobotDescription, description="the arm")
+    camera: CameraDescription = Field(default_factory=CameraDescription, description="the camera")
     flange_from_camera: PoseDescription = Field(
         PoseDescription(position=(0.0, 0.06, 0.08), rotation_deg=(45.0, 0.0, 0.0)),
         description="nominal camera pose on the flange, by drawing or ruler: 1 cm and 5 degrees are enough, calib finds the true one",

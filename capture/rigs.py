@@ -75,7 +75,8 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
 
 
 def _arm(host: str, description: RigDescription, trajectory: Trajectory, *, simulated: bool = False) -> Robot:
-    from capture.robots.ur import Deadlines, Settling, UR5e
+    from capture.robots.timing import Deadlines, Settling
+    from capture.robots.ur import UR5e
     from capture.safety import Limits
 
     motion, robot = trajectory.motion, description.robot
@@ -102,12 +103,14 @@ def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
     """The simulated scene for a trajectory: the one named, else the one that suits it; "" for a real rig.
 
     Raises:
-        Misuse: no such scene (naming the nearest), or a real rig is asked for one.
+        Misuse: no such scene (naming the nearest), one that the trajectory does not suit, or a real rig is asked for one.
     """
     if rig != SIMULATED:
         if scene:
             raise Misuse("--scene belongs to the simulation", where=rig, remedy="leave it out, or use --rig sim")
         return ""
-    from capture.sim.scenes import check_name
+    from capture.sim.views import check_scene
 
-    return check_name(scene) if scene else "charuco_board" if trajectory.target is not None else "gold_head"
+    scene = scene or ("charuco_board" if trajectory.target is not None else "gold_head")
+    check_scene(scene, trajectory)
+    return scene

@@ -105,9 +105,9 @@ class Trajectory(Schema):
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$", description="name of the session")
     views: list[Views] = Field(min_length=1, description="groups of views, taken in this order")
     split: Split | None = Field(None, description="training and test views; null: a calibration session, or all for training")
-    camera: CameraSettings = Field(CameraSettings(), description="exposure, gain and region")
-    motion: Motion = Field(Motion(), description="speed and settling")
-    safety: Safety = Field(Safety(), description="where the arm may not go")
+    camera: CameraSettings = Field(default_factory=CameraSettings, description="exposure, gain and region")
+    motion: Motion = Field(default_factory=Motion, description="speed and settling")
+    safety: Safety = Field(default_factory=Safety, description="where the arm may not go")
     object: Box | None = Field(None, description="the object's volume; the object stands in the middle of its bottom")
     target: CharucoTarget | None = Field(None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(

@@ -50,9 +50,8 @@ class _Looking(Schema):
         [0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
     )
 
-    def _look(self, position: NDArray[np.float64], target: NDArray[np.float64] | None = None) -> Viewpoint:
-        target = np.asarray(self.target) if target is None else target
-        return _plain(pose.look_at(position, target), tuple(np.radians(self.roll_deg)))
+    def _look(self, position: NDArray[np.float64]) -> Viewpoint:
+        return _plain(pose.look_at(position, self.target), tuple(np.radians(self.roll_deg)))
 
 
 def _on_sphere(target: Vector, distance: float, azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
@@ -170,8 +169,7 @@ class TiltedViews(_Looking):
             target = np.asarray(self.target) + np.append((2 * u[3:5] - 1) * self.shift, 0.0)
             position = _on_sphere(tuple(target), np.interp(u[1], (0, 1), self.distance), side, 90 - max(tilt, 0.1))
             turn = pose.from_rotation_vector([0, 0, np.radians(np.interp(u[2], (0, 1), self.turn_deg))])
-            view = self._look(position, target)
-            views.append(_plain(view.base_from_camera @ turn, view.rolls))
+            views.append(_plain(pose.look_at(position, target) @ turn, tuple(np.radians(self.roll_deg))))
         return views
 
 
@@ -196,9 +194,10 @@ class CameraPose(Schema):
 
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4) `base_from_camera` [m]."""
-        if self.look_at is not None:
-            return pose.look_at(self.position, self.look_at)
-        return pose.from_quaternion(self.quaternion_wxyz, self.position)
+        if self.quaternion_wxyz is not None:
+            return pose.from_quaternion(self.quaternion_wxyz, self.position)
+        assert self.look_at is not None  # `_one_orientation` saw to it
+        return pose.look_at(self.position, self.look_at)
 
 
 class PoseViews(Schema):

@@ -103,6 +103,7 @@ def _candidates(viewpoint: Viewpoint, obstacles: Obstacles) -> tuple[_Candidates
             worst = int(np.abs(joints[0]).argmax())
             return _Candidates(joints, rolls), f"joint {worst + 1} at {np.degrees(joints[0, worst]):.0f} degrees, limit 360"
     else:
+        assert viewpoint.base_from_camera is not None  # a viewpoint has either
         flanges = [_turned(viewpoint.base_from_camera, roll) @ camera_from_flange for roll in viewpoint.rolls]
         branches = [kinematics.inverse(base_from_flange) for base_from_flange in flanges]
         joints = np.concatenate(branches)

@@ -5,7 +5,6 @@ The parent keeps every deadline, watches the stream of states, and has a dashboa
 
 import threading
 import time
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -15,36 +14,11 @@ from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, 
 from capture.rig import RobotState
 from capture.robots.dashboard import Dashboard
 from capture.robots.link import ChildLink, Sample
+from capture.robots.timing import Deadlines, Settling
 from capture.safety import Limits
 from datasets import pose
 
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
-
-
-@dataclass(frozen=True)
-class Settling:
-    """When the arm counts as still: every joint slower than `speed` [rad/s] for `time_s`, at the latest after `timeout_s` [s].
-
-    The first is measured on the controller's clock, the last on the host's.
-    """
-
-    speed: float = 0.001
-    time_s: float = 0.3
-    timeout_s: float = 5.0
-
-
-@dataclass(frozen=True)
-class Deadlines:
-    """How long to wait, on the host's clock. A busy computer that drives a simulated arm needs longer ones than a real rig."""
-
-    stale_s: float = 0.2
-    """No new sample for this long: the data stream stands still [s]."""
-    watchdog_hz: float = 5.0
-    """The controller stops its program when it hears nothing for one period [Hz]."""
-    accept_s: float = 2.0
-    """Until the controller takes a motion [s]."""
-    connect_s: float = 15.0
-    """Until the control program runs [s]."""
 
 
 class UR5e:
@@ -95,8 +69,8 @@ class UR5e:
             self._link = ChildLink.start(self.host, self.frequency, self.deadlines.watchdog_hz)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
-                raise self._no_connection(ready)
-            self._describe(ready["tcp_offset"])
+                raise self._no_connection(self._link, ready)
+            self._describe(self._dashboard, ready["tcp_offset"])
             self._stopped.clear()
             self.state()
         except BaseException:
@@ -178,13 +152,13 @@ class UR5e:
             raise RigConnectionError("the robot is not connected", where=self.host, remedy="enter the context again")
         return self._link
 
-    def _describe(self, tcp_offset: list[float]) -> None:
+    def _describe(self, dashboard: Dashboard, tcp_offset: list[float]) -> None:
         if len(tcp_offset) != 6:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
         self._tcp_from_flange = pose.inverse(pose.from_rotation_vector(tcp_offset[3:], tcp_offset[:3]))
         self._description = {
-            "model": "UR5e", "host": self.host, "serial": self._dashboard.ask("get serial number"),
-            "software": self._dashboard.version(), "tcp_offset": [float(number) for number in tcp_offset],
+            "model": "UR5e", "host": self.host, "serial": dashboard.ask("get serial number"),
+            "software": dashboard.version(), "tcp_offset": [float(number) for number in tcp_offset],
         }  # fmt: skip
 
     def _move(self, target: NDArray[np.float64], start: NDArray[np.float64], speed: float, acceleration: float) -> None:
@@ -302,7 +276,7 @@ class UR5e:
             time.sleep(0.01)
         return False
 
-    def _no_connection(self, answer: dict[str, Any] | None) -> CaptureError:
-        why = answer["failed"] if answer else f"no answer within {self.deadlines.connect_s:.0f} s. {self._link.kill()}".strip()
+    def _no_connection(self, link: ChildLink, answer: dict[str, Any] | None) -> CaptureError:
+        why = answer["failed"] if answer else f"no answer within {self.deadlines.connect_s:.0f} s. {link.kill()}".strip()
         remedy = "end the other program that controls the robot" if "use" in why else "check the controller, then run again"
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)

@@ -6,6 +6,7 @@ never outlives who started it.
 
 import asyncio
 import json
+import os
 import random
 import sys
 from typing import Any
@@ -14,7 +15,8 @@ import numpy as np
 
 from capture.kinematics import UR5E
 from capture.sim.arm import Arm
-from capture.sim.server import CYCLE_HZ, DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
+from capture.sim.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
+from capture.sim.session import CYCLE_HZ
 
 
 async def _listen(server: ControllerServer) -> tuple[str, int]:
@@ -44,7 +46,7 @@ async def _run(options: dict[str, Any]) -> None:
     host, side_port = await _listen(server)
     loop = asyncio.get_running_loop()
     orphaned = asyncio.Event()
-    loop.add_reader(sys.stdin.fileno(), lambda: None if sys.stdin.buffer.read1(1024) else orphaned.set())
+    loop.add_reader(sys.stdin.fileno(), lambda: None if os.read(sys.stdin.fileno(), 1024) else orphaned.set())
     sys.stdout.write(json.dumps({"host": host, "side_port": side_port}) + "\n")
     sys.stdout.flush()
     due = loop.time()

@@ -22,6 +22,7 @@ class Controller(Protocol):
     @property
     def program_running(self) -> bool:
         """Whether a program runs."""
+        ...
 
     def stop_program(self) -> None:
         """End the program; the arm slows down."""

@@ -18,9 +18,11 @@ class Profile(Protocol):
     @property
     def duration(self) -> float:
         """Time until rest [s]."""
+        ...
 
     def at(self, time: float) -> tuple[Joints, Joints, Joints]:
         """(6,) angles, speeds and accelerations at `time`, held at the ends."""
+        ...
 
 
 def trapezoid_times(distance: float, speed: float, acceleration: float) -> tuple[float, float]:

@@ -10,7 +10,8 @@ import pytest
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError
 from capture.kinematics import forward
-from capture.robots.ur import Deadlines, Settling, UR5e
+from capture.robots.timing import Deadlines, Settling
+from capture.robots.ur import UR5e
 from capture.sim.controller import SimulatedController
 from datasets import pose
 
