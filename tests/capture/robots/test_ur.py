@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -139,6 +141,30 @@ def test_stop_from_another_thread(slow):
         assert _at_rest(slow)
         robot.stop()
         robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)  # the connection is still good
+
+
+def test_the_arm_stops_when_the_whole_program_is_killed(slow):
+    code = (
+        "import sys\nfrom capture.robots.ur import UR5e\nwith UR5e(sys.argv[1]) as robot:\n    print('ready', flush=True)\n"
+        "    robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.5, acceleration=1.4)"
+    )
+    program = subprocess.Popen([sys.executable, "-c", code, slow.host], stdout=subprocess.PIPE, text=True)
+    assert program.stdout.readline() == "ready\n"
+    time.sleep(0.8)
+    assert slow.ask("truth")["moving"]
+    program.kill()
+    program.communicate()
+    assert _at_rest(slow)
+    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3
+
+
+def test_the_same_seed_gives_the_same_poses_bit_for_bit():
+    visits = []
+    for time_scale in (20.0, 10.0):
+        with SimulatedController.start(seed=5, time_scale=time_scale) as simulated, _robot(simulated) as robot:
+            robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+            visits.append((robot.state().base_from_flange, simulated.true_base_from_flange()))
+    np.testing.assert_array_equal(*visits)
 
 
 def test_ctrl_c_in_motion_stops_the_arm(slow):
