@@ -111,12 +111,12 @@ class Camera:
         """(..., 2) pixel coordinates to (..., 3) ray directions in the camera frame with z = 1."""
         distorted = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
         normalised = self.undistort(distorted)
-        return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
+        return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
 
     def pixel_centres(self) -> Points:
         """(height, width, 2) coordinates of all pixel centres."""
         columns, rows = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
-        return np.stack([columns, rows], axis=-1)
+        return np.stack([columns, rows], axis=-1).astype(np.float64)
 
     def to_json(self) -> dict[str, float]:
         """Plain dictionary of the fields."""
@@ -130,7 +130,8 @@ class Camera:
             DatasetError: a field is missing, unknown, not finite or out of range.
         """
         try:
-            camera = cls(**{k: (int(v) if k in ("width", "height") else float(v)) for k, v in content.items()})
+            values: dict[str, Any] = {k: int(v) if k in ("width", "height") else float(v) for k, v in content.items()}
+            camera = cls(**values)
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise DatasetError("camera is not complete", where=where, why=str(error)) from None
         return camera.checked(where=where)

@@ -1,0 +1,65 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import pose
+from datasets.calibration import Calibration, UncertainPose
+from datasets.camera_model import Camera
+from datasets.errors import DatasetError, Misuse
+
+CAMERA = Camera(640, 480, 500.0, 501.0, 322.0, 239.0, k1=-0.1)
+POSE = UncertainPose(
+    pose.from_rotation_vector((0.1, -0.2, 0.3), (0.01, 0.06, 0.08)), np.diag([1e-8, 4e-8, 9e-8, 1e-6, 4e-6, 9e-6])
+)
+
+
+def test_everything_comes_back(tmp_path: Path) -> None:
+    Calibration(CAMERA, {"fx": 0.1}, POSE, None, {"rms_px": 0.1}, {"method": "made up"}).save(tmp_path / "c.json")
+    again = Calibration.load(tmp_path / "c.json")
+    assert again.camera == CAMERA and again.camera_std == {"fx": 0.1} and again.base_from_board is None
+    assert again.flange_from_camera is not None
+    assert np.abs(again.flange_from_camera.matrix - POSE.matrix).max() < 1e-15
+    assert np.array_equal(again.flange_from_camera.covariance, POSE.covariance)
+    assert (again.residuals, again.provenance) == ({"rms_px": 0.1}, {"method": "made up"})
+
+
+def test_deviations_of_a_pose_at_the_origin_by_hand() -> None:
+    """A standard deviation of 1e-4 m is 0.1 mm; of 1e-3 rad about the first axis is 0.0573 degrees."""
+    at_origin = UncertainPose(np.eye(4), POSE.covariance)
+    assert np.allclose(at_origin.translation_std_mm, [0.1, 0.2, 0.3])
+    assert at_origin.rotation_std_deg[0] == pytest.approx(np.rad2deg(1e-3))
+
+
+def test_a_rotation_moves_a_distant_origin() -> None:
+    """Against draws: twists of the stated covariance, applied from the left, spread the position as stated."""
+    random = np.random.default_rng(0)
+    twists = random.multivariate_normal(np.zeros(6), POSE.covariance, 20_000)
+    moved = np.stack([(pose.from_rotation_vector(t[3:], t[:3]) @ POSE.matrix)[:3, 3] for t in twists])
+    assert np.allclose(1e3 * moved.std(0), POSE.translation_std_mm, rtol=0.02)  # standard error of 20,000 draws: 0.5%
+    assert (POSE.translation_std_mm > 1.1 * np.array([0.1, 0.2, 0.3])).any()  # the premise: the lever counts here
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"camera": None}, "camera is not complete"),
+        ({"flange_from_camera": {"translation_m": [0, 0, 0]}}, "c.json, flange_from_camera: pose is not complete"),
+        ({"flange_from_camera": {"translation_m": [0, 0, float("nan")], "quaternion_wxyz": [1, 0, 0, 0], "covariance": np.eye(6).tolist()}},
+         "pose is not finite"),
+        ({"format": "koala-scene"}, "is not a koala-calibration file"),
+        ({"version": 2}, "version 2 cannot be read"),
+    ],
+)  # fmt: skip
+def test_damage_is_named(tmp_path: Path, change: dict, words: str) -> None:
+    Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
+    content = json.loads((tmp_path / "c.json").read_text())
+    (tmp_path / "c.json").write_text(json.dumps(content | change))
+    with pytest.raises(DatasetError, match=words):
+        Calibration.load(tmp_path / "c.json")
+
+
+def test_a_missing_file_is_misuse(tmp_path: Path) -> None:
+    with pytest.raises(Misuse, match="no such file"):
+        Calibration.load(tmp_path / "none.json")

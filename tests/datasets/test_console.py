@@ -1,0 +1,82 @@
+"""What every command does with results, progress and errors."""
+
+import errno
+import json
+import sys
+from typing import Annotated
+
+import pytest
+import typer
+
+from datasets import console
+from datasets.errors import KoalaError, Misuse, nearest
+
+
+def outcome(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: BaseException | None, *options: str
+) -> tuple:
+    """(exit code, stdout, stderr) of a command that raises `error`."""
+    app = console.make_app("made-up", "A command for a test.")
+
+    @app.command()
+    def work(as_json: console.Json = False, count: Annotated[int, typer.Option()] = 1) -> None:
+        """Work."""
+        if error is not None:
+            raise error
+        console.report({"count": count}, as_json=as_json, text=f"count {count}")
+
+    @app.command()
+    def rest() -> int:
+        """Rest."""
+        return 1
+
+    monkeypatch.setattr(sys, "argv", ["made-up", *options])
+    with pytest.raises(SystemExit) as stopped:
+        console.run(app)
+    captured = capsys.readouterr()
+    return stopped.value.code, captured.out, captured.err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (KoalaError("broke", where="here", why="so", remedy="mend it"), 1, "error: here: broke (so); mend it\n"),
+        (Misuse("is no number"), 2, "error: is no number\n"),
+        (KeyboardInterrupt(), 1, "error: stopped by Ctrl-C"),
+        (OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 1, "error: out/a.png: the disk is full"),
+        (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "error: out: Permission denied\n"),
+        (ZeroDivisionError("two\nlines"), 1, "error: unexpected ZeroDivisionError: two lines; run again with --debug"),
+    ],
+)
+def test_every_error_is_one_line(monkeypatch, capsys, error: BaseException, code: int, words: str) -> None:
+    stopped, out, err = outcome(monkeypatch, capsys, error, "work")
+    assert stopped == code and err.startswith(words) and err.count("\n") == 1 and out == ""
+    stopped, out, _ = outcome(monkeypatch, capsys, error, "work", "--json")
+    assert stopped == code and json.loads(out)["exit_code"] == code
+
+
+def test_results_for_persons_and_programs(monkeypatch, capsys) -> None:
+    assert outcome(monkeypatch, capsys, None, "work", "--count", "3") == (0, "count 3\n", "")
+    assert outcome(monkeypatch, capsys, None, "work", "--json") == (0, '{"count": 1}\n', "")
+    assert outcome(monkeypatch, capsys, None, "rest")[0] == 1
+
+
+@pytest.mark.parametrize("options", [("wrk",), ("work", "--cont", "3"), ("work", "--count", "many"), ("work", "extra")])
+def test_wrong_arguments_are_misuse(monkeypatch, capsys, options: tuple[str, ...]) -> None:
+    code, _, err = outcome(monkeypatch, capsys, None, *options)
+    assert code == 2 and err.startswith("error: ") and err.count("\n") == 1
+
+
+def test_progress_is_plain_lines_elsewhere_than_on_a_terminal(monkeypatch, capsys) -> None:
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress("reading", 10, "images") as shown:
+        for _ in range(10):
+            now[0] += 1.0
+            shown.advance()
+    assert capsys.readouterr().err.splitlines() == ["reading: 5/10 images, 5 s left", "reading: 10/10 images, 0 s left"]
+
+
+def test_nearest_spelling_or_all_of_them() -> None:
+    assert nearest("blendr", {"blender", "llff"}) == "did you mean 'blender'?"
+    assert nearest("xyz", {"b", "a"}) == "valid: a, b"
