@@ -1,0 +1,52 @@
+"""The contract of the driver on a real arm: small moves around where it stands. Somebody holds the emergency stop.
+
+KOALA_UR5E_HOST=192.168.0.10 .venv/bin/python -m pytest tests/hardware/test_ur5e.py -m hardware
+"""
+
+import os
+import threading
+
+import numpy as np
+import pytest
+
+from capture.errors import MotionError, SafetyError
+from capture.robots.ur import UR5e
+
+pytestmark = pytest.mark.hardware
+STEP = np.radians(2.0)
+
+
+@pytest.fixture
+def robot():
+    host = os.environ.get("KOALA_UR5E_HOST")
+    if not host:
+        pytest.skip("no arm: KOALA_UR5E_HOST, the address of its controller, is not set")
+    with UR5e(host) as found:
+        yield found
+
+
+def test_small_moves_there_and_back(robot):
+    start = robot.state().joints
+    poses = []
+    for joints in (start + STEP, start, start + STEP, start):
+        robot.move_to(joints, speed=0.1, acceleration=0.5)
+        state = robot.state()
+        np.testing.assert_allclose(state.joints, joints, atol=1e-3)
+        poses.append(state.base_from_flange)
+    assert np.linalg.norm(poses[0][:3, 3] - poses[2][:3, 3]) < 1e-4  # the maker promises 0.03 mm
+    assert np.linalg.norm(poses[1][:3, 3] - poses[3][:3, 3]) < 1e-4
+
+
+def test_stop_from_another_thread(robot):
+    start = robot.state().joints
+    threading.Timer(0.5, robot.stop).start()
+    with pytest.raises(MotionError, match="stopped on request"):
+        robot.move_to(start + 5 * STEP, speed=0.05, acceleration=0.5)
+    robot.move_to(start, speed=0.1, acceleration=0.5)
+
+
+def test_unsafe_targets_move_nothing(robot):
+    start = robot.state().joints
+    with pytest.raises(SafetyError):
+        robot.move_to(start + STEP, speed=10.0, acceleration=0.5)
+    np.testing.assert_allclose(robot.state().joints, start, atol=1e-4)
