@@ -60,7 +60,7 @@ def calibrate_handeye(session: TargetSession, given: Calibration | None = None, 
     flange_from_camera, base_from_board = uncertainty.poses(measured, refined, joint)
     deviations = np.sqrt(np.diag(joint))
     residuals = {
-        "rms_px": refined.rms_px, **verify.held_out(measured, refined), "sigma_px": refined.sigmas.pixel,
+        "rms_px": refined.rms_px, **verify.held_out(measured, refined), "settled": refined.settled, "sigma_px": refined.sigmas.pixel,
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m, "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
         "views_used": len(session.observations), "views_unseen": list(session.unseen), "views_left_out": left_out,
         "corners": int(refined.inliers.sum()), "corners_left_out": int((~refined.inliers).sum()),

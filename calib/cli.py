@@ -22,7 +22,7 @@ Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSO
 
 @app.command("intrinsics")
 def intrinsics_command(recording: RecordingPath, out: Out, json: Json = False) -> None:
-    """Estimate focal lengths, centre and distortion from the pictures alone."""
+    """Camera alone: focal lengths, centre, distortion."""
     from calib.calibrate import calibrate_intrinsics
 
     _check_out(out)
@@ -40,7 +40,10 @@ def handeye_command(
     arm_deg: Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")] = 0.01,
     json: Json = False,
 ) -> None:
-    """Estimate where the camera sits on the flange and where the target stands, with the intrinsics, and how certain that is."""
+    """Whole rig: camera, its place on the flange, the target's.
+
+    Everything is estimated together, with its uncertainty, and checked on views left out of the fit.
+    """
     import math
 
     from calib.calibrate import calibrate_handeye
@@ -63,7 +66,10 @@ def verify_command(
     calibration: Annotated[Path, typer.Option("--calibration", help="Calibration file made by 'calib handeye'.")],
     json: Json = False,
 ) -> None:
-    """Tell how well a calibration predicts the target in another recording; only the target's place is fitted."""
+    """How well a calibration predicts a recording.
+
+    Best a recording that it was not made from; only the target's place is fitted.
+    """
     from calib.report import describe_verification
     from calib.verify import verify
     from datasets.calibration import Calibration

@@ -60,6 +60,8 @@ class Refined:
     """(n,) corners that took part."""
     steps: int
     """Accepted steps in all."""
+    settled: bool
+    """Whether sigmas and outliers stopped changing; if not, the answer may still move."""
 
     @property
     def rms_px(self) -> float:
@@ -74,7 +76,7 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
         CalibrationError: the start is too far off, or nearly all corners are outliers.
     """
     sigmas = Sigmas(sigma_px, session.accuracy.translation_m, session.accuracy.rotation_rad)
-    state, steps = start, 0
+    state, steps, settled = start, 0, False
     inliers = np.ones(len(session.view), bool)
     for number in range(rounds):
         chosen = session.some(inliers)
@@ -88,12 +90,12 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
             raise CalibrationError("pictures and arm poses do not fit together", why=f"{(~kept).sum()} of {len(kept)} corners are outliers",
                                    remedy="check that poses are flange poses in metres and belong to these images")  # fmt: skip
         ratios = np.log([sigmas.pixel / last.pixel, *(sigmas.correction[[0, 3]] / last.correction[[0, 3]])])
-        settled = (kept == inliers).all() and np.abs(ratios).max() < 0.01
+        settled = number > 0 and bool((kept == inliers).all() and np.abs(ratios).max() < 0.01)
         inliers = kept
-        if settled and number > 0:
+        if settled:
             break
     information, *_ = _reduced(_system(session.some(inliers), state, sigmas))
-    return Refined(state, sigmas, information, residuals, inliers, steps)
+    return Refined(state, sigmas, information, residuals, inliers, steps, settled)
 
 
 def fit_board(session: Session, state: State, max_steps: int = 30) -> State:

@@ -44,6 +44,8 @@ def notes(calibration: Calibration) -> list[str]:
         found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
     if residuals.get("views_left_out"):
         found.append(f"arm and picture disagree in view {', '.join(residuals['views_left_out'])}, left out")
+    if not residuals.get("settled", True):
+        found.append("the refinement had not settled; look for views that do not fit")
     if residuals.get("coverage", 1.0) < 0.4:
         found.append("corners cover little of the image; distortion is a guess elsewhere")
     stated = calibration.provenance.get("arm_accuracy_stated")

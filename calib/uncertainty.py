@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import projection
+from calib import intrinsics, projection
 from calib.errors import Unobservable
 from calib.model import Session
 from calib.refine import Refined
@@ -21,8 +21,6 @@ MIN_TURN_RAD = float(np.deg2rad(3))
 """Rms angle about an axis below which the flange counts as not having turned about it."""
 MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
 """A pose less certain than this is refused: no reconstruction could use it."""
-MAX_FOCAL_STD = 0.03
-"""Relative standard deviation of the focal length from which on it counts as not observed."""
 
 
 def check_motion(base_from_flange: Array) -> None:
@@ -96,7 +94,7 @@ def _check(session: Session, refined: Refined, joint: Array) -> None:
     for name in ("fx", "fy"):
         if name in session.free:
             relative = std[session.free.index(name)] / refined.state.intrinsics[projection.NAMES.index(name)]
-            if not relative <= MAX_FOCAL_STD:
+            if not relative <= intrinsics.MAX_FOCAL_STD:
                 _refuse(session, session.free.index(name), f"its standard deviation is {relative:.1%} of it")
     for uncertain, first in zip(poses(session, refined, joint), (-12, -6), strict=True):
         millimetres = uncertain.translation_std_mm

@@ -35,6 +35,7 @@ def test_ordinary_session_is_within_the_aim_and_says_what_the_noise_was(simulate
     distance, angle = pose.difference(found.state.flange_from_camera, ordinary.flange_from_camera)
     # 0.1 px, 0.05 mm, 0.01 deg and 25 views: in 80 sessions the median was 0.10 mm and 0.020 deg, the worst 0.28 and 0.046
     assert distance < 3e-4 and np.rad2deg(angle) < 0.05
+    assert found.settled
     assert found.sigmas.pixel == pytest.approx(0.1, rel=0.06)  # 3500 residuals: 1.2 % one sigma
     assert found.sigmas.translation_m == pytest.approx(5e-5, rel=0.35)  # 75 - 12 of them: 9 %, rotation shares
 
@@ -87,6 +88,11 @@ def test_poses_of_other_pictures_are_refused(simulate):
     session = replace(ordinary.session(), base_from_flange=np.roll(ordinary.reported, 5, axis=0))
     with pytest.raises(CalibrationError, match=r"do not fit together|behind the camera"):
         refine.refine(session, ordinary.state(), sigma_px=0.1)
+
+
+def test_a_solution_cut_short_says_so(simulate):
+    poor = simulate(seed=5, views=25, translation_m=1e-3, rotation_deg=0.1)
+    assert not refine.refine(poor.session(free=FREE), poor.state(), sigma_px=0.3, rounds=1).settled
 
 
 def test_board_alone_is_found_again(small):

@@ -34,9 +34,17 @@ def test_intrinsics_alone_need_no_arm():
 
 
 def test_notes_name_what_a_person_should_look_at():
-    residuals = {**RESIDUALS, "views_unseen": ["003"], "views_left_out": ["007"], "coverage": 0.2, "arm_translation_mm": 1.0}
+    residuals = {
+        **RESIDUALS,
+        "views_unseen": ["003"],
+        "views_left_out": ["007"],
+        "coverage": 0.2,
+        "arm_translation_mm": 1.0,
+        "settled": False,
+    }
     text = "\n".join(report.notes(replace(CALIBRATION, residuals=residuals)))
     assert "view 003" in text and "view 007" in text and "little of the image" in text and "20 times less accurate" in text
+    assert "had not settled" in text
 
 
 def test_verification_names_the_worst_view():
