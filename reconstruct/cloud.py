@@ -1,0 +1,85 @@
+"""Places at which a field is evaluated: points, or frustums that several small Gaussians stand for.
+
+Knows the contraction, so that fields see contracted coordinates and everybody else the scene's own.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from reconstruct.contraction import contract, contraction_scale, pull_back
+from reconstruct.encodings.lattice import PermutohedralLattice
+from reconstruct.rays import Rays
+
+GAUSSIAN_SCALE = 0.5
+"""Zip-NeRF's factor on the width of the Gaussians."""
+
+
+class Cloud(eqx.Module):
+    """n places of `group` consecutive Gaussians each, whose features are averaged."""
+
+    points: Float[Array, "3 n_group"]
+    """Scene coordinates."""
+    scale: Float[Array, " n_group"] | None
+    """Standard deviation [scene unit]; None for points without extent."""
+    bounded: bool = eqx.field(static=True)
+    group: int = eqx.field(static=True, default=1)
+
+    def encoded(self, encoding: PermutohedralLattice) -> Float[Array, "channels n"]:
+        """Features of each place."""
+        points, scale = self._contracted()
+        return self._averaged(encoding(points, scale))
+
+    def encoded_with_jacobian(self, encoding: PermutohedralLattice) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
+        """Features and their derivative to the scene's coordinates."""
+        points, scale = self._contracted()
+        features, jacobian = encoding.value_and_jacobian(points, scale)
+        if not self.bounded:
+            jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
+        return self._averaged(features), self._averaged(jacobian)
+
+    def _contracted(self) -> tuple[Float[Array, "3 n_group"], Float[Array, " n_group"] | None]:
+        if self.bounded:
+            return self.points, self.scale
+        factor = None if self.scale is None else self.scale * contraction_scale(self.points.T)
+        return contract(self.points.T).T, factor
+
+    def _averaged(self, values: Float[Array, "*lead n_group"]) -> Float[Array, "*lead n"]:
+        if self.group == 1:
+            return values
+        return values.reshape(*values.shape[:-1], -1, self.group).mean(-1)
+
+
+def points_on_rays(rays: Rays, ray: Array, t: Float[Array, " n"], bounded: bool) -> Cloud:
+    """Points at distance t along the given rays."""
+    along = rays.directions.at[ray].get(mode="promise_in_bounds") * t[:, None]
+    return Cloud((rays.origins.at[ray].get(mode="promise_in_bounds") + along).T, None, bounded)
+
+
+def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays n+1"], turn: Float[Array, " rays"], bounded: bool) -> Cloud:
+    """Six Gaussians per conical frustum that match its mean and covariance (Zip-NeRF, section 3.1).
+
+    Args:
+        turn: angle by which each ray's hexagons are turned about it [rad].
+    """
+    t0, t1 = tdist[:, :-1, None], tdist[:, 1:, None]
+    middle, half = (t0 + t1) / 2, (t1 - t0) / 2
+    j = jnp.asarray(2 * np.arange(6) / 5 - 1, jnp.float32) * np.float32(3 / np.sqrt(7))
+    spread = jnp.sqrt((half**2 - middle**2) ** 2 + 4 * middle**4)
+    t = t0 + half * (t1**2 + 2 * middle**2 + j * spread) / jnp.maximum(half**2 + 3 * middle**2, 1e-12)
+    angle = jnp.asarray(np.pi * np.array([0, 2 / 3, 4 / 3, 1, 5 / 3, 1 / 3]), jnp.float32) + turn[:, None, None]
+    across, up = _perpendicular(rays.viewdirs)
+    radius = rays.radii[:, None, None] * t / np.float32(np.sqrt(2))
+    offset = radius[..., None] * (jnp.cos(angle)[..., None] * across[:, None, None] + jnp.sin(angle)[..., None] * up[:, None, None])
+    points = rays.origins[:, None, None] + t[..., None] * rays.directions[:, None, None] + offset
+    return Cloud(points.reshape(-1, 3).T, (GAUSSIAN_SCALE * radius).reshape(-1), bounded, group=6)
+
+
+def _perpendicular(viewdirs: Float[Array, "n 3"]) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Two unit vectors across each view direction (Duff et al. 2017), continuous but at z = 0."""
+    x, y, z = viewdirs.T
+    sign = jnp.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    return (jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], -1), jnp.stack([b, sign + y * y * a, -y], -1))

@@ -1,0 +1,166 @@
+"""What a person may set: one small schema per stage, its defaults and its documentation in one place.
+
+A model file (`configs/models/NAME.yaml`) holds the values that differ from these defaults, one section per
+preset; `--set section.key=value` overrides. The resolved configuration is written beside each result.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.errors import Misuse, nearest
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class EncodingConfig(_Section):
+    """Permutohedral lattice."""
+
+    levels: int = Field(8, ge=1, le=32, description="Number of resolutions.")
+    features: int = Field(2, ge=1, le=8, description="Features per level.")
+    log2_size: int = Field(16, ge=4, le=24, description="Rows of each level's table, as a power of two.")
+    coarsest: float = Field(8.0, gt=0, description="Vertices per unit of the normalised scene at the coarsest level.")
+    finest: float = Field(256.0, gt=0, description="The same at the finest level.")
+
+
+class FieldConfig(_Section):
+    """The network behind the encoding."""
+
+    spatial_width: int = Field(64, ge=1, description="Width of the spatial layers.")
+    spatial_depth: int = Field(1, ge=1, description="Number of spatial layers.")
+    bottleneck: int = Field(12, ge=0, description="Channels handed to the view network.")
+    view_width: int = Field(64, ge=1, description="Width of the view layers.")
+    view_depth: int = Field(2, ge=1, description="Number of view layers.")
+    view_skip: bool = Field(False, description="Whether the view network's input joins again before its last layer.")
+    ide_degree: int = Field(4, ge=1, le=6, description="Harmonics up to l = 2^(degree - 1) encode the reflected direction.")
+    shading: Literal["sample", "deferred"] = Field(
+        "deferred", description="Evaluate the view network at each sample, or once per ray on composited features."
+    )
+    density_bias: float = Field(0.5, description="Added to the raw density before the exponential.")
+
+
+class SamplerConfig(_Section):
+    """Where along a ray the field is evaluated."""
+
+    kind: Literal["occupancy", "proposal"] = Field("occupancy", description="Occupancy grid, or two proposal levels.")
+    rays: int = Field(4096, ge=1, description="Rays drawn per step.")
+    samples: int = Field(16384, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped.")
+    max_per_ray: int = Field(32, ge=1, description="Occupancy: a ray with more occupied steps is thinned to so many.")
+    steps: int = Field(192, ge=32, multiple_of=32, description="Occupancy: steps of a ray through the object's box.")
+    grid: int = Field(128, ge=8, description="Occupancy: cells per axis over the object's box.")
+    outer_grid: int = Field(64, ge=8, description="Occupancy: cells per axis over the contracted surroundings.")
+    optical_depth: float = Field(0.01, gt=0, description="Occupancy: a cell counts as empty below this optical depth per step.")
+    proposals: tuple[int, ...] = Field((64, 64), description="Proposal: samples of each proposal level.")
+    final: int = Field(32, ge=2, description="Proposal: samples of the final level.")
+    proposal_finest: tuple[float, ...] = Field((256.0, 1024.0), description="Proposal: finest resolution of each level.")
+    multisamples: Literal[1, 6] = Field(1, description="Proposal: points per conical frustum (Zip-NeRF's hexagon is 6).")
+
+
+class SurfaceConfig(_Section):
+    """The four surface regularisers and their second pass."""
+
+    enabled: bool = Field(True, description="Run the second pass at all.")
+    rays: int = Field(256, ge=1, description="Rays with a confident surface that the second pass takes.")
+    samples: int = Field(32, ge=4, description="Points and directions on the sphere.")
+    kappa: float = Field(0.0, ge=0, description="Concentration of the sphere lattice; 0 is uniform.")
+    density: float = Field(0.1, ge=0, description="Weight of density smoothness.")
+    normal: float = Field(0.1, ge=0, description="Weight of normal consistency.")
+    bias: float = Field(0.03, ge=0, description="Weight of the Lambertian bias.")
+    variation: float = Field(1e-3, ge=0, description="Weight of the specular total variation.")
+    density_form: Literal["tangent", "published"] = Field("tangent", description="Form of the density smoothness.")
+    neighbours: int = Field(3, ge=1, description="Nearest directions in the total variation's graph.")
+    first_period: int = Field(512, ge=1, description="Steps between second passes at the start (power of two).")
+    last_period: int = Field(4, ge=1, description="The same at the end.")
+
+
+class LossConfig(_Section):
+    """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""
+
+    charbonnier: float = Field(1e-3, gt=0, description="Colour error below which the photometric loss is quadratic.")
+    interlevel: float = Field(0.01, ge=0, description="Proposal levels follow the final one.")
+    distortion: float = Field(0.0, ge=0, description="Weights along a ray gather (real scenes: 0.01).")
+    orientation: float = Field(0.1, ge=0, description="Visible normals face the camera.")
+    predicted_normals: float = Field(3e-4, ge=0, description="Predicted normals follow the density's.")
+    decay: float = Field(0.1, ge=0, description="Mean square of the table's values, per level.")
+
+
+class TrainConfig(_Section):
+    """Optimisation."""
+
+    steps: int = Field(10_000, ge=1, description="Steps where no time budget is given.")
+    rate: float = Field(0.01, gt=0, description="Learning rate after warm-up.")
+    final_rate: float = Field(0.001, gt=0, description="Learning rate at the end; log-linear between.")
+    warmup: float = Field(0.02, ge=0, le=1, description="Share of the training over which the rate rises.")
+    seed: int = Field(0, ge=0, description="Seed of weights, rays and sphere rotations.")
+    checkpoint_s: float = Field(60.0, gt=0, description="Seconds between checkpoints.")
+
+
+class Config(_Section):
+    """Everything that decides what a training makes of a scene."""
+
+    model: str = Field("surfnerf", description="Name of the model file.")
+    preset: Literal["fast", "paper"] = Field("fast", description="fast: a workstation without GPU. paper: the published sizes.")
+    scale: float = Field(1.0, gt=0, le=1, description="Images are resampled to this share of their size first.")
+    encoding: EncodingConfig = EncodingConfig()
+    field: FieldConfig = FieldConfig()
+    sampler: SamplerConfig = SamplerConfig()
+    surface: SurfaceConfig = SurfaceConfig()
+    losses: LossConfig = LossConfig()
+    train: TrainConfig = TrainConfig()
+
+
+def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[str] | None = None) -> Config:
+    """Defaults, then the model file's preset, then `key=value` overrides.
+
+    Raises:
+        Misuse: unknown model, preset or key (with the nearest valid one), or a value out of range.
+    """
+    from importlib.resources import files
+
+    import yaml
+
+    folder = Path(str(files("configs"))) / "models"
+    names = sorted(path.stem for path in folder.glob("*.yaml"))
+    if model not in names:
+        raise Misuse(f"there is no model '{model}'", remedy=nearest(model, names))
+    presets = yaml.safe_load((folder / f"{model}.yaml").read_text(encoding="utf-8"))
+    if preset not in presets:
+        raise Misuse(f"model {model} has no preset '{preset}'", remedy=nearest(preset, presets))
+    tree = {"model": model, "preset": preset, **(presets[preset] or {})}
+    for override in overrides or []:
+        key, separator, value = override.partition("=")
+        if not separator:
+            raise Misuse(f"'{override}' is not key=value", where="--set", remedy="for example --set train.seed=1")
+        _assign(tree, key.strip().split("."), yaml.safe_load(value))
+    return _validated(tree)
+
+
+def _assign(tree: dict[str, Any], path: list[str], value: Any) -> None:
+    schema: Any = Config
+    for name in path[:-1]:
+        schema = _field(schema, name, path)
+        tree[name] = dict(tree.get(name) or {})
+        tree = tree[name]
+    _field(schema, path[-1], path)
+    tree[path[-1]] = value
+
+
+def _field(schema: Any, name: str, path: list[str]) -> Any:
+    fields = getattr(schema, "model_fields", {})
+    if name not in fields:
+        raise Misuse(f"there is no setting '{'.'.join(path)}'", where="--set", remedy=nearest(name, fields) if fields else "")
+    return fields[name].annotation
+
+
+def _validated(tree: dict[str, Any]) -> Config:
+    from pydantic import ValidationError
+
+    try:
+        return Config.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise Misuse(f"setting {key}: {first['msg']}", why=f"got {first.get('input')!r}") from None

@@ -1,0 +1,1 @@
+"""Encodings of position (lattice) and of direction (integrated directional encoding)."""

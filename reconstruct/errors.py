@@ -1,0 +1,7 @@
+"""Errors of reconstruction."""
+
+from datasets.errors import KoalaError
+
+
+class ReconstructError(KoalaError):
+    """Training or evaluation cannot go on."""

@@ -1,0 +1,91 @@
+"""A field, its proposals, and how rays are rendered with them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.cloud import Cloud, hexagons_in_frustums, points_on_rays
+from reconstruct.config import Config
+from reconstruct.field import Field, Material
+from reconstruct.rays import Rays
+from reconstruct.rendering import composite, sample_weights
+from reconstruct.sampling.proposal import Proposal
+from reconstruct.sampling.samples import RaySamples
+
+
+class Model(eqx.Module):
+    """What is learned."""
+
+    field: Field
+    proposals: tuple[Proposal, ...]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, config: Config) -> "Model":
+        """Fresh weights; proposals only where the sampler uses them."""
+        field_key, *keys = jax.random.split(key, 1 + len(config.sampler.proposal_finest))
+        wanted = zip(keys, config.sampler.proposal_finest, strict=True) if config.sampler.kind == "proposal" else ()
+        proposals = tuple(Proposal.create(k, config.encoding, finest, config.field.density_bias) for k, finest in wanted)
+        return cls(Field.create(field_key, config.encoding, config.field), proposals)
+
+
+class Rendered(eqx.Module):
+    """Rays as the model sees them. Foreground only: the background receives 1 - opacity."""
+
+    rgb: Float[Array, "rays 3"]
+    """sRGB, premultiplied with opacity."""
+    opacity: Float[Array, " rays"]
+    diffuse: Float[Array, "rays 3"]
+    """Linear, premultiplied."""
+    specular: Float[Array, "rays 3"]
+    """Linear, premultiplied, tint included."""
+    roughness: Float[Array, " rays"]
+    """Premultiplied."""
+    normals_pred: Float[Array, "rays 3"]
+    """Sum of weighted predicted normals: not unit where samples disagree."""
+    depth: Float[Array, " rays"]
+    """Mean t of the visible samples (z distance) [scene unit]; zero where nothing is seen."""
+    weights: Float[Array, "rays slots"]
+
+    def over(self, background: Float[Array, "*rays 3"]) -> Float[Array, "rays 3"]:
+        """sRGB colour over a background."""
+        return self.rgb + (1 - self.opacity[:, None]) * background
+
+
+def cloud_of(rays: Rays, samples: RaySamples, *, bounded: bool, turn: Float[Array, " rays"] | None = None) -> Cloud:
+    """Places of the samples: points, or where `turn` is given the hexagons of Zip-NeRF."""
+    if turn is None:
+        return points_on_rays(rays, samples.ray, samples.t, bounded)
+    centre, half = samples.padded(samples.t), samples.padded(samples.length) / 2
+    edges = jnp.concatenate([centre - half, centre[:, -1:] + half[:, -1:]], -1)
+    return hexagons_in_frustums(rays, edges, turn, bounded)
+
+
+def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud, *, deferred: bool) -> tuple[Rendered, Float[Array, " n"]]:
+    """Composite the samples of each ray.
+
+    Args:
+        deferred: composite the material first and shade once per ray, instead of shading each sample.
+
+    Returns:
+        The rays, and the density of every sample [1 / scene unit].
+    """
+    density, material = field(cloud)
+    weights = sample_weights(density, samples, rays.speed)
+    flat = samples.packed(weights)
+    channels = jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], material.stacked()])
+    if not deferred:
+        directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
+        shading = field.shade(material, directions)
+        channels = jnp.concatenate([channels, shading.rgb, shading.specular])
+    sums = composite(channels, flat, samples)
+    opacity = sums[:, 0]
+    mean = sums / jnp.maximum(opacity, 1e-6)[:, None]
+    if deferred:
+        shading = field.shade(Material.unstacked(mean[:, 2:].T), rays.viewdirs.T)
+        rgb, specular = shading.rgb.T * opacity[:, None], shading.specular.T * opacity[:, None]
+    else:
+        rgb, specular = sums[:, -6:-3], sums[:, -3:]
+    rendered = Rendered(rgb=rgb, opacity=opacity, diffuse=sums[:, 2:5], specular=specular, roughness=sums[:, 8],
+                        normals_pred=sums[:, 9:12], depth=mean[:, 1], weights=weights)  # fmt: skip
+    return rendered, density

@@ -1,0 +1,124 @@
+"""From a scene's views to rays in the normalised scene, and to the table of pixels that training draws from."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from datasets import images
+from datasets.camera_model import Camera
+from datasets.scene import Scene, View
+from reconstruct.safe import safe_norm
+
+
+class Rays(eqx.Module):
+    """Rays in the normalised scene. `directions` have z = 1 in their camera, so that t is depth in scene units."""
+
+    origins: Float[Array, "n 3"]
+    directions: Float[Array, "n 3"]
+    radii: Float[Array, " n"]
+    """Radius of the pixel's cone at t = 1 [scene unit]: 2 / sqrt(12) of the pixel's width (Mip-NeRF, section 3)."""
+
+    @property
+    def speed(self) -> Float[Array, " n"]:
+        """Length of the directions."""
+        return safe_norm(self.directions)
+
+    @property
+    def viewdirs(self) -> Float[Array, "n 3"]:
+        """Unit directions."""
+        return self.directions / self.speed[:, None]
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """The similarity `scene_from_world`: x_scene = (x_world - centre) * scale. Kept with the model; exports undo it."""
+
+    centre: tuple[float, float, float]
+    scale: float
+    bounded: bool
+    """True where everything lies in the cube [-1, 1]^3; else surroundings are contracted."""
+    near: float
+    """Nearest depth [scene unit]."""
+    far: float
+    """Furthest depth [scene unit]."""
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Normalisation":
+        """The object's box into the cube where it is all there is, into the unit ball where there are surroundings."""
+        low, high = np.asarray(scene.box, np.float64)
+        bounded = scene.background == "white"
+        reach = (high - low).max() / 2 if bounded else np.linalg.norm(high - low) / 2
+        scale = float(1 / max(reach, 1e-12))
+        far = scene.far * scale if np.isfinite(scene.far) else 1e3
+        return cls(tuple(((low + high) / 2).tolist()), scale, bounded, scene.near * scale, min(far, 1e3))
+
+
+def view_rays(view: View, normalisation: Normalisation, camera: Camera | None = None) -> tuple[NDArray, NDArray, NDArray]:
+    """All pixels of a view, row by row: origins, directions (n, 3) and radii (n,), float32, in the normalised scene."""
+    camera = camera or view.camera
+    world_from_camera = view.world_from_camera
+    in_camera = camera.directions(camera.pixel_centres()).reshape(-1, 3)
+    directions = in_camera @ world_from_camera[:3, :3].T
+    origin = (world_from_camera[:3, 3] - normalisation.centre) * normalisation.scale
+    radii = np.full(len(directions), 2 / np.sqrt(12) / np.sqrt(camera.fx * camera.fy))
+    return np.broadcast_to(origin, directions.shape).astype(np.float32), directions.astype(np.float32), radii.astype(np.float32)
+
+
+def scaled_camera(view: View, scale: float) -> Camera:
+    """The camera of a view whose image is resampled to `scale` of its size."""
+    return view.camera.scaled(max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))
+
+
+def read_scaled(view: View, scale: float) -> Float[np.ndarray, "height width channels"]:
+    """A view's picture (sRGB, straight alpha) at `scale` of its size, averaged over areas in linear light."""
+    picture = view.read()
+    if not np.isfinite(picture).all():
+        from datasets.errors import DatasetError
+
+        raise DatasetError("image holds values that are not finite", where=view.image, remedy="write it again")
+    camera = scaled_camera(view, scale)
+    if picture.shape[:2] != (camera.height, camera.width):
+        picture = images.resize(picture, camera.width, camera.height)
+    return picture
+
+
+class Pixels(eqx.Module):
+    """Every training pixel: its colour and its ray. Origins are kept per view."""
+
+    colour: Float[Array, "pixels 4"]
+    """sRGB and straight alpha (1 where the image has none), float16."""
+    directions: Float[Array, "pixels 3"]
+    view: Float[Array, " pixels"]
+    origins: Float[Array, "views 3"]
+    radii: Float[Array, " views"]
+
+    @classmethod
+    def load(cls, views: tuple[View, ...], normalisation: Normalisation, scale: float, progress) -> "Pixels":
+        """Read all images of `views`, one at a time."""
+        colours, directions, owner, origins, radii = [], [], [], [], []
+        for index, view in enumerate(views):
+            picture = read_scaled(view, scale)
+            if picture.shape[-1] == 1:
+                picture = np.repeat(picture, 3, -1)
+            if picture.shape[-1] == 3:
+                picture = np.concatenate([picture, np.ones_like(picture[..., :1])], -1)
+            origin, direction, radius = view_rays(view, normalisation, scaled_camera(view, scale))
+            colours.append(picture.reshape(-1, 4).astype(np.float16))
+            directions.append(direction)
+            owner.append(np.full(len(direction), index, np.int32))
+            origins.append(origin[0])
+            radii.append(radius[0])
+            progress.advance()
+        return cls(jnp.asarray(np.concatenate(colours)), jnp.asarray(np.concatenate(directions)),
+                   jnp.asarray(np.concatenate(owner)), jnp.asarray(np.stack(origins)), jnp.asarray(np.stack(radii)))  # fmt: skip
+
+    def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
+        """Rays and colours (float32) of the given pixels."""
+        get = lambda a, i: a.at[i].get(mode="promise_in_bounds")  # noqa: E731
+        view = get(self.view, index)
+        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view))
+        return rays, get(self.colour, index).astype(jnp.float32)

@@ -1,0 +1,50 @@
+"""Elementary functions whose value and gradient are finite everywhere, by construction.
+
+Each gives `where` a harmless operand before it divides or takes a root, so that the branch not taken
+cannot put a NaN into the gradient.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+MAX_EXPONENT = 15.0
+"""Arguments of `safe_exp` are clipped here: exp(15) = 3.3e6, opaque at any step length that is used."""
+
+
+@jax.custom_jvp
+def safe_exp(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """exp(min(x, 15)); the derivative is the value itself, so that a saturated density can still fall."""
+    return jnp.exp(jnp.minimum(x, MAX_EXPONENT))
+
+
+@safe_exp.defjvp
+def _safe_exp_jvp(primals, tangents):
+    value = safe_exp(*primals)
+    return value, value * tangents[0]
+
+
+def safe_norm(x: Float[Array, "*shape n"], axis: int = -1) -> Float[Array, "..."]:
+    """Euclidean norm with gradient zero at the origin."""
+    squared = jnp.sum(x * x, axis=axis)
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+
+
+def normalise(x: Float[Array, "*shape 3"], axis: int = -1, floor: float = 1e-12) -> Float[Array, "*shape 3"]:
+    """x / |x|; vectors shorter than `floor` are divided by `floor`, so that zero stays zero with a finite gradient.
+
+    The vector is first scaled by its largest component, so that squares neither overflow nor vanish.
+    """
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True))
+    usable = largest > floor
+    scaled = x / jnp.where(usable, largest, 1.0)
+    length = jnp.sqrt(jnp.where(usable, jnp.sum(scaled * scaled, axis=axis, keepdims=True), 1.0))
+    return jnp.where(usable, scaled / length, x / floor)
+
+
+def srgb_from_linear(linear: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """IEC 61966-2-1 transfer curve of values >= 0; linear below 0.0031308, where the power's slope would grow."""
+    above = linear > 0.0031308
+    power = jnp.power(jnp.where(above, linear, 1.0), 1.0 / 2.4)
+    return jnp.where(above, 1.055 * power - 0.055, 12.92 * linear)

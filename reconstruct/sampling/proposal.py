@@ -1,0 +1,85 @@
+"""Proposal levels: small density fields that tell where the final samples go (Mip-NeRF 360; Zip-NeRF)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.cloud import Cloud
+from reconstruct.config import EncodingConfig, SamplerConfig
+from reconstruct.encodings.lattice import PermutohedralLattice
+from reconstruct.mlp import Mlp
+from reconstruct.rays import Normalisation, Rays
+from reconstruct.rendering import volume_weights
+from reconstruct.safe import safe_exp
+from reconstruct.stepfun import inverse_power_ladder, power_ladder, sample_intervals
+
+
+class Proposal(eqx.Module):
+    """Density alone, from a lattice of one feature per level."""
+
+    encoding: PermutohedralLattice
+    spatial: Mlp
+    density_bias: float = eqx.field(static=True)
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, encoding: EncodingConfig, finest: float, density_bias: float) -> "Proposal":
+        """One level whose finest resolution is `finest`; a factor 2 between levels."""
+        lattice_key, spatial_key = jax.random.split(key)
+        levels = max(2, round(np.log2(finest / encoding.coarsest)) + 1)
+        lattice = PermutohedralLattice.create(lattice_key, levels=levels, features=1, log2_size=encoding.log2_size,
+                                              coarsest=encoding.coarsest, finest=finest)  # fmt: skip
+        return cls(lattice, Mlp.create(spatial_key, channels=levels, width=64, depth=1, outputs=1), density_bias)
+
+    def density(self, cloud: Cloud) -> Float[Array, " n"]:
+        """Density [1 / scene unit]."""
+        return safe_exp(self.spatial(cloud.encoded(self.encoding))[0] + self.density_bias)
+
+
+class Spacing(eqx.Module):
+    """The map between metric distance t and normalised distance s in [0, 1] of a ray."""
+
+    near: float = eqx.field(static=True)
+    far: float = eqx.field(static=True)
+    linear: bool = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, normalisation: Normalisation) -> "Spacing":
+        """Linear for bounded scenes; a power ladder (p = -1.5, premultiplier 2) for unbounded ones."""
+        return cls(normalisation.near, normalisation.far, normalisation.bounded)
+
+    def t(self, s: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Metric distance of normalised distance."""
+        if self.linear:
+            return self.near + (self.far - self.near) * s
+        first, last = (power_ladder(jnp.asarray(v, jnp.float32), -1.5, 2.0) for v in (self.near, self.far))
+        return inverse_power_ladder(first + (last - first) * s, -1.5, 2.0)
+
+
+def propose(
+    proposals: tuple[Proposal, ...], rays: Rays, spacing: Spacing, key: PRNGKeyArray | None, config: SamplerConfig, density_at
+) -> tuple[Float[Array, "rays n+1"], list[tuple[Float[Array, "rays m+1"], Float[Array, "rays m"]]]]:
+    """Edges of the final intervals, and each proposal's (sdist, weights) for the interlevel loss.
+
+    Args:
+        key: jitter of each level, one number per ray; None puts every draw into the middle.
+        density_at: (proposal, rays, tdist) to (rays, m) densities, so that the caller decides on contraction and
+            multisampling.
+    """
+    num_rays = rays.origins.shape[0]
+    sdist = jnp.broadcast_to(jnp.array([0.0, 1.0]), (num_rays, 2))
+    weights = jnp.ones((num_rays, 1))
+    levels = []
+    counts = (*config.proposals, config.final)
+    keys = [None] * len(counts) if key is None else list(jax.random.split(key, len(counts)))
+    for level, (count, level_key) in enumerate(zip(counts, keys, strict=True)):
+        uniforms = jnp.full(num_rays, 0.5) if level_key is None else jax.random.uniform(level_key, (num_rays,))
+        sdist = jax.lax.stop_gradient(sample_intervals(uniforms, sdist, weights, count))
+        if level < len(proposals):
+            tdist = spacing.t(sdist)
+            lengths = jnp.diff(tdist, axis=-1) * rays.speed[:, None]
+            proposed = volume_weights(density_at(proposals[level], rays, tdist), lengths)
+            levels.append((sdist, proposed))
+            weights = jax.lax.stop_gradient(proposed)
+    return sdist, levels

@@ -1,0 +1,49 @@
+"""Samples of many rays in one flat list, whatever chose them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+
+class RaySamples(eqx.Module):
+    """A list of samples ordered by ray, then by distance.
+
+    Each ray owns at most `max_per_ray` consecutive entries; entries past the last sample are not `valid` and carry
+    length zero. `padded` lays values out as (rays, max_per_ray) for what runs along a ray.
+    """
+
+    ray: Int[Array, " n"]
+    """Index of the ray."""
+    slot: Int[Array, " n"]
+    """Position among the ray's own samples."""
+    t: Float[Array, " n"]
+    """Where the field is evaluated, in multiples of the ray's direction."""
+    length: Float[Array, " n"]
+    """Extent of the interval that the sample stands for, in the same unit."""
+    valid: Bool[Array, " n"]
+    """False for entries that fill the list."""
+    num_rays: int = eqx.field(static=True)
+    max_per_ray: int = eqx.field(static=True)
+
+    @classmethod
+    def from_edges(cls, tdist: Float[Array, "rays n+1"]) -> "RaySamples":
+        """Every interval of every ray, evaluated at its centre."""
+        rays, count = tdist.shape[0], tdist.shape[1] - 1
+        return cls(
+            ray=jnp.repeat(jnp.arange(rays), count), slot=jnp.tile(jnp.arange(count), rays),
+            t=((tdist[:, 1:] + tdist[:, :-1]) / 2).reshape(-1), length=(tdist[:, 1:] - tdist[:, :-1]).reshape(-1),
+            valid=jnp.ones(rays * count, bool), num_rays=rays, max_per_ray=count,
+        )  # fmt: skip
+
+    def padded(self, values: Float[Array, " n"]) -> Float[Array, "rays slots"]:
+        """Values as a table of (rays, max_per_ray), zero where a ray has fewer samples."""
+        flat = jnp.zeros(self.num_rays * self.max_per_ray, values.dtype)
+        return flat.at[self._position].add(jnp.where(self.valid, values, 0)).reshape(self.num_rays, self.max_per_ray)
+
+    def packed(self, table: Float[Array, "rays slots"]) -> Float[Array, " n"]:
+        """Inverse of `padded`; zero for entries that are not valid."""
+        return jnp.where(self.valid, table.reshape(-1).at[self._position].get(mode="promise_in_bounds"), 0)
+
+    @property
+    def _position(self) -> Int[Array, " n"]:
+        return self.ray * self.max_per_ray + self.slot

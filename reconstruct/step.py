@@ -1,0 +1,170 @@
+"""One training step, a pure function of its state: draw rays, choose samples, descend, keep the grid up to date."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from reconstruct import objective
+from reconstruct.cloud import Cloud
+from reconstruct.config import Config
+from reconstruct.model import Model, cloud_of, render
+from reconstruct.rays import Normalisation, Pixels, Rays
+from reconstruct.sampling.occupancy import Occupancy, Steps, occupied_steps, packed_samples
+from reconstruct.sampling.proposal import Spacing, propose
+from reconstruct.sampling.samples import RaySamples
+from reconstruct.schedules import learning_rate
+
+GRID_PERIOD, GRID_CELLS = 16, 65536
+"""Every so many steps the occupancy grid looks at so many cells."""
+SAMPLES_PER_RAY = 8
+"""The packed list is planned for rays that need at least so many samples each."""
+
+
+def _separate(tree):
+    """Keep the compiler from recomputing one stage inside the loops of the next."""
+    return jax.lax.optimization_barrier(tree)
+
+
+class TrainState(eqx.Module):
+    """All that a training is, apart from the pixels: enough to continue to the same result."""
+
+    model: Model
+    optimiser: optax.OptState
+    occupancy: Occupancy | None
+    step: Int[Array, ""]
+    skipped: Int[Array, ""]
+    """Steps whose gradient was not finite: left out, counted and shown."""
+
+
+@dataclass(frozen=True)
+class StepFunctions:
+    """The step for one configuration and one scene. Static choices are made here, before compilation."""
+
+    config: Config
+    normalisation: Normalisation
+
+    @property
+    def _bounded(self) -> bool:
+        return self.normalisation.bounded
+
+    def initial(self, key: PRNGKeyArray, possible) -> TrainState:
+        """Fresh weights and a full grid (less what masks rule out)."""
+        model = Model.create(key, self.config)
+        sampler, occupancy = self.config.sampler, None
+        if sampler.kind == "occupancy":
+            occupancy = Occupancy.create(key, grid=sampler.grid, outer_grid=sampler.outer_grid, bounded=self._bounded, possible=possible)
+        return TrainState(model, self._adam().init(model), occupancy, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
+
+    def advance(self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], plain: Int[Array, ""], second: Array):
+        """`plain` steps, then one with the regularisers' second pass where `second` is true. Returns (state, terms)."""
+        one = lambda _, carry: self._step(carry[0], pixels, seed, progress, with_second_pass=False)  # noqa: E731
+        shapes = jax.eval_shape(lambda s: one(0, (s, None)), state)[1]
+        empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+        state, terms = jax.lax.fori_loop(0, plain, one, (state, empty))
+        if not self.config.surface.enabled:
+            return state, terms
+        regularised = lambda s: self._step(s, pixels, seed, progress, with_second_pass=True)  # noqa: E731
+        names = jax.eval_shape(regularised, state)[1]
+        padded = {name: terms.get(name, jnp.zeros(())) for name in names}
+        return jax.lax.cond(second, regularised, lambda s: (s, padded), state)
+
+    def _adam(self) -> optax.GradientTransformation:
+        return optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
+
+    def _step(self, state: TrainState, pixels: Pixels, seed, progress, *, with_second_pass: bool):
+        key = jax.random.fold_in(jax.random.key(seed), state.step)
+        keys = dict(zip(("pixels", "samples", "background", "sphere", "grid"), jax.random.split(key, 5), strict=True))
+        index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
+        rays, colour = _separate(pixels.take(_separate(index)))
+        batch = _separate(self._choose(state, rays, colour, keys["samples"]))
+        loss = lambda model: self._loss(model, batch, keys, with_second_pass)  # noqa: E731
+        (_, (terms, density)), gradient = _separate(jax.value_and_grad(loss, has_aux=True)(state.model))
+        state = self._descend(state, gradient, progress)
+        if state.occupancy is not None:
+            state = self._refresh(state, batch, density, keys["grid"])
+        return state, terms
+
+    @property
+    def _drawn(self) -> int:
+        sampler = self.config.sampler
+        if sampler.kind == "occupancy" and not self._bounded:
+            return min(sampler.rays, sampler.samples // SAMPLES_PER_RAY)
+        return sampler.rays
+
+    def _choose(self, state: TrainState, rays: Rays, colour, key):
+        """Samples of the rays that have any; `None` for proposals, which are part of what is differentiated."""
+        if state.occupancy is None:
+            return rays, colour, jnp.ones(self._drawn, bool), None
+        sampler = self.config.sampler
+        jitter = _separate(jax.random.uniform(key, (self._drawn,)))
+        words = occupied_steps(state.occupancy, rays, self.steps(rays), jitter, self._bounded)
+        words = _separate(words)
+        kept = min(self._drawn, sampler.samples // SAMPLES_PER_RAY)
+        if kept < self._drawn:  # empty rays have nothing to learn from
+            hit = jnp.any(words > 0, -1)
+            (order,) = jnp.nonzero(hit, size=kept, fill_value=0)
+            words = jnp.where((jnp.arange(kept) < jnp.sum(hit))[:, None], words[order], 0)
+            rays, colour, jitter, words = _separate(jax.tree.map(lambda a: a[order], (rays, colour, jitter)) + (words,))
+        samples, fits = packed_samples(words, self.steps(rays), jitter, capacity=sampler.samples, max_per_ray=sampler.max_per_ray)
+        return rays, colour, fits & jnp.any(words > 0, -1), samples
+
+    def steps(self, rays: Rays) -> Steps:
+        """How rays of this scene are cut into steps."""
+        n = self.normalisation
+        return Steps.of(rays, steps=self.config.sampler.steps, bounded=n.bounded, near=n.near, far=n.far)
+
+    def _loss(self, model: Model, batch, keys, with_second_pass: bool):
+        rays, colour, used, samples = batch
+        config, terms, turn = self.config, {}, None
+        if samples is None:
+            samples, sdist, levels, turn = self.propose(model, rays, keys["samples"])
+        cloud = cloud_of(rays, samples, bounded=self._bounded, turn=turn)
+        rendered, density = render(model.field, rays, samples, cloud, deferred=config.field.shading == "deferred")
+        background = jax.random.uniform(keys["background"], (rays.origins.shape[0], 3))
+        terms |= objective.photometric(rendered, colour, background, used, config.losses.charbonnier)
+        if model.proposals:
+            terms |= objective.interlevel_terms(sdist, rendered.weights, levels, config.losses.interlevel)
+        if config.losses.distortion:
+            terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), config.losses.distortion)
+        if config.losses.decay:
+            terms |= objective.decay_term(model, config.losses.decay)
+        surface = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
+        terms |= objective.surface_point_terms(model.field, rays, surface, config, self._bounded)
+        if with_second_pass:
+            terms |= objective.second_pass_terms(model.field, rays, surface, keys["sphere"], config.surface, self._bounded)
+        return objective.total(terms), (terms, jax.lax.stop_gradient(density))
+
+    def propose(self, model: Model, rays: Rays, key: PRNGKeyArray | None):
+        """Final samples of the proposal sampler, their sdist, the levels, and the turn of each ray's hexagons."""
+        sampler, spacing = self.config.sampler, Spacing.of(self.normalisation)
+        turn = None
+        if sampler.multisamples == 6:
+            turn = jnp.zeros(rays.origins.shape[0]) if key is None else 2 * jnp.pi * jax.random.uniform(key, (rays.origins.shape[0],))
+        density_at = lambda p, r, t: objective.proposal_density(p, r, t, bounded=self._bounded, turn=turn)  # noqa: E731
+        sdist, levels = propose(model.proposals, rays, spacing, key, sampler, density_at)
+        return RaySamples.from_edges(spacing.t(sdist)), sdist, levels, turn
+
+    def _descend(self, state: TrainState, gradient: Model, progress) -> TrainState:
+        """Adam; a gradient that is not finite changes nothing and is counted."""
+        train = self.config.train
+        rate = learning_rate(progress, rate=train.rate, final_rate=train.final_rate, warmup=train.warmup)
+        finite = jnp.isfinite(sum(jnp.sum(leaf) for leaf in jax.tree.leaves(gradient)))
+        update, optimiser = self._adam().update(gradient, state.optimiser)
+        moved = jax.tree.map(lambda p, u: p - rate * u, state.model, update)
+        keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, old)  # noqa: E731
+        return TrainState(keep(moved, state.model), keep(optimiser, state.optimiser), state.occupancy, state.step + 1,
+                          state.skipped + jnp.where(finite, 0, 1))  # fmt: skip
+
+    def _refresh(self, state: TrainState, batch, density, key) -> TrainState:
+        rays, _, _, samples = batch
+        points, _ = cloud_of(rays, samples, bounded=self._bounded)._contracted()
+        cells = state.occupancy.cell(*points)
+        occupancy = state.occupancy.seen(cells, jnp.where(samples.valid, density, 0.0))
+        density_of = lambda p: state.model.field.density(Cloud(p, None, bounded=True))  # noqa: E731
+        look = lambda o: o.updated(density_of, key, GRID_CELLS, self.config.sampler.optical_depth)  # noqa: E731
+        occupancy = jax.lax.cond(state.step % GRID_PERIOD == 0, look, lambda o: o, occupancy)
+        return eqx.tree_at(lambda s: s.occupancy, state, occupancy)
