@@ -1,0 +1,116 @@
+"""Whole pictures from a trained model: rays in chunks, each as long as its occupied space allows."""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from datasets.camera_model import Camera
+from datasets.scene import View
+from reconstruct.model import cloud_of, render
+from reconstruct.rays import Rays, view_rays
+from reconstruct.rendering import composite
+from reconstruct.safe import normalise
+from reconstruct.sampling.occupancy import occupied_steps, packed_samples
+from reconstruct.step import StepFunctions, TrainState
+
+CHUNK, CAPACITY, MAX_PER_RAY = 4096, 65536, 64
+"""Rays per chunk, samples per chunk, samples per ray."""
+CHANNELS = {"rgb": 3, "opacity": 1, "diffuse": 3, "specular": 3, "roughness": 1, "depth": 1, "normals_pred": 3, "normals": 3}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What the model sees through a camera; every array is (height, width, channels), float32."""
+
+    rgb: NDArray[np.float32]
+    """sRGB in 0..1 over the background."""
+    opacity: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+    """Linear, premultiplied with opacity."""
+    specular: NDArray[np.float32]
+    """Linear, tint included, premultiplied with opacity."""
+    roughness: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    """Along z, in the scene's world unit; zero where nothing is seen."""
+    normals: NDArray[np.float32]
+    """Unit, world frame, from the density's gradient; zero where nothing is seen."""
+    normals_pred: NDArray[np.float32]
+    """The same from the predicted normals."""
+
+
+@dataclass
+class Renderer:
+    """Renders views of a training state. Compiles once per instance."""
+
+    functions: StepFunctions
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    _compiled: dict = field(default_factory=dict)
+
+    def picture(self, state: TrainState, view: View, camera: Camera | None = None, *, normals: bool = True) -> Picture:
+        """Render a view, through its own camera or another one at the same place.
+
+        Args:
+            normals: also composite density normals, which costs about as much again.
+        """
+        camera = camera or view.camera
+        origins, directions, radii = view_rays(view, self.functions.normalisation, camera)
+        flat = self.rays(state, origins, directions, radii, normals=normals)
+        images = {name: value.reshape(camera.height, camera.width, -1) for name, value in flat.items()}
+        unit = lambda v: np.asarray(normalise(jnp.asarray(v)))  # noqa: E731
+        images["normals"], images["normals_pred"] = unit(images["normals"]), unit(images["normals_pred"])
+        images["depth"] = images["depth"] / self.functions.normalisation.scale
+        return Picture(**images)
+
+    def rays(self, state: TrainState, origins, directions, radii, *, normals: bool = False) -> dict[str, NDArray[np.float32]]:
+        """Render n rays: a dictionary of (n, channels) arrays as in `CHANNELS`, depth in scene units."""
+        chunk = min(CHUNK, max(256, 1 << (len(origins) - 1).bit_length()))
+        function = self._function(chunk, normals)
+        parts, start = [], 0
+        while start < len(origins):
+            rows = np.minimum(np.arange(start, start + chunk), len(origins) - 1)
+            rays = Rays(jnp.asarray(origins[rows]), jnp.asarray(directions[rows]), jnp.asarray(radii[rows]))
+            values, done = function(state, rays)
+            count = min(int(done), len(origins) - start)
+            parts.append(np.asarray(values[:count]))
+            start += count
+        values = np.concatenate(parts)
+        ends = np.cumsum(list(CHANNELS.values()))
+        return dict(zip(CHANNELS, np.split(values, ends[:-1], -1), strict=True))
+
+    def _function(self, chunk: int, normals: bool):
+        key = (chunk, normals)
+        if key not in self._compiled:
+            self._compiled[key] = jax.jit(lambda state, rays: self._render(state, rays, normals))
+        return self._compiled[key]
+
+    def _render(self, state: TrainState, rays: Rays, with_normals: bool) -> tuple[Float[Array, "rays channels"], Array]:
+        """All channels side by side, and how many rays from the first on found room."""
+        functions, model, turn = self.functions, state.model, None
+        bounded = functions.normalisation.bounded
+        if state.occupancy is None:
+            samples, _, _, turn = functions.propose(model, rays, None)
+            done = jnp.asarray(rays.origins.shape[0])
+        else:
+            middle = jnp.full(rays.origins.shape[0], 0.5)
+            words = jax.lax.optimization_barrier(occupied_steps(state.occupancy, rays, functions.steps(rays), middle, bounded))
+            samples, fits = packed_samples(words, functions.steps(rays), middle, capacity=CAPACITY, max_per_ray=MAX_PER_RAY)
+            done = jnp.sum(fits)
+        samples = jax.lax.optimization_barrier(samples)
+        cloud = cloud_of(rays, samples, bounded=bounded, turn=turn)
+        rendered, _ = render(model.field, rays, samples, cloud, deferred=functions.config.field.shading == "deferred")
+        normals = jnp.zeros_like(rendered.normals_pred)
+        if with_normals:
+            _, _, per_sample = model.field.with_normals(cloud)
+            normals = composite(per_sample, samples.packed(rendered.weights), samples)
+        background = jnp.asarray(self.background if bounded else (0.0, 0.0, 0.0))
+        columns = {
+            "rgb": jnp.clip(rendered.over(background[None]), 0, 1), "opacity": rendered.opacity[:, None],
+            "diffuse": rendered.diffuse, "specular": rendered.specular, "roughness": rendered.roughness[:, None],
+            "depth": jnp.where(rendered.opacity > 0.01, rendered.depth, 0.0)[:, None],
+            "normals_pred": rendered.normals_pred, "normals": normals,
+        }  # fmt: skip
+        return jnp.concatenate([columns[name] for name in CHANNELS], -1), done

@@ -1,0 +1,72 @@
+"""A run on disk: what was trained, on what, with which settings, and where it stands.
+
+    RUN/run.json        configuration, scene, normalisation, versions
+    RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, every loss
+    RUN/checkpoints/    training states
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from datasets import files
+from datasets.errors import DatasetError, Misuse
+from datasets.scene import Scene
+from reconstruct.config import Config
+from reconstruct.rays import Normalisation
+
+FORMAT, VERSION = "koala-run", 1
+RUN, LOG, CHECKPOINTS = "run.json", "log.jsonl", "checkpoints"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training of one scene."""
+
+    path: Path
+    config: Config
+    scene_path: str
+    normalisation: Normalisation
+    content: dict[str, Any]
+    """Everything in run.json."""
+
+    @classmethod
+    def create(cls, path: Path, config: Config, scene_path: Path, normalisation: Normalisation, about: dict[str, Any]) -> "Run":
+        """Start a run in a folder that is missing or empty."""
+        path = Path(path)
+        files.refuse_existing(path)
+        content = {"format": FORMAT, "version": VERSION, "scene": str(Path(scene_path).resolve()), "config": config.model_dump(mode="json"),
+                   "normalisation": asdict(normalisation), **about}  # fmt: skip
+        files.write_json(path / RUN, content)
+        return cls(path, config, content["scene"], normalisation, content)
+
+    @classmethod
+    def open(cls, path: Path) -> "Run":
+        """Read a run. Raises Misuse where `path` is none."""
+        path = Path(path)
+        if not (path / RUN).is_file():
+            raise Misuse("is not a run", where=path, why=f"no {RUN} in it", remedy="give a folder made by 'reconstruct train'")
+        content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
+        try:
+            normalisation = Normalisation(**{**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])})
+            return cls(path, Config.model_validate(content["config"]), content["scene"], normalisation, content)
+        except (KeyError, TypeError, ValueError) as error:
+            raise DatasetError("run is not complete", where=path / RUN, why=str(error).splitlines()[0]) from None
+
+    def scene(self) -> Scene:
+        """The scene that it was trained on."""
+        from datasets.formats import load_scene
+
+        return load_scene(self.scene_path)
+
+    def log(self) -> list[dict[str, Any]]:
+        """The lines of the log; one cut off by a kill is left out."""
+        path = self.path / LOG
+        lines = path.read_text(encoding="utf-8").split("\n")[:-1] if path.is_file() else []
+        return [json.loads(line) for line in lines]
+
+    def append_log(self, line: dict[str, Any]) -> None:
+        """Add a line to the log."""
+        with open(self.path / LOG, "a", encoding="utf-8") as file:
+            file.write(json.dumps(line, allow_nan=False, default=float) + "\n")

@@ -1,0 +1,207 @@
+"""The training loop: prepare, step until the budget or the steps are spent, log, checkpoint, resume."""
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from datasets.console import progress
+from datasets.errors import Misuse
+from datasets.scene import Scene
+from reconstruct import checkpoint
+from reconstruct.config import Config
+from reconstruct.errors import ReconstructError
+from reconstruct.hull import possible_cells
+from reconstruct.rays import Normalisation, Pixels
+from reconstruct.renderer import Renderer
+from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.schedules import second_pass_period
+from reconstruct.step import StepFunctions, TrainState
+
+CHUNK = 32
+"""At most so many steps between two looks at the clock."""
+LOOKS = 40
+"""Lines in the log over a whole training."""
+PROBE = 4096
+"""Pixels of unseen views that each look renders; never trained on, not on the training's clock."""
+MAX_SKIPPED = 100
+"""More steps than this with a gradient that is not finite end the training."""
+
+
+@dataclass
+class Clock:
+    """How far a training is: in steps, or where a budget is given in seconds of training proper."""
+
+    steps: int
+    budget_s: float | None
+    seconds: float = 0.0
+    step: int = 0
+    since_second_pass: int = 0
+
+    @property
+    def progress(self) -> float:
+        """Share of the training that is done, 0 to 1."""
+        return min(1.0, self.step / self.steps if self.budget_s is None else self.seconds / self.budget_s)
+
+
+@dataclass
+class Training:
+    """A training that is under way."""
+
+    run: Run
+    functions: StepFunctions
+    state: TrainState
+    pixels: Pixels
+    probe: tuple[np.ndarray, ...] | None
+    clock: Clock
+    renderer: Renderer
+    _advance: Any = field(default=None)
+
+    def chunk(self) -> dict[str, jax.Array]:
+        """Up to `CHUNK` steps, the last of them with the second pass where it is due. Returns the last step's terms."""
+        surface, clock = self.run.config.surface, self.clock
+        period = second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
+        left = CHUNK if clock.budget_s is not None else min(CHUNK, clock.steps - clock.step)
+        count = max(1, min(left, period - clock.since_second_pass))
+        second = surface.enabled and clock.since_second_pass + count >= period
+        start = time.perf_counter()
+        self.state, terms = self._advance(self.state, self.pixels, jnp.asarray(self.run.config.train.seed, jnp.int32),
+                                          jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count - second, jnp.int32), jnp.asarray(second))  # fmt: skip
+        jax.block_until_ready(terms)
+        clock.seconds += time.perf_counter() - start
+        clock.step += count
+        clock.since_second_pass = 0 if second else clock.since_second_pass + count
+        return terms
+
+    def compile(self) -> float:
+        """Compile the step; returns the seconds that it took."""
+        start = time.perf_counter()
+        scalar = lambda v, d: jnp.asarray(v, d)  # noqa: E731
+        lowered = jax.jit(self.functions.advance, donate_argnums=(0,)).lower(
+            self.state, self.pixels, scalar(0, jnp.int32), scalar(0, jnp.float32), scalar(1, jnp.int32), scalar(False, bool))  # fmt: skip
+        self._advance = lowered.compile()
+        return time.perf_counter() - start
+
+    def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:
+        """One line for the log; renders the probe."""
+        line: dict[str, Any] = {"step": self.clock.step, "seconds": round(self.clock.seconds, 3), "progress": round(self.clock.progress, 5)}
+        mse = float(terms["mse"])
+        line["psnr_train"] = -10 * float(np.log10(max(mse, 1e-10)))
+        if self.probe is not None:
+            *rays, target = self.probe
+            rendered = self.renderer.rays(self.state, *rays)["rgb"]
+            line["psnr_unseen"] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
+        line |= {"skipped": int(self.state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
+        if self.state.occupancy is not None:
+            line["occupied"] = float(jnp.mean(self.state.occupancy.occupied.astype(jnp.float32)))
+        self.run.append_log(line)
+        return line
+
+    def save(self) -> None:
+        """Checkpoint state and clock."""
+        clock = {"seconds": self.clock.seconds, "step": self.clock.step, "since_second_pass": self.clock.since_second_pass}
+        checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)
+
+
+def train(scene: Scene, scene_path: Path, config: Config, out: Path, *, budget_s: float | None = None, resume: bool = False) -> dict[str, Any]:
+    """Train on the scene's train views and leave a run in `out`.
+
+    Args:
+        budget_s: seconds of training proper, after images are read and the step is compiled; None trains
+            `config.train.steps` steps, which is what repeats bit for bit.
+        resume: continue the run in `out`, to the result that an undisturbed training would have had.
+
+    Raises:
+        Misuse: no train views, `out` holds something else, or nothing to resume.
+        ReconstructError: the training does not stay finite.
+    """
+    if budget_s is not None and not budget_s > 0:
+        raise Misuse("budget is not a positive time", why=f"{budget_s} s")
+    started = time.perf_counter()
+    training = _resumed(scene, out, budget_s) if resume else _fresh(scene, scene_path, config, out, budget_s)
+    prepared = time.perf_counter() - started
+    compiled = training.compile()
+    try:
+        _loop(training)
+    except KeyboardInterrupt:
+        training.save()
+        raise KeyboardInterrupt(f"continue with --resume --out {out}") from None
+    training.save()
+    last = training.run.log()[-1]
+    return {"run": str(out), "steps": training.clock.step, "training_s": training.clock.seconds, "preparation_s": prepared,
+            "compilation_s": compiled, "psnr_train": last["psnr_train"], "psnr_unseen": last.get("psnr_unseen"),
+            "skipped_steps": last["skipped"]}  # fmt: skip
+
+
+def _loop(training: Training) -> None:
+    clock = training.clock
+    next_look, next_save = clock.progress + 1 / LOOKS, time.monotonic() + training.run.config.train.checkpoint_s
+    total, unit = (clock.steps, "steps") if clock.budget_s is None else (clock.budget_s, "s")
+    with progress("training", total, unit) as shown:
+        shown.advance(clock.step if clock.budget_s is None else clock.seconds)
+        while clock.progress < 1:
+            before = (clock.step, clock.seconds)
+            terms = training.chunk()
+            if clock.progress >= next_look or clock.progress >= 1:
+                line = training.look(terms)
+                next_look = clock.progress + 1 / LOOKS
+                shown.note(f"PSNR {line['psnr_train']:.1f} dB" + (f", unseen {line['psnr_unseen']:.1f}" if "psnr_unseen" in line else ""))
+                if line["skipped"] > MAX_SKIPPED:
+                    raise ReconstructError("training does not stay finite", where=f"step {clock.step}", why=f"{line['skipped']} steps had a gradient that is not finite",
+                                           remedy="lower train.rate")  # fmt: skip
+            if time.monotonic() > next_save:
+                training.save()
+                next_save = time.monotonic() + training.run.config.train.checkpoint_s
+            shown.advance(clock.step - before[0] if clock.budget_s is None else clock.seconds - before[1])
+
+
+def _fresh(scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None) -> Training:
+    from datasets.files import refuse_existing
+
+    refuse_existing(out)
+    normalisation = Normalisation.of(scene)
+    parts = _prepare(scene, config, normalisation)
+    about = {"scene_name": scene.name, "budget_s": budget_s, "versions": {"jax": jax.__version__, "numpy": np.__version__},
+             "device": jax.devices()[0].device_kind, "notes": list(scene.notes)}  # fmt: skip
+    run = Run.create(out, config, scene_path, normalisation, about)
+    return Training(run, *parts, Clock(config.train.steps, budget_s), Renderer(parts[0]))
+
+
+def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
+    run = Run.open(out)
+    functions, state, pixels, probe = _prepare(scene, run.config, run.normalisation)
+    state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
+    budget_s = budget_s or run.content.get("budget_s")
+    clock = Clock(run.config.train.steps, budget_s, clock["seconds"], int(clock["step"]), int(clock["since_second_pass"]))
+    return Training(run, functions, state, pixels, probe, clock, Renderer(functions))
+
+
+def _prepare(scene: Scene, config: Config, normalisation: Normalisation):
+    views = scene.split("train")
+    functions = StepFunctions(config, normalisation)
+    with progress("reading images", len(views), "images") as shown:
+        pixels = Pixels.load(views, normalisation, config.scale, shown)
+    possible = None
+    if config.sampler.kind == "occupancy" and normalisation.bounded:
+        possible = possible_cells(pixels, views, normalisation, config.sampler.grid, config.scale)
+    state = functions.initial(jax.random.key(config.train.seed), possible)
+    return functions, state, pixels, _probe(scene, config, normalisation)
+
+
+def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
+    """Random pixels of a few test views: (origins, directions, radii, colour over white)."""
+    views = [view for view in scene.views if view.split == "test"]
+    if not views:
+        return None
+    views = tuple(views[:: max(1, len(views) // 4)][:4])
+    with progress("reading unseen pixels", len(views), "images") as shown:
+        pixels = Pixels.load(views, normalisation, config.scale, shown)
+    index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
+    rays, colour = pixels.take(jnp.asarray(index))
+    colour = np.asarray(colour)
+    target = colour[:, :3] * colour[:, 3:] + 1 - colour[:, 3:]
+    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), target
