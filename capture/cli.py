@@ -101,3 +101,7 @@ def _how_to_resume(out: Path) -> str:
 def main() -> None:
     """Entry point of the command."""
     console.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -83,7 +83,7 @@ def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool) -> Recordin
     if not resume or not out.exists():
         return Recording.create(out, manifest)
     recording = Recording.open(out)
-    for key in ("trajectory", "rig", "scene", "seed", "camera_settings"):
+    for key in ("trajectory", "rig", "scene", "seed"):
         if _comparable(recording.manifest.get(key)) != _comparable(manifest.get(key)):
             raise Misuse(f"was taken with another {key.replace('_', ' ')}", where=out, why="a recording has one session",
                          remedy="resume with what it was started with, or choose another --out")  # fmt: skip
@@ -96,7 +96,7 @@ def _manifest(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
     return {
         "name": trajectory.name, "software": f"koala-capture {version('koala-capture')}", "scene": None, "seed": None, **rig.extra,
         "trajectory": trajectory.model_dump(mode="json"), "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
-        "camera_settings": trajectory.camera.model_dump(mode="json"), "camera": camera, "robot": rig.robot.description(),
+        "camera": camera, "robot": rig.robot.description(),
         "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
         "board": _board(trajectory), "object": None if volume is None else
         {"centre": list(volume.centre), "size": list(volume.size), "box": volume.corners.tolist()},

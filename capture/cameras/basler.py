@@ -74,7 +74,6 @@ class Basler:
                 if image is not None:
                     return image
                 reasons.append(reason)
-                self._restart()
         except self._pylon.GenericException as error:
             if self._camera.IsCameraDeviceRemoved():
                 raise RigConnectionError("camera was unplugged", where=self._name(),
@@ -108,13 +107,14 @@ class Basler:
         """Model, serial number, region, exposure, and the camera's whole state as it saves it itself."""
         info, binning = self._camera.GetDeviceInfo(), self.region.binning
         state = self._pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
-        pairs = (line.split("\t", 1) for line in state.splitlines() if "\t" in line and not line.startswith("#"))
+        pairs = (line.rsplit("\t", 1) for line in state.splitlines() if "\t" in line and not line.startswith("#"))
         return {
             "driver": "basler", "model": info.GetModelName(), "serial": info.GetSerialNumber(), "emulated": self.emulated,
             "pylon": ".".join(str(part) for part in self._pylon.GetPylonVersion()),
             "firmware": _value(self._camera, "DeviceFirmwareVersion", default=""), "region": self.region.to_json(),
             "sensor": {"width": self._sensor_edge("Width") * binning, "height": self._sensor_edge("Height") * binning},
-            "exposure_us": self._exposure.Value, "gain_db": self._gain_db(), "state": dict(pairs),
+            "exposure_us": self._exposure.Value, "gain_db": self._gain_db(),
+            "pixel_format": self._camera.PixelFormat.Value, "state": dict(pairs),
         }  # fmt: skip
 
     def _find(self) -> Any:
@@ -202,11 +202,6 @@ class Basler:
             return Image(pixels, float(self._exposure.Value), self._gain_db(), int(result.TimeStamp), host_time_ns), ""
         finally:
             result.Release()
-
-    def _restart(self) -> None:
-        """Throw away whatever is still under way."""
-        self._camera.StopGrabbing()
-        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def _name(self) -> str:
         return f"camera {self.serial}" if self.serial else "emulated camera" if self.emulated else "camera"

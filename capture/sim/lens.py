@@ -37,11 +37,13 @@ class Lens:
 
     @cached_property
     def pinhole(self) -> Camera:
-        """The centred pinhole whose picture covers everything that the camera sees."""
-        focal = max(self.camera.fx, self.camera.fy) * self.supersampling
-        reach = np.abs(self._corners).max(axis=(0, 1)) * focal / self.supersampling
-        half_width, half_height = self.supersampling * (np.ceil(reach).astype(int) + MARGIN)
-        return Camera(2 * int(half_width), 2 * int(half_height), focal, focal, float(half_width), float(half_height))
+        """The pinhole whose picture covers everything that the camera sees, its centre on a pixel's corner."""
+        focal = max(self.camera.fx, self.camera.fy)
+        lower = np.floor(self._corners.min(axis=(0, 1)) * focal).astype(int) - MARGIN
+        upper = np.ceil(self._corners.max(axis=(0, 1)) * focal).astype(int) + MARGIN
+        width, height = (int(edge) for edge in (upper - lower) * self.supersampling)
+        centre = -lower * float(self.supersampling)
+        return Camera(width, height, focal * self.supersampling, focal * self.supersampling, float(centre[0]), float(centre[1]))
 
     def places(self) -> Iterator[NDArray[np.float64]]:
         """taps * taps times (height, width, 2): ideal normalised coordinates spread evenly over each pixel.

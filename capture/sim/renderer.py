@@ -73,7 +73,8 @@ class Renderer:
         self._object_index = [shape.id() for shape in self._scene.shapes()].index("item000") + 1  # 0 is a miss
 
     def radiance(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, samples: int, seed: int) -> NDArray[np.float32]:
-        """(h, w, 3) linear light that reaches a centred pinhole, from `samples` paths per pixel."""
+        """(h, w, 3) linear light that reaches a pinhole, from `samples` paths per pixel. Its pixels are square and its
+        principal point is a pixel's corner."""
         sensor = _sensor(pinhole, base_from_camera, SAMPLER)
         picture = mi.render(self._scene, sensor=sensor, integrator=self._light, spp=samples, seed=seed)
         return np.array(picture, np.float32)[..., :3]
@@ -83,17 +84,25 @@ class Renderer:
         sensor = _sensor(pinhole, base_from_camera, "independent")
         picture = np.array(mi.render(self._scene, sensor=sensor, integrator=self._first, spp=1, seed=seed), np.float32)
         normals, places, index = picture[..., :3], picture[..., 3:6], picture[..., 6]
-        hit = np.linalg.norm(normals, axis=-1) > 0.5
-        depth = (places - base_from_camera[:3, 3]) @ base_from_camera[:3, 2]
+        away = places - base_from_camera[:3, 3].astype(np.float32)
+        leaked = np.sum(normals * away, axis=-1) > 0.3 * np.linalg.norm(away, axis=-1)  # slipped between two triangles
+        hit = (np.linalg.norm(normals, axis=-1) > 0.5) & ~leaked
+        depth = away @ base_from_camera[:3, 2]
         return Surfaces(hit, hit & (np.rint(index) == self._object_index), normals, np.where(hit, depth, 0).astype(np.float32))
 
 
 def _sensor(pinhole: Camera, base_from_camera: NDArray[np.float64], sampler: str) -> Any:
-    film = {"type": "hdrfilm", "width": pinhole.width, "height": pinhole.height, "rfilter": {"type": "box"},
-            "pixel_format": "rgb", "component_format": "float32"}  # fmt: skip
+    """Mitsuba's sensor for a pinhole: the part of a centred picture that reaches to the pinhole's furthest edges."""
+    half_width = int(np.ceil(max(pinhole.cx, pinhole.width - pinhole.cx)))
+    half_height = int(np.ceil(max(pinhole.cy, pinhole.height - pinhole.cy)))
+    film = {
+        "type": "hdrfilm", "width": 2 * half_width, "height": 2 * half_height, "rfilter": {"type": "box"},
+        "crop_offset_x": round(half_width - pinhole.cx), "crop_offset_y": round(half_height - pinhole.cy),
+        "crop_width": pinhole.width, "crop_height": pinhole.height, "pixel_format": "rgb", "component_format": "float32",
+    }  # fmt: skip
     return mi.load_dict({
         "type": "perspective", "film": film, "sampler": {"type": sampler}, "near_clip": 0.005, "far_clip": 100.0,
-        "fov_axis": "x", "fov": float(np.rad2deg(2 * np.arctan(pinhole.width / 2 / pinhole.fx))),
+        "fov_axis": "x", "fov": float(np.rad2deg(2 * np.arctan(half_width / pinhole.fx))),
         "to_world": mi.ScalarTransform4f(base_from_camera @ MITSUBA_FROM_OPENCV),
     })  # fmt: skip
 

@@ -1,0 +1,86 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture.cameras.basler import TRIES, Basler
+from capture.errors import CaptureError, RigConnectionError
+from capture.trajectory import CameraSettings
+from datasets import images
+from datasets.region import Region
+
+SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000, gain_db=3)
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> tuple[str, np.ndarray]:
+    pixels = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    images.write(tmp_path / "fed.png", pixels)
+    return str(tmp_path / "fed.png"), pixels
+
+
+def test_delivers_the_fed_picture_unchanged(picture):
+    path, pixels = picture
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(path)
+        first, second = camera.grab(), camera.grab()
+    assert np.array_equal(first.pixels, pixels) and np.array_equal(second.pixels, pixels)
+    assert first.exposure_us == pytest.approx(2000, abs=1) and first.gain_db == pytest.approx(3, abs=0.01)
+    assert second.host_time_ns > first.host_time_ns
+
+
+def test_damaged_images_are_taken_again(picture):
+    path, pixels = picture
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(path)
+        camera.break_next(TRIES - 1)
+        assert np.array_equal(camera.grab().pixels, pixels)
+        camera.break_next(TRIES)
+        with pytest.raises(CaptureError, match=r"damaged images in a row .*incomplete"):
+            camera.grab()
+        assert np.array_equal(camera.grab().pixels, pixels)  # and it goes on afterwards
+
+
+def test_description_holds_the_state_as_read_back():
+    with Basler(SMALL, emulated=True) as camera:
+        described = camera.description()
+    assert described["region"] == Region(64, 48, (480 - 64) // 2, (270 - 48) // 2, 4).to_json()
+    assert described["sensor"] == {"width": 1920, "height": 1080}
+    assert described["serial"] == "0815-0000" and described["exposure_us"] == pytest.approx(2000, abs=1)
+    state = described["state"]
+    assert described["pixel_format"] == "RGB8Packed" and state["ExposureAuto"] == "Off"
+    assert [value for key, value in state.items() if key.startswith("TriggerMode") and "FrameStart" in key] == ["On"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"binning": 5}, "BinningHorizontal.*requested 5.*1 to 4"),
+        ({"exposure_us": 3e7}, "ExposureTime.*requested 30000000"),
+        ({"gain_db": 60}, "Gain.*requested 60"),
+        ({"width": 5000}, "Width.*requested 5000"),
+        ({"offset_x": 4090, "width": 64}, "OffsetX.*requested 4090"),
+    ],
+)
+def test_setting_that_is_not_taken_is_told_and_the_camera_closed(changed, words):
+    with pytest.raises(CaptureError, match=words):
+        Basler(SMALL.model_copy(update=changed), emulated=True).__enter__()
+    with Basler(SMALL, emulated=True):  # so it is free again
+        pass
+
+
+def test_missing_camera_is_told():
+    with pytest.raises(RigConnectionError, match=r"camera 123: no such Basler camera .*check cable"):
+        Basler(SMALL, serial="123", emulated=True).__enter__()
+
+
+def test_camera_in_use_is_told():
+    with Basler(SMALL, emulated=True), pytest.raises(CaptureError):
+        Basler(SMALL.model_copy(update={"gain_db": 99.0}), emulated=True).__enter__()
+
+
+def test_closing_twice_is_harmless():
+    camera = Basler(SMALL, emulated=True)
+    camera.__enter__()
+    camera.__exit__(None, None, None)
+    camera.__exit__(None, None, None)

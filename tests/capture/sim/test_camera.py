@@ -1,0 +1,106 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture.sim.camera import SimulatedCamera
+from capture.sim.truth import RigTruth
+from capture.sim.views import check_scene
+from capture.trajectory import Trajectory, load_trajectory
+from datasets import files, images, pose
+from datasets.camera_model import Camera
+from datasets.errors import Misuse
+
+TRUTH = RigTruth.draw(np.eye(4), 0)
+
+
+def looking(trajectory: Trajectory) -> np.ndarray:
+    """`base_from_flange` from which the true camera looks at the object."""
+    centre = np.asarray(trajectory.object.centre if trajectory.object else (0.45, 0, 0))
+    return pose.look_at(np.add(centre, (-0.4, -0.1, 0.3)), centre) @ pose.inverse(TRUTH.flange_from_camera)
+
+
+@pytest.fixture
+def trajectory(configs: Path, monkeypatch) -> Trajectory:
+    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
+    small = ["camera.width=120", "camera.height=120", "camera.binning=4"]
+    return load_trajectory(configs / "trajectories" / "koala_demo.yaml", overrides=small)
+
+
+def simulated(trajectory: Trajectory, scene: str = "shiny_ball", seed: int = 0) -> SimulatedCamera:
+    return SimulatedCamera(trajectory, scene, TRUTH, lambda: looking(trajectory), seed)
+
+
+def test_truth_of_a_test_view_is_that_of_its_picture(trajectory, tmp_path):
+    with simulated(trajectory) as camera:
+        camera.prepare(3)
+        pixels = camera.grab().pixels
+        camera.keep_truth(tmp_path, "003", "test")
+    maps = {
+        channel: images.read(next((tmp_path / channel).iterdir()))
+        for channel in ("alpha", "normals", "depth", "diffuse", "specular")
+    }
+    whole = images.srgb_from_linear(np.clip(maps["diffuse"] + maps["specular"], 0, 1))
+    assert np.sqrt(np.mean((whole - pixels / 255) ** 2)) < 0.01  # sensor noise and eight bits
+    object_only = maps["alpha"][..., 0] > 0.999
+    assert 0.1 < object_only.mean() < 0.9  # the premise: object and surroundings are both seen
+    beside = maps["alpha"][..., 0] == 0
+    assert maps["diffuse"][object_only].max() < 0.03 and maps["specular"][beside].max() < 0.03  # half a fine pixel at the rim
+    assert maps["diffuse"][object_only].mean() < 1e-4 and maps["specular"][beside].mean() < 1e-4
+    np.testing.assert_allclose(np.linalg.norm(maps["normals"][object_only], axis=-1), 1, atol=1e-5)
+    assert (maps["depth"][object_only] > 0.2).all() and (maps["depth"][object_only] < 0.7).all()
+    _check_ball(maps, object_only, tmp_path)
+
+
+def _check_ball(maps: dict[str, np.ndarray], inside: np.ndarray, folder: Path) -> None:
+    """Pixels, depth and pose lead back to a sphere, and normals point away from its centre."""
+    content = files.read_json(folder / "poses.json", kind="koala-truth", version=1)
+    camera, base_from_camera = Camera.from_json(content["camera"], where="truth"), np.array(content["base_from_camera"]["003"])
+    points = camera.directions(camera.pixel_centres())[inside] * maps["depth"][inside]
+    points = points @ base_from_camera[:3, :3].T + base_from_camera[:3, 3]
+    import trimesh
+
+    ball = trimesh.load(folder / "object.ply")
+    centre, radius = ball.bounds.mean(0), ball.extents[0] / 2
+    outward = points - centre
+    middle = np.einsum("ij,ij->i", outward / radius, maps["normals"][inside]) > 0.9  # not where a pixel spans much depth
+    assert middle.mean() > 0.9
+    facing = maps["normals"][inside] @ base_from_camera[:3, 2] < -0.5
+    distance = np.linalg.norm(outward[facing], axis=-1)
+    assert np.abs(distance - radius).max() < 1e-3  # depth is a mean over pixels that are 1.6 mm wide on the ball
+
+
+def test_train_views_keep_their_pose_only(trajectory, tmp_path):
+    with simulated(trajectory) as camera:
+        camera.grab()
+        camera.keep_truth(tmp_path, "000", "train")
+        camera.keep_truth(tmp_path, "001", "train")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["object.ply", "poses.json"]
+    content = files.read_json(tmp_path / "poses.json")
+    wanted = looking(trajectory) @ TRUTH.flange_from_camera
+    assert sorted(content["base_from_camera"]) == ["000", "001"]
+    np.testing.assert_allclose(content["base_from_camera"]["001"], wanted, atol=1e-12)
+    np.testing.assert_array_equal(content["flange_from_camera"], TRUTH.flange_from_camera)
+
+
+def test_noise_depends_on_seed_and_frame_and_on_nothing_before(trajectory):
+    def picture(seed: int, frames: list[int]) -> np.ndarray:
+        with simulated(trajectory, seed=seed) as camera:
+            for frame in frames:
+                camera.prepare(frame)
+                pixels = camera.grab().pixels
+        return pixels
+
+    resumed = picture(0, [7])
+    assert np.array_equal(picture(0, [2, 7]), resumed)
+    assert not np.array_equal(picture(0, [8]), resumed)
+    assert not np.array_equal(picture(1, [7]), resumed)
+
+
+def test_scene_and_trajectory_must_suit_each_other(configs, trajectory):
+    calibration = load_trajectory(configs / "trajectories" / "calibration_demo.yaml")
+    with pytest.raises(Misuse, match="needs a trajectory with 'target'"):
+        check_scene("charuco_board", trajectory)
+    with pytest.raises(Misuse, match="needs a trajectory with 'object'"):
+        check_scene("gold_head", calibration)
+    check_scene("charuco_board", calibration)
