@@ -89,6 +89,24 @@ def export(
     console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
 
 
+@app.command()
+def truth(
+    recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run' on the simulated rig.")],
+    calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
+    as_json: Json = False,
+) -> None:
+    """Simulation: say how far a calibration is from the rig as it really is."""
+    from datasets.calibration import Calibration
+    from datasets.truth import calibration_error
+
+    found = calibration_error(recording, Calibration.load(calibration))
+    text = "hand-eye pose off by {hand_eye_mm:.3f} mm and {hand_eye_deg:.4f} deg\n".format(**found)
+    text += "cameras off by {camera_mm:.3f} mm and {camera_deg:.4f} deg (median of {frames}, the arm's error included)".format(
+        **found
+    )
+    console.report(found, as_json=as_json, text=text)
+
+
 def _text(found: dict[str, Any]) -> str:
     """`summary` for a person."""
     views = ", ".join(f"{count} {split}" for split, count in found["views"].items() if count)

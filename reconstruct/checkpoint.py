@@ -11,6 +11,8 @@ from reconstruct.errors import ReconstructError
 from reconstruct.step import TrainState
 
 KEPT = 2
+SCENE_SIZED = ".visits"
+"""End of the path of the leaf whose length is the scene's, not the configuration's: taken as it was stored."""
 
 
 def save(folder: Path, state: TrainState, clock: dict[str, float]) -> None:
@@ -44,11 +46,15 @@ def load(folder: Path, like: TrainState) -> tuple[TrainState, dict[str, float]]:
     if not found:
         raise ReconstructError("holds no checkpoint", where=folder, remedy="train first")
     content = _checkpointer().restore(found[-1].resolve())
-    leaves, structure = jax.tree.flatten(like)
+    leaves, structure = jax.tree.flatten_with_path(like)
     stored = [content["state"][key] for key in sorted(content["state"])]
-    if [np.shape(a) for a in stored] != [np.shape(b) for b in leaves]:
+    fits = len(stored) == len(leaves) and all(
+        np.shape(a) == np.shape(b) or jax.tree_util.keystr(path).endswith(SCENE_SIZED)
+        for a, (path, b) in zip(stored, leaves, strict=True)
+    )
+    if not fits:
         raise ReconstructError("checkpoint does not fit the configuration", where=found[-1], remedy="train again")
-    restored = [jax.numpy.asarray(a, b.dtype) for a, b in zip(stored, leaves, strict=True)]
+    restored = [jax.numpy.asarray(a, b.dtype) for a, (_, b) in zip(stored, leaves, strict=True)]
     return jax.tree.unflatten(structure, restored), {name: float(value) for name, value in content["clock"].items()}
 
 

@@ -1,0 +1,64 @@
+# make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 10 minutes on 2 cores)
+# make test    the test suite
+# Everything is installed into .venv; again only when pyproject.toml has changed.
+
+SHELL := /bin/bash
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+BUDGET ?= 180
+
+# $(call step,title,command): show the title and the command, run it, show the time that it took.
+define step
+@printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
+endef
+
+.PHONY: demo test test-all check format figures clean
+.DEFAULT_GOAL := test
+
+$(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "error: $(PYTHON) is older than 3.11; give a newer one: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 2; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	@touch $@
+
+demo: $(READY)
+	@rm -rf demo && mkdir demo && date +%s > demo/started
+	$(call step,photograph a calibration board with the simulated arm,$(BIN)/capture run configs/trajectories/calibration_demo.yaml --scene charuco_board --out demo/board)
+	$(call step,calibrate the camera and its place on the arm,$(BIN)/calib handeye demo/board --out demo/calibration.json)
+	$(call step,compare that with the truth of the simulation,$(BIN)/datasets truth demo/board --calibration demo/calibration.json)
+	$(call step,photograph a golden head from all around,$(BIN)/capture run configs/trajectories/koala_demo.yaml --scene gold_head --out demo/recording)
+	$(call step,make a scene of it,$(BIN)/datasets build demo/recording --calibration demo/calibration.json --out demo/koala/gold_head)
+	$(call step,train Surf-NeRF for $(BUDGET) s,$(BIN)/reconstruct train demo/koala/gold_head --preset fast --budget $(BUDGET) --out demo/run)
+	$(call step,measure it on the test views,$(BIN)/reconstruct eval demo/run)
+	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --out demo/mesh.ply)
+	$(call step,write the report,$(BIN)/reconstruct report demo/run --calibration demo/calibration.json --out demo/report)
+	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
+
+test: $(READY)
+	$(BIN)/python -m pytest -q
+
+test-all: $(READY)
+	$(BIN)/python -m pytest -q -m 'not hardware'
+
+check: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/python -m pytest -q
+
+format: $(READY)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+figures: demo/report/strip.png
+	mkdir -p docs/pictures
+	cp demo/report/strip.png docs/pictures/gold_head.png
+
+demo/report/strip.png:
+	$(MAKE) demo
+
+clean:
+	rm -rf demo build .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

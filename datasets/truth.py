@@ -1,0 +1,53 @@
+"""What a simulation knows to be true, beside what was found. For evaluation alone: nothing else reads RECORDING/truth."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets import files, pose
+from datasets.calibration import Calibration
+from datasets.errors import Misuse
+from datasets.recording import TRUTH, Recording
+
+POSES = "poses.json"
+FORMAT, VERSION = "koala-truth", 1
+
+
+def has_truth(recording: Path) -> bool:
+    """True for a recording of a simulated rig."""
+    return (Path(recording) / TRUTH / POSES).is_file()
+
+
+def calibration_error(recording: Path, calibration: Calibration) -> dict[str, Any]:
+    """How far a calibration is from the rig that made a recording.
+
+    Returns:
+        `hand_eye_mm` and `hand_eye_deg`, the error of flange_from_camera; `camera_mm` and `camera_deg`, that of the
+        cameras' poses as a scene built from the recording would have them (median over its frames), the arm's own error
+        included.
+
+    Raises:
+        Misuse: the recording is of a real rig, or the calibration holds no hand-eye pose.
+    """
+    if not has_truth(recording):
+        raise Misuse("recording knows no truth", where=recording, remedy="only simulated recordings have one")
+    if calibration.flange_from_camera is None:
+        raise Misuse("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
+    source = Path(recording) / TRUTH / POSES
+    content = files.read_json(source, kind=FORMAT, version=VERSION)
+    found = calibration.flange_from_camera.matrix
+    true = pose.checked(content["flange_from_camera"], where=f"{source}, flange_from_camera")
+    shift, turn = pose.difference(found, true)
+    frames = [frame for frame in Recording.open(recording).frames if frame.name in content["base_from_camera"]]
+    if not frames:
+        raise Misuse("recording holds no frames", where=recording, remedy="record it first")
+    cameras = [
+        pose.difference(frame.base_from_flange @ found, pose.checked(content["base_from_camera"][frame.name], where=source))
+        for frame in frames
+    ]
+    camera_shift, camera_turn = np.median(cameras, axis=0)
+    return {
+        "hand_eye_mm": float(1e3 * shift), "hand_eye_deg": float(np.rad2deg(turn)), "frames": len(frames),
+        "camera_mm": float(1e3 * camera_shift), "camera_deg": float(np.rad2deg(camera_turn)),
+    }  # fmt: skip

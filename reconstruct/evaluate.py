@@ -1,0 +1,135 @@
+"""Measure a run on views that it was not trained on: renders each, compares it with the truth, averages.
+
+RUN/metrics.json    each figure per view and on average, what it means, and the time per view
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files, images
+from datasets.camera_model import Camera
+from datasets.console import progress
+from datasets.scene import View
+from reconstruct import metrics
+from reconstruct.rays import read_scaled
+from reconstruct.renderer import Picture
+from reconstruct.trained import Trained
+
+FORMAT, VERSION = "koala-metrics", 1
+METRICS = "metrics.json"
+
+
+def evaluate(path: Path, *, split: str = "test") -> dict[str, Any]:
+    """Measure the run in `path` on the views of one split and write `metrics.json` into it.
+
+    Raises:
+        Misuse: `path` is no run, or its scene has no such views.
+    """
+    trained = Trained.open(path)
+    views = trained.scene.split(split)
+    start = time.perf_counter()
+    trained.warm_up(views[0])
+    compilation_s = time.perf_counter() - start
+    measured = []
+    with progress("evaluating", len(views), "views") as shown:
+        for view in views:
+            start = time.perf_counter()
+            picture = trained.picture(view)
+            seconds = time.perf_counter() - start
+            truth = read_truth(view, trained.camera(view))
+            measured.append({"name": view.name, **compare(picture, truth, metric=trained.scene.metric), "seconds": seconds})
+            shown.advance()
+            shown.note(f"PSNR {measured[-1]['psnr']:.1f} dB")
+    result = {
+        "format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "scale": trained.run.config.scale,
+        "size": [trained.camera(views[0]).width, trained.camera(views[0]).height], "steps": int(trained.state.step),
+        "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s,
+        "definitions": {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()},
+    }  # fmt: skip
+    files.write_json(trained.run.path / METRICS, result)
+    return result
+
+
+def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
+    """All truth maps of a view at the size of `camera`, and "rgb": its picture in sRGB, over white where it has an alpha.
+
+    Each new pixel is the mean of what it covers: normals as vectors, then brought to unit length; depth over those pixels
+    that have one. "alpha" is there wherever it can be known: from the truth, the picture's own, or where a depth is given.
+    """
+    scale = camera.width / view.camera.width
+    picture = read_scaled(view, scale)
+    maps = {"rgb": picture[..., :3]}
+    if picture.shape[-1] == 4:
+        alpha = picture[..., 3:]
+        maps = {"rgb": picture[..., :3] * alpha + (1 - alpha), "alpha": alpha}
+    for channel in view.truth:
+        maps[channel] = _resampled(channel, view.read_truth(channel), camera)
+    if "alpha" not in maps and "depth" in maps:
+        maps["alpha"] = (maps["depth"] > 0).astype(np.float32)
+    return maps
+
+
+def _resampled(channel: str, values: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    if channel == "depth":
+        known = (values[..., :1] > 0).astype(np.float32)
+        share = images.resize(known, camera.width, camera.height, srgb=False)
+        return images.resize(values[..., :1] * known, camera.width, camera.height, srgb=False) / np.maximum(share, 1e-6)
+    small = images.resize(values, camera.width, camera.height, srgb=False)
+    if channel == "alpha":
+        return small[..., :1]
+    if channel == "normals":
+        length = np.linalg.norm(small, axis=-1, keepdims=True)
+        return np.where(length > 1e-3, small / np.maximum(length, 1e-3), 0)
+    return small[..., :3]
+
+
+def compare(picture: Picture, truth: dict[str, NDArray[np.float32]], *, metric: bool) -> dict[str, float | None]:
+    """Figures of `metrics.DEFINITIONS` for one picture, as far as there is truth to compare with.
+
+    Args:
+        metric: whether depths are in metres.
+    """
+    found: dict[str, float | None] = {
+        "psnr": metrics.psnr(picture.rgb, truth["rgb"]),
+        "ssim": metrics.ssim(picture.rgb, truth["rgb"]),
+    }
+    if "normals" in truth:
+        alpha = truth.get("alpha", np.ones_like(picture.opacity))
+        for name, normals in {"normal": picture.normals, "normal_pred": picture.normals_pred}.items():
+            found[f"{name}_mae_alpha_acc_deg"] = metrics.normal_mae_deg(normals, truth["normals"], alpha * picture.opacity)
+            found[f"{name}_mae_deg"] = metrics.normal_mae_deg(normals, truth["normals"], alpha)
+    if "depth" in truth:
+        shown = (truth["alpha"] > 0.5)[..., 0] & (truth["depth"] > 0)[..., 0]
+        found["disparity_rmse"] = metrics.disparity_rmse(picture.depth, truth["depth"], shown)
+        errors = metrics.depth_errors_mm(picture.depth, truth["depth"], shown) if metric else None
+        if errors is not None:
+            found["depth_rmse_mm"], found["depth_median_mm"] = errors
+    for name in ("diffuse", "specular"):
+        if name in truth:
+            srgb = (images.srgb_from_linear(np.maximum(part, 0)) for part in (getattr(picture, name), truth[name]))
+            found[f"{name}_psnr"] = metrics.psnr(*srgb)
+    return found
+
+
+def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Average of each figure over the views that have it."""
+    found: dict[str, float | None] = {}
+    for name in metrics.DEFINITIONS:
+        values = [view[name] for view in measured if view.get(name) is not None]
+        if values:
+            found[name] = float(np.mean(values))
+    return found
+
+
+def table(result: dict[str, Any]) -> str:
+    """The averages for a person, a line each, with units."""
+    lines = [
+        f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}, after {result['steps']} steps"
+    ]
+    for name, value in result["mean"].items():
+        lines.append(f"  {name:<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
+    return "\n".join(lines)

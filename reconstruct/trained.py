@@ -1,0 +1,52 @@
+"""A trained model ready for use: the run, its scene, its newest state and a renderer."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+
+from datasets.camera_model import Camera
+from datasets.scene import Scene, View
+from reconstruct import checkpoint
+from reconstruct.rays import scaled_camera, view_rays
+from reconstruct.renderer import CHUNK, Picture, Renderer
+from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.step import StepFunctions, TrainState
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a run has come to so far."""
+
+    run: Run
+    scene: Scene
+    functions: StepFunctions
+    state: TrainState
+    renderer: Renderer
+
+    @classmethod
+    def open(cls, path: Path) -> "Trained":
+        """The newest checkpoint of a run.
+
+        Raises:
+            Misuse: `path` is no run, or its scene is gone.
+            ReconstructError: it has no checkpoint yet.
+        """
+        run = Run.open(path)
+        scene = run.scene()
+        functions = StepFunctions(run.config, run.normalisation)
+        state, _ = checkpoint.load(run.path / CHECKPOINTS, functions.initial(jax.random.key(0), None))
+        return cls(run, scene, functions, state, Renderer(functions))
+
+    def camera(self, view: View) -> Camera:
+        """A view's camera at the size that the run was trained at."""
+        return scaled_camera(view, self.run.config.scale)
+
+    def picture(self, view: View) -> Picture:
+        """Everything that the model sees in a view, at the size that the run was trained at."""
+        return self.renderer.picture(self.state, view, self.camera(view))
+
+    def warm_up(self, view: View) -> None:
+        """Compile what `picture` needs for views of this size, by rendering their first rays."""
+        rays = view_rays(view, self.run.normalisation, self.camera(view))
+        self.renderer.rays(self.state, *(values[:CHUNK] for values in rays), normals=True)
