@@ -56,6 +56,61 @@ def eval_command(
     console.report(result, as_json=as_json, text=f"{table(result)}\n{run / METRICS}")
 
 
+@app.command("render")
+def render_command(
+    run: RunFolder,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write; must be new.")],
+    split: Annotated[str, typer.Option(help="Views to render: train, val or test.")] = "test",
+    as_json: console.Json = False,
+) -> None:
+    """Render views: colour, its diffuse and specular part, normals, depth, opacity, roughness."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.export import render
+
+    cache_compilations()
+    result = render(run, out, split=split)
+    console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
+
+
+@app.command("mesh")
+def mesh_command(
+    run: RunFolder,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.ply", help="Mesh to write.")],
+    resolution: Annotated[
+        int, typer.Option(min=16, max=768, help="Grid points along the longest side of the object's box.")
+    ] = 256,
+    level: Annotated[
+        float, typer.Option(min=0.001, max=0.999, help="The surface is where 1/128 of the box absorbs this share of light.")
+    ] = 0.5,
+    as_json: console.Json = False,
+) -> None:
+    """Take the object's surface out of a run, as a coloured triangle mesh in world coordinates."""
+    from datasets.errors import Misuse
+    from datasets.files import refuse_existing
+    from reconstruct import mesh
+    from reconstruct.backend import cache_compilations
+    from reconstruct.trained import Trained
+
+    if out.suffix.lower() != ".ply":
+        raise Misuse("meshes are written as PLY", where=out, remedy="end --out in .ply")
+    refuse_existing(out)
+    cache_compilations()
+    trained = Trained.open(run)
+    surface = mesh.extract(trained, resolution=resolution, level=level)
+    mesh.save(surface, out)
+    size = surface.extents.tolist()
+    unit = "m" if trained.scene.metric else "units"
+    result = {
+        "out": str(out),
+        "vertices": len(surface.vertices),
+        "faces": len(surface.faces),
+        "size": size,
+        "metric": trained.scene.metric,
+    }
+    text = f"{len(surface.faces)} triangles, {' x '.join(f'{side:.3f}' for side in size)} {unit}\n{out}"
+    console.report(result, as_json=as_json, text=text)
+
+
 def main() -> None:
     """Entry point."""
     console.run(app)

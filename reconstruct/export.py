@@ -1,0 +1,69 @@
+"""Rendered views as files that any viewer and any other program can read.
+
+DIR/rgb/NAME.png         sRGB
+DIR/diffuse/NAME.png     sRGB of the diffuse part
+DIR/specular/NAME.png    sRGB of the specular part
+DIR/normals/NAME.png     (n + 1) / 2, world frame, from the density's gradient; grey where nothing is seen
+DIR/normals_pred/NAME.png  the same of the predicted normals
+DIR/depth/NAME.exr       along z [m, or the scene's unit]; 0 where nothing is seen
+DIR/depth_view/NAME.png  the same to look at: near is bright, nothing is black
+DIR/opacity/NAME.png     0..1
+DIR/roughness/NAME.png   0..1, clipped
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files, images
+from datasets.console import progress
+from datasets.formats.koala import file_name
+from reconstruct.renderer import Picture
+from reconstruct.trained import Trained
+
+
+def render(path: Path, out: Path, *, split: str = "test") -> dict[str, Any]:
+    """Render one split of the run in `path` into the new folder `out`, all or nothing.
+
+    Raises:
+        Misuse: `path` is no run, its scene has no such views, or `out` holds something.
+    """
+    files.refuse_existing(out)
+    trained = Trained.open(path)
+    views = trained.scene.split(split)
+    with files.atomic_folder(out) as folder, progress("rendering", len(views), "views") as shown:
+        for view in views:
+            for name, values in channels(trained.picture(view)).items():
+                suffix = ".exr" if name == "depth" else ".png"
+                images.write(folder / name / f"{file_name(view)}{suffix}", values)
+            shown.advance()
+    return {"out": str(out), "split": split, "views": len(views)}
+
+
+def channels(picture: Picture) -> dict[str, NDArray[np.float32]]:
+    """What is written of a picture, by folder: (height, width, 1 or 3), 0..1 but for depth."""
+    return {
+        "rgb": picture.rgb,
+        "diffuse": images.srgb_from_linear(np.maximum(picture.diffuse, 0)),
+        "specular": images.srgb_from_linear(np.maximum(picture.specular, 0)),
+        "normals": (picture.normals + 1) / 2,
+        "normals_pred": (picture.normals_pred + 1) / 2,
+        "depth": picture.depth,
+        "depth_view": brightness_of_depth(picture.depth),
+        "opacity": picture.opacity,
+        "roughness": picture.roughness,
+    }
+
+
+def brightness_of_depth(depth: NDArray[np.float32], limits: tuple[float, float] | None = None) -> NDArray[np.float32]:
+    """(height, width, 1) 1 at the nearest depth, 0.1 at the furthest, 0 where there is none.
+
+    Args:
+        limits: nearest and furthest depth; None takes the 1st and 99th percentile of the picture.
+    """
+    known = depth > 0
+    near, far = limits or (np.percentile(depth[known], [1, 99]) if known.any() else (0, 1))
+    share = np.clip((depth - near) / max(far - near, 1e-9), 0, 1)
+    return np.where(known, 1 - 0.9 * share, 0).astype(np.float32)

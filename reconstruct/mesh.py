@@ -1,0 +1,159 @@
+"""The surface of a trained model as a triangle mesh, in the scene's world coordinates.
+
+The density is sampled on a regular grid over the object's box, where the occupancy grid holds anything at all, and
+cut by marching cubes where a stretch as long as 1/128 of the box absorbs `level` of the light. That length belongs to the
+model and not to the mesh, so that a finer mesh shows the same surface in more detail.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from datasets.console import progress
+from datasets.files import atomic_path
+from reconstruct.cloud import Cloud
+from reconstruct.errors import ReconstructError
+from reconstruct.field import Field
+from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.trained import Trained
+
+if TYPE_CHECKING:
+    import trimesh
+
+RESOLUTION = 256
+"""Grid points along the longest side of the box."""
+LEVEL = 0.5
+"""Share of light that a stretch of surface material as long as 1/128 of the box absorbs."""
+CHUNK = 1 << 17
+"""Points evaluated at once."""
+SMALLEST_PART = 0.05
+"""Pieces with less than this share of the largest piece's area are noise."""
+
+
+def extract(trained: Trained, *, resolution: int = RESOLUTION, level: float = LEVEL) -> "trimesh.Trimesh":
+    """Mesh of the object: world coordinates, outward vertex normals, colours as seen straight on.
+
+    Args:
+        resolution: grid points along the longest side of the object's box.
+        level: see `LEVEL`; above 0 and below 1.
+
+    Raises:
+        ReconstructError: there is no surface in the box.
+    """
+    import trimesh
+    from skimage.measure import marching_cubes
+
+    axes = grid_axes(trained, resolution)
+    density = sample_density(trained, axes)
+    threshold = -np.log1p(-level) * 128 / max(axis[-1] - axis[0] for axis in axes)
+    if not density.min() < threshold < density.max():
+        raise ReconstructError("there is no surface in the object's box", where=trained.run.path,
+                               why=f"densities go up to {density.max():.3g}, the surface is at {threshold:.3g}",
+                               remedy="train longer, or check the scene's box")  # fmt: skip
+    spacing = axes[0][1] - axes[0][0]
+    # logarithms: density grows exponentially into the surface, and linear interpolation would pull it towards the empty side
+    vertices, faces, _, _ = marching_cubes(
+        np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold)), spacing=(spacing,) * 3
+    )
+    vertices = vertices + np.array([axis[0] for axis in axes])
+    mesh = largest_parts(trimesh.Trimesh(vertices, faces, process=False))
+    colours = colours_straight_on(trained, mesh.vertices, mesh.vertex_normals)
+    world = mesh.vertices / trained.run.normalisation.scale + trained.run.normalisation.centre
+    return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)
+
+
+def grid_axes(trained: Trained, resolution: int) -> tuple[NDArray[np.float64], ...]:
+    """Coordinates of the grid points along x, y and z [scene unit]: equal spacing, the box covered."""
+    normalisation = trained.run.normalisation
+    low, high = (np.asarray(trained.scene.box) - normalisation.centre) * normalisation.scale
+    spacing = (high - low).max() / (resolution - 1)
+    return tuple(a + spacing * np.arange(int(np.ceil((b - a) / spacing - 1e-6)) + 1) for a, b in zip(low, high, strict=True))
+
+
+def sample_density(trained: Trained, axes: tuple[NDArray[np.float64], ...]) -> Float[np.ndarray, "x y z"]:
+    """Density [1 / scene unit] at the grid points; zero where the occupancy grid is empty around."""
+    wanted = np.ones(tuple(len(axis) for axis in axes), bool)
+    if trained.state.occupancy is not None:
+        wanted = near_occupied(trained.state.occupancy, axes)
+    density = np.zeros(wanted.shape, np.float32)
+    index = np.flatnonzero(wanted)
+    with progress("sampling density", len(index) / 1e6, "million points") as shown:
+        for part, points in _chunks(index, axes):
+            values = _density(trained.state.model.field, points, trained.run.normalisation.bounded)
+            density.reshape(-1)[part] = np.asarray(values)[: len(part)]
+            shown.advance(len(part) / 1e6)
+    return density
+
+
+def near_occupied(occupancy: Occupancy, axes: tuple[NDArray[np.float64], ...]) -> NDArray[np.bool_]:
+    """(x, y, z) True for grid points in an occupied cell of the inner grid or next to one."""
+    from scipy.ndimage import binary_dilation
+
+    size = occupancy.grid
+    cells = np.asarray(occupancy.occupied[: size**3]).reshape(size, size, size) > 0
+    cells = binary_dilation(cells, np.ones((3, 3, 3)))
+    return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]
+
+
+def largest_parts(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
+    """The mesh without pieces of less than `SMALLEST_PART` of the largest piece's area."""
+    from trimesh.graph import connected_component_labels
+
+    labels = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    areas = np.bincount(labels, weights=mesh.area_faces)
+    kept = mesh.copy()
+    kept.update_faces(areas[labels] >= SMALLEST_PART * areas.max())
+    kept.remove_unreferenced_vertices()
+    return kept
+
+
+def colours_straight_on(trained: Trained, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
+    """(n, 3) sRGB of points [scene unit] seen against their normal: diffuse and specular, as metals have no diffuse part."""
+    colours = np.zeros((len(points), 3), np.uint8)
+    for start in range(0, len(points), CHUNK):
+        part = slice(start, min(start + CHUNK, len(points)))
+        values = _colour(
+            trained.state.model.field, _padded(points[part]), _padded(normals[part]), trained.run.normalisation.bounded
+        )
+        colours[part] = np.asarray(jnp.round(255 * jnp.clip(values, 0, 1)), np.uint8)[:, : part.stop - start].T
+    return colours
+
+
+def save(mesh: "trimesh.Trimesh", path: Path) -> None:
+    """Write a mesh atomically as binary PLY with normals and colours."""
+    with atomic_path(path) as temporary:
+        mesh.export(temporary, file_type="ply", vertex_normal=True)
+
+
+def _chunks(
+    index: NDArray[np.int64], axes: tuple[NDArray[np.float64], ...]
+) -> Iterator[tuple[NDArray[np.int64], Float[Array, "3 n"]]]:
+    shape = tuple(len(axis) for axis in axes)
+    for start in range(0, len(index), CHUNK):
+        part = index[start : start + CHUNK]
+        places = np.unravel_index(part, shape)
+        yield part, _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
+
+
+def _padded(points: NDArray) -> Float[Array, "3 n"]:
+    """(3, CHUNK): one compiled program for all chunks."""
+    padded = np.zeros((3, CHUNK), np.float32)
+    padded[:, : len(points)] = points.T
+    return jnp.asarray(padded)
+
+
+@eqx.filter_jit
+def _density(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[Array, " n"]:
+    return field.density(Cloud(points, None, bounded))
+
+
+@eqx.filter_jit
+def _colour(field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
+    _, material = field(Cloud(points, None, bounded))
+    return field.shade(material, -normals).rgb
