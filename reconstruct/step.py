@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from reconstruct import objective
 from reconstruct.cloud import Cloud
@@ -59,34 +59,51 @@ class StepFunctions:
             occupancy = Occupancy.create(key, grid=sampler.grid, outer_grid=sampler.outer_grid, bounded=self._bounded, possible=possible)
         return TrainState(model, self._adam().init(model), occupancy, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
 
-    def advance(self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], plain: Int[Array, ""], second: Array):
-        """`plain` steps, then one with the regularisers' second pass where `second` is true. Returns (state, terms)."""
-        one = lambda _, carry: self._step(carry[0], pixels, seed, progress, with_second_pass=False)  # noqa: E731
+    def advance(
+        self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], count: Int[Array, ""], second: Bool[Array, ""]
+    ) -> tuple[TrainState, objective.Terms]:
+        """`count` steps, the last of them with the regularisers' second pass where `second` is true.
+
+        Returns:
+            The new state and the last step's terms.
+        """
+        one = lambda i, carry: self._step(carry[0], pixels, seed, progress, second & (i == count - 1))  # noqa: E731
         shapes = jax.eval_shape(lambda s: one(0, (s, None)), state)[1]
         empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-        state, terms = jax.lax.fori_loop(0, plain, one, (state, empty))
-        if not self.config.surface.enabled:
-            return state, terms
-        regularised = lambda s: self._step(s, pixels, seed, progress, with_second_pass=True)  # noqa: E731
-        names = jax.eval_shape(regularised, state)[1]
-        padded = {name: terms.get(name, jnp.zeros(())) for name in names}
-        return jax.lax.cond(second, regularised, lambda s: (s, padded), state)
+        return jax.lax.fori_loop(0, count, one, (state, empty))
 
     def _adam(self) -> optax.GradientTransformation:
         return optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
 
-    def _step(self, state: TrainState, pixels: Pixels, seed, progress, *, with_second_pass: bool):
+    def _step(self, state: TrainState, pixels: Pixels, seed, progress, second) -> tuple[TrainState, objective.Terms]:
         key = jax.random.fold_in(jax.random.key(seed), state.step)
         keys = dict(zip(("pixels", "samples", "background", "sphere", "grid"), jax.random.split(key, 5), strict=True))
         index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
         rays, colour = _separate(pixels.take(_separate(index)))
         batch = _separate(self._choose(state, rays, colour, keys["samples"]))
-        loss = lambda model: self._loss(model, batch, keys, with_second_pass)  # noqa: E731
-        (_, (terms, density)), gradient = _separate(jax.value_and_grad(loss, has_aux=True)(state.model))
+        loss = lambda model: self._loss(model, batch, keys)  # noqa: E731
+        (_, (terms, density, surface)), gradient = _separate(jax.value_and_grad(loss, has_aux=True)(state.model))
+        if self.config.surface.enabled:
+            gradient, more = self._second_pass(state.model, gradient, batch[0], surface, keys["sphere"], second)
+            terms |= more
         state = self._descend(state, gradient, progress)
         if state.occupancy is not None:
             state = self._refresh(state, batch, density, keys["grid"])
         return state, terms
+
+    def _second_pass(self, model: Model, gradient: Model, rays: Rays, surface, key, second) -> tuple[Model, objective.Terms]:
+        """The gradient with the regularisers' added where `second` is true; elsewhere nothing is computed."""
+
+        def weighted(model: Model):
+            terms = objective.second_pass_terms(model.field, rays, surface, key, self.config.surface, self._bounded)
+            return objective.total(terms), terms
+
+        def with_regularisers(gradient: Model):
+            (_, terms), more = jax.value_and_grad(weighted, has_aux=True)(model)
+            return jax.tree.map(jnp.add, gradient, more), terms
+
+        nothing = {name: jnp.zeros(()) for name in jax.eval_shape(lambda: weighted(model)[1])}
+        return jax.lax.cond(second, with_regularisers, lambda gradient: (gradient, nothing), gradient)
 
     @property
     def _drawn(self) -> int:
@@ -117,7 +134,7 @@ class StepFunctions:
         n = self.normalisation
         return Steps.of(rays, steps=self.config.sampler.steps, bounded=n.bounded, near=n.near, far=n.far)
 
-    def _loss(self, model: Model, batch, keys, with_second_pass: bool):
+    def _loss(self, model: Model, batch, keys):
         rays, colour, used, samples = batch
         config, terms, turn = self.config, {}, None
         if samples is None:
@@ -134,9 +151,7 @@ class StepFunctions:
             terms |= objective.decay_term(model, config.losses.decay)
         surface = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
         terms |= objective.surface_point_terms(model.field, rays, surface, config, self._bounded)
-        if with_second_pass:
-            terms |= objective.second_pass_terms(model.field, rays, surface, keys["sphere"], config.surface, self._bounded)
-        return objective.total(terms), (terms, jax.lax.stop_gradient(density))
+        return objective.total(terms), (terms, jax.lax.stop_gradient(density), surface)
 
     def propose(self, model: Model, rays: Rays, key: PRNGKeyArray | None):
         """Final samples of the proposal sampler, their sdist, the levels, and the turn of each ray's hexagons."""

@@ -70,7 +70,7 @@ class Training:
         second = surface.enabled and clock.since_second_pass + count >= period
         start = time.perf_counter()
         self.state, terms = self._advance(self.state, self.pixels, jnp.asarray(self.run.config.train.seed, jnp.int32),
-                                          jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count - second, jnp.int32), jnp.asarray(second))  # fmt: skip
+                                          jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))  # fmt: skip
         jax.block_until_ready(terms)
         clock.seconds += time.perf_counter() - start
         clock.step += count
