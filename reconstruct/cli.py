@@ -111,6 +111,22 @@ def mesh_command(
     console.report(result, as_json=as_json, text=text)
 
 
+@app.command("report")
+def report_command(
+    run: RunFolder,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write; must be new.")],
+    calibration: Annotated[Path | None, typer.Option(help="Calibration file whose figures are to be shown too.")] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Write a page with results, pictures beside the truth and the error over time."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.report import write
+
+    cache_compilations()
+    result = write(run, out, calibration=calibration)
+    console.report(result, as_json=as_json, text=result["report"])
+
+
 def main() -> None:
     """Entry point."""
     console.run(app)
