@@ -31,7 +31,9 @@ class Cloud(eqx.Module):
         points, scale = self._contracted()
         return self._averaged(encoding(points, scale))
 
-    def encoded_with_jacobian(self, encoding: PermutohedralLattice) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
+    def encoded_with_jacobian(
+        self, encoding: PermutohedralLattice
+    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""
         points, scale = self._contracted()
         features, jacobian = encoding.value_and_jacobian(points, scale)
@@ -57,7 +59,7 @@ def points_on_rays(rays: Rays, ray: Array, t: Float[Array, " n"], bounded: bool)
     return Cloud((rays.origins.at[ray].get(mode="promise_in_bounds") + along).T, None, bounded)
 
 
-def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays n+1"], turn: Float[Array, " rays"], bounded: bool) -> Cloud:
+def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays edges"], turn: Float[Array, " rays"], bounded: bool) -> Cloud:
     """Six Gaussians per conical frustum that match its mean and covariance (Zip-NeRF, section 3.1).
 
     Args:
@@ -71,7 +73,9 @@ def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays n+1"], turn: Floa
     angle = jnp.asarray(np.pi * np.array([0, 2 / 3, 4 / 3, 1, 5 / 3, 1 / 3]), jnp.float32) + turn[:, None, None]
     across, up = _perpendicular(rays.viewdirs)
     radius = rays.radii[:, None, None] * t / np.float32(np.sqrt(2))
-    offset = radius[..., None] * (jnp.cos(angle)[..., None] * across[:, None, None] + jnp.sin(angle)[..., None] * up[:, None, None])
+    offset = radius[..., None] * (
+        jnp.cos(angle)[..., None] * across[:, None, None] + jnp.sin(angle)[..., None] * up[:, None, None]
+    )
     points = rays.origins[:, None, None] + t[..., None] * rays.directions[:, None, None] + offset
     return Cloud(points.reshape(-1, 3).T, (GAUSSIAN_SCALE * radius).reshape(-1), bounded, group=6)
 

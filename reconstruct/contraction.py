@@ -1,7 +1,7 @@
 """Unbounded space into a ball of radius 2 (Mip-NeRF 360, Barron et al. 2022, equation 10).
 
-    contract(x) = x                          where |x| <= 1
-                  (2 - 1/|x|) x / |x|        elsewhere
+contract(x) = x                          where |x| <= 1
+              (2 - 1/|x|) x / |x|        elsewhere
 """
 
 import jax.numpy as jnp
@@ -22,9 +22,10 @@ def contraction_scale(points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"
     """Cube root of the Jacobian's determinant: by how much `contract` scales a small Gaussian's width.
 
     The determinant is radial slope times the square of the tangential one: r^-2 * ((2 - 1/r) / r)^2.
+    Powers are taken one by one, which keeps the gradient finite however far away a point is.
     """
-    radius = jnp.maximum(safe_norm(points), 1.0)
-    return jnp.cbrt(jnp.square((2 - 1 / radius) / radius) / jnp.square(radius))
+    inverse = 1 / jnp.maximum(safe_norm(points), 1.0)
+    return jnp.cbrt(jnp.square(2 - inverse)) * jnp.power(inverse, 4 / 3)
 
 
 def pull_back(points: Float[Array, "*batch 3"], gradient: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:

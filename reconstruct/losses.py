@@ -16,7 +16,9 @@ def interlevel(target: Float[Array, "rays n"], weights: Float[Array, "rays n"]) 
     return jnp.sum(shortfall * shortfall / (weights + 1e-5), -1)
 
 
-def distortion(weights: Float[Array, "rays n"], middle: Float[Array, "rays n"], length: Float[Array, "rays n"]) -> Float[Array, " rays"]:
+def distortion(
+    weights: Float[Array, "rays n"], middle: Float[Array, "rays n"], length: Float[Array, "rays n"]
+) -> Float[Array, " rays"]:
     """Spread of the weights along a ray (Mip-NeRF 360, equation 15): sum_ij w_i w_j |m_i - m_j| + sum_i w_i^2 l_i / 3.
 
     Middles ascend, so the double sum is 2 sum_i w_i (m_i W_i - M_i) with the running sums W of w and M of w m.
@@ -38,7 +40,11 @@ def normal_difference(normals: Float[Array, "3 n"], normals_pred: Float[Array, "
 
 
 def density_smoothness(
-    density: Float[Array, "rays n"], offsets: Float[Array, "rays n 3"], normals: Float[Array, "rays 3"], radius: Float[Array, " rays"], form: str
+    density: Float[Array, "rays n"],
+    offsets: Float[Array, "rays n 3"],
+    normals: Float[Array, "rays 3"],
+    radius: Float[Array, " rays"],
+    form: str,
 ) -> Float[Array, " rays"]:
     """Density around a surface point belongs into its tangent plane.
 
@@ -65,7 +71,9 @@ def lambertian_bias(specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]
     return jnp.mean(jnp.sum(jnp.square(specular / jnp.maximum(largest, 1e-4)), -1), -1)
 
 
-def specular_variation(specular: Float[Array, "rays n 3"], directions: Float[Array, "rays n 3"], neighbours: int) -> Float[Array, " rays"]:
+def specular_variation(
+    specular: Float[Array, "rays n 3"], directions: Float[Array, "rays n 3"], neighbours: int
+) -> Float[Array, " rays"]:
     """Graph total variation over directions (supplement D): mean |c_i - c_j| over the nearest j by angle.
 
     Gradients go to the sample and not to its neighbours. The nearest by angle are those of largest cosine, found by
@@ -80,4 +88,4 @@ def specular_variation(specular: Float[Array, "rays n 3"], directions: Float[Arr
         other = jnp.take_along_axis(held, nearest[..., None], 1)
         total = total + jnp.mean(jnp.sum(jnp.abs(specular - other), -1), -1)
         cosine = cosine - 4 * jax.nn.one_hot(nearest, count, dtype=cosine.dtype)
-    return total / neighbours
+    return total / max(min(neighbours, count - 1), 1)

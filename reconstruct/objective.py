@@ -21,7 +21,13 @@ BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
 
 
-def photometric(rendered: Rendered, colour: Float[Array, "rays 4"], background: Float[Array, "rays 3"], used: Bool[Array, " rays"], width: float) -> Terms:
+def photometric(
+    rendered: Rendered,
+    colour: Float[Array, "rays 4"],
+    background: Float[Array, "rays 3"],
+    used: Bool[Array, " rays"],
+    width: float,
+) -> Terms:
     """Charbonnier loss and mean square error of the rays that were rendered."""
     target = colour[:, :3] * colour[:, 3:] + (1 - colour[:, 3:]) * background
     error = rendered.over(background) - target
@@ -44,7 +50,9 @@ def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: Conf
     }
 
 
-def second_pass_terms(field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray, config: SurfaceConfig, bounded: bool) -> Terms:
+def second_pass_terms(
+    field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray, config: SurfaceConfig, bounded: bool
+) -> Terms:
     """The four regularisers on a ball of samples around each surface point (paper section 4, supplement A-D)."""
     count, rays_used = config.samples, surface.ray.shape[0]
     rotation = random_rotations(key, rays_used)
@@ -74,7 +82,7 @@ def second_pass_terms(field: Field, rays: Rays, surface: Surface, key: PRNGKeyAr
     return {name: jnp.sum(surface.weight * value) / used for name, value in per_ray.items()}
 
 
-def interlevel_terms(sdist: Float[Array, "rays n+1"], weights: Float[Array, "rays n"], levels: list, weight: float) -> Terms:
+def interlevel_terms(sdist: Float[Array, "rays edges"], weights: Float[Array, "rays n"], levels: list, weight: float) -> Terms:
     """Proposals follow the final level's blurred weights."""
     total = jnp.zeros(())
     for (edges, proposed), blur in zip(levels, BLURS, strict=True):
@@ -95,7 +103,9 @@ def decay_term(model: Model, weight: float) -> Terms:
     return {"decay": weight * sum((encoding.decay() for encoding in encodings), jnp.zeros(()))}
 
 
-def proposal_density(proposal: Proposal, rays: Rays, tdist: Float[Array, "rays n+1"], *, bounded: bool, turn: Float[Array, " rays"] | None) -> Float[Array, "rays n"]:
+def proposal_density(
+    proposal: Proposal, rays: Rays, tdist: Float[Array, "rays edges"], *, bounded: bool, turn: Float[Array, " rays"] | None
+) -> Float[Array, "rays edges-1"]:
     """Densities of a proposal in the given intervals."""
     cloud = cloud_of(rays, RaySamples.from_edges(tdist), bounded=bounded, turn=turn)
     return proposal.density(cloud).reshape(tdist.shape[0], -1)
@@ -109,5 +119,3 @@ def surfaces_of(rendered: Rendered, samples: RaySamples, rays: Rays, count: int)
 def total(terms: Terms) -> Float[Array, ""]:
     """Sum of all terms but the mean square error, which is there to be looked at."""
     return sum((value for name, value in terms.items() if name != "mse"), jnp.zeros(()))
-
-

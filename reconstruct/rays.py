@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from datasets import images
@@ -92,7 +92,7 @@ class Pixels(eqx.Module):
     colour: Float[Array, "pixels 4"]
     """sRGB and straight alpha (1 where the image has none), float16."""
     directions: Float[Array, "pixels 3"]
-    view: Float[Array, " pixels"]
+    view: Int[Array, " pixels"]
     origins: Float[Array, "views 3"]
     radii: Float[Array, " views"]
 

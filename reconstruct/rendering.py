@@ -26,7 +26,8 @@ def volume_weights(density: Float[Array, "rays samples"], lengths: Float[Array, 
         Weights in [0, 1], summing to at most 1; one minus the sum is what the background receives.
     """
     depth = jnp.minimum(density * lengths, 80.0)  # exp(-80) is 0 beside anything that float32 can show
-    before = depth @ jnp.asarray(np.triu(np.ones((depth.shape[-1],) * 2, np.float32), 1), depth.dtype)
+    earlier = jnp.asarray(np.triu(np.ones((depth.shape[-1],) * 2, np.float32), 1), depth.dtype)
+    before = jnp.matmul(depth, earlier, precision="highest")  # a GPU would round the factors to ten bits otherwise
     return -jnp.expm1(-depth) * jnp.exp(-before)
 
 
@@ -35,7 +36,9 @@ def sample_weights(density: Float[Array, " n"], samples: RaySamples, speed: Floa
     return volume_weights(samples.padded(density), samples.padded(samples.length) * speed[:, None])
 
 
-def composite(values: Float[Array, "channels n"], weights: Float[Array, " n"], samples: RaySamples) -> Float[Array, "rays channels"]:
+def composite(
+    values: Float[Array, "channels n"], weights: Float[Array, " n"], samples: RaySamples
+) -> Float[Array, "rays channels"]:
     """Sum of weighted sample values over each ray."""
     rows = (values * weights).T
     return jnp.zeros((samples.num_rays, values.shape[0]), values.dtype).at[samples.ray].add(rows, mode="promise_in_bounds")

@@ -37,9 +37,10 @@ def normalise(x: Float[Array, "*shape 3"], axis: int = -1, floor: float = 1e-12)
     The vector is first scaled by its largest component, so that squares neither overflow nor vanish.
     """
     largest = jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True))
-    usable = largest > floor
-    scaled = x / jnp.where(usable, largest, 1.0)
-    length = jnp.sqrt(jnp.where(usable, jnp.sum(scaled * scaled, axis=axis, keepdims=True), 1.0))
+    scaled = x / jnp.where(largest > 1e-3 * floor, largest, 1.0)
+    squared = jnp.sum(scaled * scaled, axis=axis, keepdims=True)
+    usable = largest * jnp.sqrt(jax.lax.stop_gradient(squared)) > floor
+    length = jnp.sqrt(jnp.where(usable, squared, 1.0))
     return jnp.where(usable, scaled / length, x / floor)
 
 

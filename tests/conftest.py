@@ -5,10 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jaxtyping import install_import_hook
 
 from datasets import images, pose
 from datasets.camera_model import Camera
 from datasets.scene import Scene, View
+
+_NUMERICS = ("cloud", "contraction", "encodings", "field", "losses", "mlp", "model", "objective", "rays", "rendering",
+             "safe", "sampling", "schedules", "stepfun", "surface")  # fmt: skip
+install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.beartype")  # shapes as annotated, or an error
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"

@@ -36,7 +36,9 @@ class Occupancy(eqx.Module):
     outer_grid: int = eqx.field(static=True)
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, *, grid: int, outer_grid: int, bounded: bool, possible: Bool[np.ndarray, " inner"] | None) -> "Occupancy":
+    def create(
+        cls, key: PRNGKeyArray, *, grid: int, outer_grid: int, bounded: bool, possible: Bool[np.ndarray, " inner"] | None
+    ) -> "Occupancy":
         """All cells occupied, or those of the inner grid that are `possible` (masks rule the others out)."""
         inner, outer = grid**3, 0 if bounded else outer_grid**3
         cells = np.ones(inner + outer, bool)
@@ -139,7 +141,9 @@ class Steps(eqx.Module):
         if ray is None:
             near, enter, leave, far = (v[:, None] for v in (self.near, self.enter, self.leave, self.far))
         else:
-            near, enter, leave, far = (v.at[ray].get(mode="promise_in_bounds") for v in (self.near, self.enter, self.leave, self.far))
+            near, enter, leave, far = (
+                v.at[ray].get(mode="promise_in_bounds") for v in (self.near, self.enter, self.leave, self.far)
+            )
         within = enter + (leave - enter) * ((u - self.front) / self.inside)
         if not self.front:
             return within
@@ -156,16 +160,18 @@ def _cube_interval(rays: Rays) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     return jnp.max(jnp.minimum(first, second), -1), jnp.min(jnp.maximum(first, second), -1)
 
 
-def occupied_steps(occupancy: Occupancy, rays: Rays, steps: Steps, jitter: Float[Array, " n"], bounded: bool) -> UInt32[Array, "n words"]:
+def occupied_steps(
+    occupancy: Occupancy, rays: Rays, steps: Steps, jitter: Float[Array, " n"], bounded: bool
+) -> UInt32[Array, "n words"]:
     """One bit per step of each ray: set where the step's sample lies in an occupied cell."""
     t = steps.at(jnp.arange(steps.count, dtype=jnp.float32) + jitter[:, None])
     x, y, z = (rays.origins[:, i, None] + t * rays.directions[:, i, None] for i in range(3))
     if not bounded:
         x, y, z = contract(jnp.stack([x, y, z], -1)).transpose(2, 0, 1)
     hit = occupancy.occupied.at[occupancy.cell(x, y, z)].get(mode="promise_in_bounds").astype(jnp.uint32)
-    index = np.arange(steps.count)
-    inside = (index >= steps.front) & (index < steps.front + steps.inside)
-    hit = jnp.where((steps.leave > steps.enter)[:, None] | ~inside, hit, 0)  # a ray that misses has no steps inside
+    part = np.repeat(np.arange(3), [steps.front, steps.inside, steps.behind])
+    has_length = jnp.stack([steps.enter > steps.near, steps.leave > steps.enter, steps.far > steps.leave], -1)
+    hit = jnp.where(has_length[:, part], hit, jnp.uint32(0))  # a ray that misses has no steps inside
     powers = jnp.uint32(1) << jnp.arange(32, dtype=jnp.uint32)
     return jnp.sum(hit.reshape(*hit.shape[:-1], -1, 32) * powers, -1, dtype=jnp.uint32)
 

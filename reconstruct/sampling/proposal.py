@@ -59,7 +59,7 @@ class Spacing(eqx.Module):
 
 def propose(
     proposals: tuple[Proposal, ...], rays: Rays, spacing: Spacing, key: PRNGKeyArray | None, config: SamplerConfig, density_at
-) -> tuple[Float[Array, "rays n+1"], list[tuple[Float[Array, "rays m+1"], Float[Array, "rays m"]]]]:
+) -> tuple[Float[Array, "rays edges"], list[tuple[Float[Array, "rays _"], Float[Array, "rays _"]]]]:
     """Edges of the final intervals, and each proposal's (sdist, weights) for the interlevel loss.
 
     Args:

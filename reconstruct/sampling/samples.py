@@ -26,7 +26,7 @@ class RaySamples(eqx.Module):
     max_per_ray: int = eqx.field(static=True)
 
     @classmethod
-    def from_edges(cls, tdist: Float[Array, "rays n+1"]) -> "RaySamples":
+    def from_edges(cls, tdist: Float[Array, "rays edges"]) -> "RaySamples":
         """Every interval of every ray, evaluated at its centre."""
         rays, count = tdist.shape[0], tdist.shape[1] - 1
         return cls(
