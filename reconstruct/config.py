@@ -134,25 +134,30 @@ def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[s
         key, separator, value = override.partition("=")
         if not separator:
             raise Misuse(f"'{override}' is not key=value", where="--set", remedy="for example --set train.seed=1")
-        _assign(tree, key.strip().split("."), yaml.safe_load(value))
+        try:
+            _assign(tree, key.strip().split("."), yaml.safe_load(value))
+        except yaml.YAMLError as error:
+            raise Misuse(f"cannot read the value of '{override}'", where="--set", why=str(error).splitlines()[0]) from None
     return _validated(tree)
 
 
 def _assign(tree: dict[str, Any], path: list[str], value: Any) -> None:
-    schema: Any = Config
+    _refuse_unknown(path, "--set")
     for name in path[:-1]:
-        schema = _field(schema, name, path)
-        tree[name] = dict(tree.get(name) or {})
+        section = tree.get(name)
+        tree[name] = dict(section) if isinstance(section, dict) else {}
         tree = tree[name]
-    _field(schema, path[-1], path)
     tree[path[-1]] = value
 
 
-def _field(schema: Any, name: str, path: list[str]) -> Any:
-    fields = getattr(schema, "model_fields", {})
-    if name not in fields:
-        raise Misuse(f"there is no setting '{'.'.join(path)}'", where="--set", remedy=nearest(name, fields) if fields else "")
-    return fields[name].annotation
+def _refuse_unknown(path: list[str], where: str) -> None:
+    """Raise Misuse with the nearest valid name if a part of `path` names no setting."""
+    schema: Any = Config
+    for name in path:
+        fields = getattr(schema, "model_fields", {})
+        if name not in fields:
+            raise Misuse(f"there is no setting '{'.'.join(path)}'", where=where, remedy=nearest(name, fields) if fields else "")
+        schema = fields[name].annotation
 
 
 def _validated(tree: dict[str, Any]) -> Config:
@@ -162,5 +167,8 @@ def _validated(tree: dict[str, Any]) -> Config:
         return Config.model_validate(tree)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
+        path = [str(part) for part in first["loc"]]
+        if first["type"] == "extra_forbidden":
+            _refuse_unknown(path, f"model {tree['model']}, preset {tree['preset']}")
+        key = ".".join(path)
         raise Misuse(f"setting {key}: {first['msg']}", why=f"got {first.get('input')!r}") from None
