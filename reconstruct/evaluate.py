@@ -13,14 +13,18 @@ from numpy.typing import NDArray
 from datasets import files, images
 from datasets.camera_model import Camera
 from datasets.console import progress
+from datasets.formats import find
 from datasets.scene import View
-from reconstruct import metrics
+from reconstruct import mesh, metrics, surface_distance
+from reconstruct.errors import ReconstructError
 from reconstruct.rays import read_scaled
 from reconstruct.renderer import Picture
 from reconstruct.trained import Trained
 
 FORMAT, VERSION = "koala-metrics", 1
 METRICS = "metrics.json"
+TRUE_SURFACE = "truth/object.ply"
+"""Where a simulated scene keeps the object's true mesh [m]."""
 
 
 def evaluate(path: Path, *, split: str = "test") -> dict[str, Any]:
@@ -50,8 +54,23 @@ def evaluate(path: Path, *, split: str = "test") -> dict[str, Any]:
         "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s,
         "definitions": {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()},
     }  # fmt: skip
+    truth = find(trained.run.scene_path) / TRUE_SURFACE
+    if truth.is_file() and trained.scene.metric:
+        result["mesh"] = compare_surface(trained, truth)
+        result["mesh_definitions"] = surface_distance.DEFINITIONS
     files.write_json(trained.run.path / METRICS, result)
     return result
+
+
+def compare_surface(trained: Trained, truth: Path) -> dict[str, float] | None:
+    """Distance of the model's surface from a true mesh [m], see `surface_distance`; None where it has no surface."""
+    import trimesh
+
+    try:
+        surface = mesh.extract(trained)
+    except ReconstructError:
+        return None
+    return surface_distance.compare(surface, trimesh.load_mesh(truth), trained.scene.views, trained.scene.box)
 
 
 def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
@@ -132,4 +151,6 @@ def table(result: dict[str, Any]) -> str:
     ]
     for name, value in result["mean"].items():
         lines.append(f"  {name:<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
+    for name, value in (result.get("mesh") or {}).items():
+        lines.append(f"  {'mesh ' + name:<32}{value:>9.3f} {'mm' if name.endswith('_mm') else ''}".rstrip())
     return "\n".join(lines)
