@@ -28,8 +28,11 @@ def contraction_scale(points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"
     return jnp.cbrt(jnp.square(2 - inverse)) * jnp.power(inverse, 4 / 3)
 
 
-def pull_back(points: Float[Array, "*batch 3"], gradient: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """Gradient to scene coordinates from a gradient to contracted ones, at scene `points`: the (symmetric) Jacobian applied."""
+def pull_back(points: Float[Array, "*points 3"], gradient: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """Gradient to scene coordinates from a gradient to contracted ones, at scene `points`: the (symmetric) Jacobian applied.
+
+    The batch may have axes in front of those of the points.
+    """
     radius = safe_norm(points)[..., None]
     outside = radius > 1
     safe_radius = jnp.where(outside, radius, 1.0)

@@ -9,8 +9,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 class Mlp(eqx.Module):
     """Layers of `width` with ReLU between them; the input joins again before the last hidden layer where `skip` is set."""
 
-    weights: tuple[Float[Array, "out into"], ...]
-    biases: tuple[Float[Array, " out"], ...]
+    weights: tuple[Float[Array, "_ _"], ...]
+    """Of (outputs, inputs) per layer."""
+    biases: tuple[Float[Array, " _"], ...]
     skip: int | None = eqx.field(static=True)
 
     @classmethod

@@ -31,7 +31,7 @@ def safe_norm(x: Float[Array, "*shape n"], axis: int = -1) -> Float[Array, "..."
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
 
-def normalise(x: Float[Array, "*shape 3"], axis: int = -1, floor: float = 1e-12) -> Float[Array, "*shape 3"]:
+def normalise(x: Float[Array, "*shape"], axis: int = -1, floor: float = 1e-12) -> Float[Array, "*shape"]:
     """x / |x|; vectors shorter than `floor` are divided by `floor`, so that zero stays zero with a finite gradient.
 
     The vector is first scaled by its largest component, so that squares neither overflow nor vanish.
