@@ -195,10 +195,18 @@ def test_thinning_keeps_the_occupied_length() -> None:
 def test_updates_find_a_ball_and_forget_what_has_gone(bounded: bool) -> None:
     occupancy = Occupancy.create(jax.random.key(0), grid=16, outer_grid=8, bounded=bounded, possible=None)
     assert occupancy.occupied.sum() > 2000
-    ball = lambda p: jnp.where(jnp.linalg.norm(p, axis=0) < 0.5, 50.0, 0.0)  # noqa: E731
-    look = jax.jit(lambda o, key, there: o.updated(lambda p: there * ball(p), key, 1500, 0.01))
+
+    @jax.jit
+    def look(occupancy: Occupancy, key: jax.Array, x: float, radius: float) -> Occupancy:
+        return occupancy.updated(
+            lambda p: jnp.where(jnp.linalg.norm(p - jnp.array([[1.0], [0], [0]]) * x, axis=0) < radius, 50.0, 0.0),
+            key,
+            1500,
+            0.01,
+        )
+
     for key in jax.random.split(jax.random.key(1), 120):
-        occupancy = look(occupancy, key, 1.0)
+        occupancy = look(occupancy, key, 0.0, 0.5)
     at = lambda *p: int(occupancy.occupied[occupancy.cell(*jnp.asarray(p, jnp.float32))])  # noqa: E731
     assert at(0.0, 0.0, 0.0) == at(0.3, -0.2, 0.1) == 1
     assert at(0.9, 0.0, 0.0) == at(-0.6, 0.6, 0.6) == 0
@@ -206,8 +214,10 @@ def test_updates_find_a_ball_and_forget_what_has_gone(bounded: bool) -> None:
     ball_share = 4 / 3 * np.pi * 0.5**3 / 8
     assert ball_share <= share < 2 * ball_share, "the ball's cells and those that it cuts"
     for key in jax.random.split(jax.random.key(2), 120):
-        occupancy = look(occupancy, key, 0.0)
-    assert occupancy.occupied.sum() == 0
+        occupancy = look(occupancy, key, 0.7, 0.15)
+    assert at(0.7, 0.0, 0.0) == 1
+    assert at(0.0, 0.0, 0.0) == at(-0.3, -0.2, 0.1) == 0, "what has gone is forgotten"
+    assert occupancy.occupied[: 16**3].mean() < 0.02
 
 
 def test_update_points_lie_in_their_cells() -> None:
