@@ -50,9 +50,10 @@ def eval_command(
     """Measure a run on its test views; writes RUN/metrics.json."""
     from reconstruct.backend import cache_compilations
     from reconstruct.evaluate import METRICS, evaluate, table
+    from reconstruct.trained import Trained
 
     cache_compilations()
-    result = evaluate(run, split=split)
+    result = evaluate(Trained.open(run), split=split)
     console.report(result, as_json=as_json, text=f"{table(result)}\n{run / METRICS}")
 
 
@@ -64,11 +65,14 @@ def render_command(
     as_json: console.Json = False,
 ) -> None:
     """Render views: colour, its diffuse and specular part, normals, depth, opacity, roughness."""
+    from datasets.files import refuse_existing
     from reconstruct.backend import cache_compilations
     from reconstruct.export import render
+    from reconstruct.trained import Trained
 
+    refuse_existing(out)
     cache_compilations()
-    result = render(run, out, split=split)
+    result = render(Trained.open(run), out, split=split)
     console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
 
 
@@ -119,11 +123,14 @@ def report_command(
     as_json: console.Json = False,
 ) -> None:
     """Write a page with results, pictures beside the truth and the error over time."""
+    from datasets.files import refuse_existing
     from reconstruct.backend import cache_compilations
     from reconstruct.report import write
+    from reconstruct.trained import Trained
 
+    refuse_existing(out)
     cache_compilations()
-    result = write(run, out, calibration=calibration)
+    result = write(Trained.open(run), out, calibration=calibration)
     console.report(result, as_json=as_json, text=result["report"])
 
 

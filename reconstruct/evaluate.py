@@ -27,13 +27,12 @@ TRUE_SURFACE = "truth/object.ply"
 """Where a simulated scene keeps the object's true mesh [m]."""
 
 
-def evaluate(path: Path, *, split: str = "test") -> dict[str, Any]:
-    """Measure the run in `path` on the views of one split and write `metrics.json` into it.
+def evaluate(trained: Trained, *, split: str = "test") -> dict[str, Any]:
+    """Measure a trained model on the views of one split and write `metrics.json` into its run.
 
     Raises:
-        Misuse: `path` is no run, or its scene has no such views.
+        Misuse: its scene has no such views.
     """
-    trained = Trained.open(path)
     views = trained.scene.split(split)
     start = time.perf_counter()
     trained.warm_up(views[0])
@@ -54,10 +53,9 @@ def evaluate(path: Path, *, split: str = "test") -> dict[str, Any]:
         "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s,
         "definitions": {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()},
     }  # fmt: skip
-    truth = find(trained.run.scene_path) / TRUE_SURFACE
-    if truth.is_file() and trained.scene.metric:
-        result["mesh"] = compare_surface(trained, truth)
-        result["mesh_definitions"] = surface_distance.DEFINITIONS
+    truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
+    if truth_mesh.is_file() and trained.scene.metric:
+        result |= {"mesh": compare_surface(trained, truth_mesh), "mesh_definitions": surface_distance.DEFINITIONS}
     files.write_json(trained.run.path / METRICS, result)
     return result
 

@@ -24,14 +24,13 @@ from reconstruct.renderer import Picture
 from reconstruct.trained import Trained
 
 
-def render(path: Path, out: Path, *, split: str = "test") -> dict[str, Any]:
-    """Render one split of the run in `path` into the new folder `out`, all or nothing.
+def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any]:
+    """Render the views of one split into the new folder `out`, all or nothing.
 
     Raises:
-        Misuse: `path` is no run, its scene has no such views, or `out` holds something.
+        Misuse: the scene has no such views, or `out` holds something.
     """
     files.refuse_existing(out)
-    trained = Trained.open(path)
     views = trained.scene.split(split)
     with files.atomic_folder(out) as folder, progress("rendering", len(views), "views") as shown:
         for view in views:

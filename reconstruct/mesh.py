@@ -57,12 +57,12 @@ def extract(trained: Trained, *, resolution: int = RESOLUTION, level: float = LE
                                why=f"densities go up to {density.max():.3g}, the surface is at {threshold:.3g}",
                                remedy="train longer, or check the scene's box")  # fmt: skip
     spacing = axes[0][1] - axes[0][0]
-    # logarithms: density grows exponentially into the surface, and linear interpolation would pull it towards the empty side
-    vertices, faces, _, _ = marching_cubes(
-        np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold)), spacing=(spacing,) * 3
-    )
+    # Density grows exponentially into the surface: interpolating its logarithm does not pull the surface to the empty side.
+    # 'ascent' makes faces point outward, since skimage counts axes backwards.
+    vertices, faces, _, _ = marching_cubes(np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold)),
+                                           spacing=(spacing,) * 3, gradient_direction="ascent")  # fmt: skip
     vertices = vertices + np.array([axis[0] for axis in axes])
-    mesh = largest_parts(trimesh.Trimesh(vertices, faces, process=False))
+    mesh = main_parts(trimesh.Trimesh(vertices, faces, process=False))
     colours = colours_straight_on(trained, mesh.vertices, mesh.vertex_normals)
     world = mesh.vertices / trained.run.normalisation.scale + trained.run.normalisation.centre
     return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)
@@ -101,14 +101,21 @@ def near_occupied(occupancy: Occupancy, axes: tuple[NDArray[np.float64], ...]) -
     return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]
 
 
-def largest_parts(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """The mesh without pieces of less than `SMALLEST_PART` of the largest piece's area."""
+def main_parts(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
+    """The mesh without noise, pieces of less than `SMALLEST_PART` of the largest piece's area, and without cavities.
+
+    A cavity is a closed piece that faces inward. No camera has seen it: it is where a model left out the inside of a solid.
+    """
     from trimesh.graph import connected_component_labels
 
     labels = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     areas = np.bincount(labels, weights=mesh.area_faces)
+    is_closed = np.ones(len(areas), bool)
+    is_closed[labels[np.bincount(mesh.face_adjacency.reshape(-1), minlength=len(mesh.faces)) < 3]] = False
+    volumes = np.bincount(labels, weights=np.linalg.det(mesh.triangles) / 6)  # of the tetrahedra from the origin to each face
+    wanted = (areas >= SMALLEST_PART * areas.max()) & ~(is_closed & (volumes < 0))
     kept = mesh.copy()
-    kept.update_faces(areas[labels] >= SMALLEST_PART * areas.max())
+    kept.update_faces(wanted[labels])
     kept.remove_unreferenced_vertices()
     return kept
 

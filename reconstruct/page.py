@@ -17,7 +17,7 @@ h1 { font-size: 1.5rem; margin: 0 0 .4rem; } h2 { font-size: 1.1rem; margin: 2.2
 .headline { font-size: 1.1rem; background: var(--card); border-radius: 8px; padding: .8rem 1rem; }
 table { border-collapse: collapse; width: 100%; }
 th, td { text-align: left; padding: .28rem .8rem .28rem 0; border-bottom: 1px solid var(--line); vertical-align: top; font-weight: normal; }
-td { color: var(--soft); } td.number { color: var(--text); font-weight: 600; text-align: right; font-variant-numeric: tabular-nums; }
+th { width: 19rem; } td { color: var(--soft); width: 2.5rem; } td:last-child { width: auto; } td.number { width: 5rem; color: var(--text); font-weight: 600; text-align: right; font-variant-numeric: tabular-nums; }
 .row { display: grid; grid-template-columns: repeat(5, 1fr); gap: .7rem; }
 figure { margin: 0; display: grid; grid-template-columns: 1fr 1fr; gap: 2px; } figcaption { grid-column: 1 / 3; color: var(--soft); }
 figure img { width: 100%; display: block; border-radius: 2px; }

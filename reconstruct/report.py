@@ -17,7 +17,7 @@ from datasets import files, images
 from datasets.console import progress
 from datasets.scene import View
 from reconstruct import metrics
-from reconstruct.evaluate import METRICS, evaluate, read_truth
+from reconstruct.evaluate import FORMAT, METRICS, VERSION, evaluate, read_truth
 from reconstruct.export import brightness_of_depth
 from reconstruct.page import PAGE
 from reconstruct.renderer import Picture
@@ -42,19 +42,17 @@ Figure = tuple[str, float | None, str, str]
 """Name, value, unit, meaning."""
 
 
-def write(path: Path, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:
-    """Write the report of the run in `path` into the new folder `out`; measures the run first where that is not done yet.
+def write(trained: Trained, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:
+    """Write the report of a trained model into the new folder `out`; measures the model first where that is not done yet.
 
     Args:
         calibration: file of 'calib handeye' whose figures are to be shown, with the error against a simulation's truth.
 
     Raises:
-        Misuse: `path` is no run, or `out` holds something.
+        Misuse: `out` holds something.
     """
     files.refuse_existing(out)
-    run = Run.open(path)
-    result = _measured(run)
-    trained = Trained.open(path)
+    run, result = trained.run, _measured(trained)
     views = trained.scene.split(result["split"])
     chosen = views[:: max(1, len(views) // VIEWS)][:VIEWS]
     rows, strip = [], None
@@ -70,21 +68,17 @@ def write(path: Path, out: Path, *, calibration: Path | None = None) -> dict[str
             title=html.escape(f"{trained.scene.name}: {run.config.model}"), headline=_headline(run, result),
             figures=_table(_scores(result)), mesh=_section("Mesh", _mesh_scores(result)),
             calibration=_section("Calibration", _calibration_scores(calibration)), curve=_curve(run), views="\n".join(rows),
-            work=_work(run, result), commands=html.escape(_commands(run, path, out, calibration)),
+            work=_work(run, result), commands=html.escape(_commands(run, out, calibration)),
         )  # fmt: skip
         files.write_text(folder / "index.html", page)
     return {"report": str(out / "index.html"), "views": len(chosen), "mean": result["mean"]}
 
 
-def _measured(run: Run) -> dict[str, Any]:
-    """The run's metrics, if they are of its last step; else measured anew."""
-    path = run.path / METRICS
-    if path.is_file():
-        result = files.read_json(path)
-        log = run.log()
-        if log and result.get("steps") == log[-1]["step"]:
-            return result
-    return evaluate(run.path)
+def _measured(trained: Trained) -> dict[str, Any]:
+    """The run's metrics, if they are of this state; else measured anew."""
+    path = trained.run.path / METRICS
+    result = files.read_json(path, kind=FORMAT, version=VERSION) if path.is_file() else {}
+    return result if result.get("steps") == int(trained.state.step) else evaluate(trained)
 
 
 def side_by_side(
@@ -268,7 +262,8 @@ def _work(run: Run, result: dict[str, Any]) -> str:
     return "".join(f"<li>{html.escape(fact)}</li>" for fact in facts)
 
 
-def _commands(run: Run, path: Path, out: Path, calibration: Path | None) -> str:
+def _commands(run: Run, out: Path, calibration: Path | None) -> str:
+    path = run.path
     budget = run.content.get("budget_s")
     scale = f" --set scale={run.config.scale:g}" if run.config.scale != 1 else ""
     train = f"reconstruct train {run.scene_path} --model {run.config.model} --preset {run.config.preset}{scale}"

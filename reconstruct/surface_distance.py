@@ -19,12 +19,12 @@ POINTS = 100_000
 """Points drawn on each surface."""
 FLOOR = 0.02
 """This share of the box's height, at its floor, is not compared."""
-HIDDEN_PX = 2.0
-"""A point is seen if it is less than so many pixels' width behind the nearest point at its pixel."""
+HIDDEN_PX = 4.0
+"""A point is seen if it is less than so many pixels' width behind the nearest point at its pixel and the eight around."""
 PICTURE_PX = 160
 """Longer side of the pictures in which it is decided what hides what."""
 CANDIDATES = 4
-"""Triangles whose true distance is computed, those of the nearest points drawn."""
+"""So many triangles of each kind are tried for the true distance."""
 DEFINITIONS = {
     "chamfer_mm": "mean of accuracy and completeness",
     "accuracy_mm": "mean distance from points of the mesh to the true surface",
@@ -37,46 +37,52 @@ DEFINITIONS = {
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh and points on those parts of it that count."""
+    """A mesh, points all over it, and which of them lie on surface that counts."""
 
     mesh: "trimesh.Trimesh"
     points: NDArray[np.float64]
     """(n, 3) [m]."""
     faces: NDArray[np.int64]
     """(n,) triangle of each point."""
+    counts: NDArray[np.bool_]
+    """(n,) True inside the box, above its floor, where a camera sees it."""
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS) -> "Surface":
-        """Points of `mesh` inside `box`, above its floor, that one of the `views` sees."""
+        """Points on `mesh`; those count that are inside `box`, above its floor, and seen by one of the `views`."""
         from trimesh.sample import sample_surface
 
         points, faces = sample_surface(mesh, count, seed=0)
         low, high = box
         counts = ((points >= low) & (points <= high)).all(-1) & (points[:, 2] > low[2] + FLOOR * (high[2] - low[2]))
         counts &= seen(points, views)
-        return cls(mesh, np.asarray(points)[counts], np.asarray(faces)[counts])
+        return cls(mesh, np.asarray(points), np.asarray(faces), counts)
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) distance of (n, 3) points from the triangles that count [m].
+        """(n,) distance of (n, 3) points from the whole mesh [m].
 
-        Exact where the nearest triangle is among those of the `CANDIDATES` nearest drawn points.
+        Exact where the nearest triangle is among those of the `CANDIDATES` nearest drawn points, which finds large
+        triangles, and those of the nearest centroids, which finds small ones.
         """
         from scipy.spatial import cKDTree
         from trimesh.triangles import closest_point
 
-        _, nearest = cKDTree(self.points).query(points, k=CANDIDATES)
-        triangles = self.mesh.triangles[self.faces[nearest]].reshape(-1, 3, 3)
-        repeated = np.repeat(points, CANDIDATES, axis=0)
-        return np.linalg.norm(closest_point(triangles, repeated) - repeated, axis=-1).reshape(-1, CANDIDATES).min(-1)
+        found = np.full(len(points), np.inf)
+        for places, faces in ((self.points, self.faces), (self.mesh.triangles_center, np.arange(len(self.mesh.faces)))):
+            _, nearest = cKDTree(places).query(points, k=min(CANDIDATES, len(places)))
+            for candidate in faces[nearest].reshape(len(points), -1).T:
+                on_triangle = closest_point(self.mesh.triangles[candidate], points)
+                found = np.minimum(found, np.linalg.norm(on_triangle - points, axis=-1))
+        return found
 
 
 def compare(mesh: "trimesh.Trimesh", truth: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64],
             *, count: int = POINTS) -> dict[str, float] | None:  # fmt: skip
     """Figures of `DEFINITIONS` of a mesh [m]; None where no part of it or of the truth counts."""
     found, true = (Surface.of(surface, views, box, count=count) for surface in (mesh, truth))
-    if min(len(found.points), len(true.points)) < CANDIDATES:
+    if not (found.counts.any() and true.counts.any()):
         return None
-    accuracy, completeness = true.distance(found.points), found.distance(true.points)
+    accuracy, completeness = true.distance(found.points[found.counts]), found.distance(true.points[true.counts])
     threshold = 0.01 * float(np.linalg.norm(truth.extents))
     precision, recall = float(np.mean(accuracy < threshold)), float(np.mean(completeness < threshold))
     return {
@@ -89,8 +95,10 @@ def compare(mesh: "trimesh.Trimesh", truth: "trimesh.Trimesh", views: tuple[View
 def seen(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.bool_]:
     """(n,) True for points of a surface that a view sees: in its picture and not behind others of the points.
 
-    The points stand for the surface, several to a pixel: larger pictures are taken at `PICTURE_PX`.
+    The points stand for the surface, about one to a pixel or more: larger pictures are taken at `PICTURE_PX`.
     """
+    from scipy.ndimage import minimum_filter
+
     found = np.zeros(len(points), bool)
     for view in views:
         camera = view.camera.undistorted()
@@ -104,5 +112,6 @@ def seen(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.boo
         depth = local[front, 2]
         nearest = np.full(camera.width * camera.height, np.inf)
         np.minimum.at(nearest, pixel, depth)
+        nearest = minimum_filter(nearest.reshape(camera.height, camera.width), 3).reshape(-1)  # no gaps between points
         found[front] |= depth < nearest[pixel] * (1 + HIDDEN_PX / camera.fx)
     return found

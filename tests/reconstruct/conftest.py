@@ -1,0 +1,150 @@
+"""A ball whose field, pictures, surface and truth are known exactly, and a run on disk that nobody has trained."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from datasets import images, pose
+from datasets.camera_model import Camera
+from datasets.formats import koala
+from datasets.scene import Scene, View
+from reconstruct import checkpoint
+from reconstruct.cloud import Cloud
+from reconstruct.config import Config, load_config
+from reconstruct.field import Field, Material, Shading
+from reconstruct.model import Model
+from reconstruct.rays import Normalisation
+from reconstruct.renderer import Renderer
+from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.safe import srgb_from_linear
+from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.step import StepFunctions
+from reconstruct.trained import Trained
+
+CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
+CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
+"""Of the ball [m]."""
+DIFFUSE, SPECULAR = np.array([0.1, 0.2, 0.3]), np.array([0.2, 0.1, 0.05])
+"""Linear light that the ball sends everywhere."""
+
+
+class Ball(Field):
+    """A field that is solid inside a sphere around the origin of the normalised scene, and one colour all over."""
+
+    radius: float = 0.0
+
+    def density(self, cloud: Cloud) -> jax.Array:
+        """Rises from nothing to opaque over a hundredth of the scene."""
+        return 2000 * jax.nn.sigmoid((self.radius - jnp.linalg.norm(cloud.points, axis=0)) / 0.002)
+
+    def __call__(self, cloud: Cloud) -> tuple[jax.Array, Material]:
+        count = cloud.points.shape[1]
+        plain = lambda values: jnp.broadcast_to(jnp.asarray(values, jnp.float32)[:, None], (len(values), count))  # noqa: E731
+        outward = cloud.points / jnp.linalg.norm(cloud.points, axis=0)
+        return self.density(cloud), Material(plain(DIFFUSE), plain([1.0] * 3), plain([0.25]), outward, jnp.zeros((0, count)))
+
+    def with_normals(self, cloud: Cloud) -> tuple[jax.Array, Material, jax.Array]:
+        """As `Field.with_normals`."""
+        density, material = self(cloud)
+        return density, material, material.normals_pred
+
+    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+        """As `Field.shade`: the same light in all directions."""
+        specular = jnp.broadcast_to(jnp.asarray(SPECULAR, jnp.float32)[:, None], viewdirs.shape)
+        return Shading(srgb_from_linear(material.diffuse + specular), specular)
+
+
+def ball_truth(camera: Camera, world_from_camera: np.ndarray) -> dict[str, np.ndarray]:
+    """Exact maps at pixel centres by intersecting each ray with the sphere."""
+    directions = camera.directions(camera.pixel_centres()) @ world_from_camera[:3, :3].T
+    offset = world_from_camera[:3, 3] - CENTRE
+    a, b, c = (directions**2).sum(-1), (directions * offset).sum(-1), (offset**2).sum() - RADIUS**2
+    inside = b * b - a * c
+    hit = (inside > 0)[..., None]
+    depth = np.where(hit, (-b - np.sqrt(np.maximum(inside, 0)))[..., None] / a[..., None], 0)
+    normals = np.where(hit, (offset + depth * directions) / RADIUS, 0)
+    return {"alpha": hit.astype(float), "depth": depth, "normals": normals}
+
+
+@pytest.fixture(scope="session")
+def ball_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
+    """Six views around the ball, two of them for testing, with all truth; and the folder that holds it as a Koala scene."""
+    root = tmp_path_factory.mktemp("ball")
+    views = []
+    for index in range(6):
+        angle, name = np.pi * index / 3, f"{index:03d}"
+        matrix = pose.look_at(CENTRE + np.array([0.3 * np.cos(angle), 0.3 * np.sin(angle), 0.05 + 0.04 * index]), CENTRE)
+        truth = ball_truth(CAMERA, matrix)
+        fine = ball_truth(CAMERA.scaled(8 * CAMERA.width, 8 * CAMERA.height), matrix)["alpha"]
+        truth["alpha"] = fine.reshape(CAMERA.height, 8, CAMERA.width, 8, 1).mean((1, 3))
+        truth |= {"diffuse": DIFFUSE * truth["alpha"], "specular": SPECULAR * truth["alpha"]}
+        rgb = images.srgb_from_linear(np.broadcast_to(DIFFUSE + SPECULAR, (*truth["alpha"].shape[:2], 3)))
+        images.write(root / "source" / f"{name}.png", np.concatenate([rgb, truth["alpha"]], -1))
+        maps = {}
+        for key, values in truth.items() if index % 3 == 0 else ():
+            maps[key] = root / "source" / f"{name}_{key}.exr"
+            images.write(maps[key], values.astype(np.float32))
+        split = "test" if index % 3 == 0 else "train"
+        views.append(View(name, CAMERA, matrix, split, root / "source" / f"{name}.png", None, maps))
+    box = np.stack([CENTRE - 0.1, CENTRE + 0.1])
+    scene = Scene("ball", tuple(views), 0.05, np.inf, box, "white", metric=True)
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
+    mesh.apply_translation(CENTRE)
+    mesh.export(root / "object.ply")
+    koala.save(scene, root / "koala" / "ball", extra={"truth/object.ply": root / "object.ply"})
+    return koala.load(root / "koala" / "ball"), root / "koala" / "ball"
+
+
+@pytest.fixture(scope="session")
+def small_config() -> Config:
+    """The fast preset with everything made small."""
+    return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8",
+                                  "sampler.grid=32"])  # fmt: skip
+
+
+@pytest.fixture
+def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Path) -> Callable[..., Run]:
+    """Factory of runs on disk as a training leaves them, with fresh weights."""
+
+    def make(config: Config = small_config, *, checkpointed: bool = True) -> Run:
+        scene, folder = ball_scene
+        normalisation = Normalisation.of(scene)
+        run = Run.create(
+            tmp_path / "run", config, folder, normalisation, {"budget_s": 10.0, "device": "cpu", "notes": ["made for a test"]}
+        )
+        for step in range(3):
+            run.append_log({"step": step, "seconds": 1.0 * step, "progress": step / 2, "psnr_train": 10.0 + step,
+                            "psnr_unseen": 9.0 + step, "skipped": 0, "occupied": 0.1, "terms": {}})  # fmt: skip
+        if checkpointed:
+            possible = np.random.default_rng(0).random(config.sampler.grid**3) < 0.3
+            state = StepFunctions(config, normalisation).initial(jax.random.key(0), possible)
+            checkpoint.save(run.path / CHECKPOINTS, state, {"seconds": 2.0, "step": 0.0})
+        return run
+
+    return make
+
+
+@pytest.fixture
+def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Trained:
+    """The ball in place of a trained model, its occupancy grid holding the cells near the surface."""
+    run = make_run(checkpointed=False)
+    functions = StepFunctions(run.config, run.normalisation)
+    state = functions.initial(jax.random.key(0), None)
+    grid = run.config.sampler.grid
+    axis = (np.arange(grid) + 0.5) / grid * 2 - 1
+    distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
+    radius = RADIUS * run.normalisation.scale
+    occupancy = Occupancy.create(
+        jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
+    )
+    field = state.model.field
+    solid = Ball(field.encoding, field.spatial, field.view, field.ide_degree, field.density_bias, radius)
+    state = eqx.tree_at(lambda s: (s.model, s.occupancy), state, (Model(solid, ()), occupancy))
+    assert run.normalisation.bounded
+    return Trained(run, ball_scene[0], functions, state, Renderer(functions))

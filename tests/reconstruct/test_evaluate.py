@@ -1,0 +1,68 @@
+import json
+
+import numpy as np
+import pytest
+
+from datasets.errors import Misuse
+from datasets.scene import View
+from reconstruct import evaluate
+from reconstruct.trained import Trained
+
+STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
+"""A ray is cut into 192 steps through a box of 0.2 m; along its diagonal a step is this long."""
+
+
+def test_a_model_that_is_the_truth_scores_as_one(ball: Trained) -> None:
+    """What error there is comes from steps of about 1 mm at the rim, where a ray through a pixel's centre stands for all of it."""
+    result = evaluate.evaluate(ball)
+    found = result["mean"]
+    assert result["views"] == 2 and result["size"] == [48, 40] and result["split"] == "test"
+    assert found["psnr"] > 25 and found["ssim"] > 0.93
+    assert found["normal_mae_alpha_acc_deg"] < 1.5 and found["normal_pred_mae_deg"] < 1.5
+    assert found["depth_median_mm"] < STEP_MM and found["depth_rmse_mm"] < 5 * STEP_MM
+    assert found["disparity_rmse"] < 5e-3
+    assert found["diffuse_psnr"] > 25 and found["specular_psnr"] > 25
+    assert result["mesh"]["chamfer_mm"] < STEP_MM and result["mesh"]["f_score"] > 0.99
+    written = json.loads((ball.run.path / "metrics.json").read_text())
+    assert written["mean"] == found and set(found) <= set(written["definitions"])
+    assert written["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in written["per_view"]]))
+    shown = evaluate.table(result)
+    assert "2 test views at 48x40" in shown and "mesh chamfer_mm" in shown
+
+
+def test_missing_split_is_misuse(ball: Trained) -> None:
+    with pytest.raises(Misuse, match="no val views"):
+        evaluate.evaluate(ball, split="val")
+
+
+def test_truth_keeps_its_meaning_at_another_size(ball: Trained) -> None:
+    view = ball.scene.split("test")[0]
+    full = evaluate.read_truth(view, view.camera)
+    half = evaluate.read_truth(view, view.camera.scaled(24, 20))
+    length = np.linalg.norm(half["normals"], axis=-1)
+    shown = half["alpha"][..., 0] == 1
+    assert shown.any() and np.allclose(length[shown], 1, atol=1e-5)
+    block = full["depth"].reshape(20, 2, 24, 2).mean((1, 3))
+    assert np.allclose(half["depth"][shown, 0], block[shown], atol=1e-6)
+    rim = (half["depth"][..., 0] > 0) & ~shown
+    known = full["depth"][full["depth"] > 0]
+    assert rim.any() and (half["depth"][rim] >= known.min() - 1e-6).all(), "no mean with pixels that have no depth"
+    assert np.allclose(half["alpha"][..., 0], full["alpha"].reshape(20, 2, 24, 2).mean((1, 3)))
+
+
+def test_picture_is_laid_over_white_and_gives_the_alpha(ball: Trained) -> None:
+    view = ball.scene.split("train")[0]
+    truth = evaluate.read_truth(view, view.camera)
+    assert not view.truth and set(truth) == {"rgb", "alpha"}
+    assert (truth["rgb"][truth["alpha"][..., 0] == 0] == 1).all()
+
+
+def test_without_truth_only_the_picture_is_compared(ball: Trained) -> None:
+    view: View = ball.scene.split("train")[0]
+    found = evaluate.compare(ball.picture(view), evaluate.read_truth(view, view.camera), metric=True)
+    assert set(found) == {"psnr", "ssim"}
+
+
+def test_mean_leaves_out_what_a_view_lacks() -> None:
+    found = evaluate.mean([{"psnr": 20.0, "ssim": None}, {"psnr": 30.0, "ssim": 0.5, "depth_rmse_mm": 2.0}])
+    assert found == {"psnr": 25.0, "ssim": 0.5, "depth_rmse_mm": 2.0}

@@ -1,0 +1,97 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from reconstruct import mesh
+from reconstruct.errors import ReconstructError
+from reconstruct.run import Run
+from reconstruct.trained import Trained
+
+CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
+DENSITY, WIDTH = 2000.0, 0.002
+"""Of the ball's field: DENSITY * sigmoid((radius - r) / WIDTH), in scene units of 0.1 m."""
+
+
+def expected_radius(level: float) -> float:
+    """Where the ball's density is such that 1/128 of the box, 2/128 scene units, absorbs `level` [m]."""
+    density = -np.log(1 - level) * 128 / 2
+    return RADIUS + 0.1 * WIDTH * np.log(DENSITY / density - 1)
+
+
+@pytest.mark.parametrize(("resolution", "level"), [(48, 0.5), (160, 0.5), (160, 0.9)])
+def test_the_ball_comes_out_where_it_is(ball: Trained, resolution: int, level: float) -> None:
+    """World coordinates and the same surface at any resolution.
+
+    The log-density is linear outside the surface, so that linear interpolation is exact there but for the curvature over
+    a grid cell: h^2 / (8 r), and the sigmoid's knee.
+    """
+    surface = mesh.extract(ball, resolution=resolution, level=level)
+    radii = np.linalg.norm(surface.vertices - CENTRE, axis=-1)
+    spacing = 0.2 / (resolution - 1)
+    assert np.abs(np.median(radii) - expected_radius(level)) < spacing**2 / (8 * RADIUS) + 0.25 * spacing
+    assert np.abs(radii - expected_radius(level)).max() < 0.6 * spacing
+
+
+def test_it_is_closed_faces_outward_and_shows_the_colour(ball: Trained, tmp_path: Path) -> None:
+    surface = mesh.extract(ball, resolution=96)
+    assert surface.is_watertight and surface.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.05)
+    outward = (surface.vertices - CENTRE) / np.linalg.norm(surface.vertices - CENTRE, axis=-1, keepdims=True)
+    assert (np.sum(outward * surface.vertex_normals, -1) > 0.97).all()  # within 14 degrees, on facets of 1.5 degrees
+    linear = np.array([0.3, 0.3, 0.35])  # diffuse and specular of the ball
+    expected = 255 * (1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.abs(surface.visual.vertex_colors[:, :3] - expected).max() <= 1
+    mesh.save(surface, tmp_path / "ball.ply")
+    again = trimesh.load_mesh(tmp_path / "ball.ply")
+    assert len(again.faces) == len(surface.faces) and np.allclose(again.vertices, surface.vertices, atol=1e-6)
+    assert list(tmp_path.glob("*.ply")) == [tmp_path / "ball.ply"]
+
+
+def test_density_is_looked_up_near_occupied_cells_alone(ball: Trained) -> None:
+    axes = mesh.grid_axes(ball, 65)
+    wanted = mesh.near_occupied(ball.state.occupancy, axes)
+    distance = np.linalg.norm(np.stack(np.meshgrid(*axes, indexing="ij"), -1), axis=-1)
+    cell = 2 / ball.state.occupancy.grid
+    assert wanted[np.abs(distance - 0.8) < 0.5 * cell].all()
+    assert not wanted[np.abs(distance - 0.8) > 5 * cell].any()
+    assert not mesh.sample_density(ball, axes)[~wanted].any()
+
+
+def test_noise_is_left_out() -> None:
+    large, small = trimesh.creation.icosphere(radius=1.0), trimesh.creation.icosphere(radius=0.1)
+    small.apply_translation([3, 0, 0])
+    kept = mesh.main_parts(trimesh.util.concatenate([large, small]))
+    assert len(kept.faces) == len(large.faces) and kept.extents.max() == pytest.approx(2)
+
+
+def test_cavities_are_left_out_and_open_pieces_are_kept() -> None:
+    solid, cavity, sheet = trimesh.creation.icosphere(radius=1.0), trimesh.creation.icosphere(radius=0.5), trimesh.creation.box()
+    cavity.invert()
+    sheet.update_faces(np.arange(len(sheet.faces)) > 1)
+    sheet.invert()
+    sheet.apply_translation([3, 0, 0])
+    kept = mesh.main_parts(trimesh.util.concatenate([solid, cavity, sheet]))
+    assert len(kept.faces) == len(solid.faces) + len(sheet.faces)
+
+
+def test_the_grid_covers_a_box_that_is_not_a_cube(ball: Trained) -> None:
+    from dataclasses import replace
+
+    box = ball.scene.box * [1, 1, 1]
+    box[1, 2] = box[0, 2] + 0.05
+    axes = mesh.grid_axes(replace(ball, scene=replace(ball.scene, box=box)), 41)
+    assert [len(axis) for axis in axes] == [41, 41, 11]
+    assert np.allclose([axis[0] for axis in axes], -1) and np.ptp(axes[2]) == pytest.approx(0.5)
+
+
+def test_no_surface_is_one_clear_error(make_run: Callable[..., Run]) -> None:
+    trained = Trained.open(make_run().path)
+    empty = eqx.tree_at(lambda s: s.occupancy.occupied, trained.state, jnp.zeros_like(trained.state.occupancy.occupied))
+    from dataclasses import replace
+
+    with pytest.raises(ReconstructError, match="no surface in the object's box"):
+        mesh.extract(replace(trained, state=empty), resolution=32)
