@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from jaxtyping import install_import_hook
 
-from datasets import images, pose
+from datasets import files, images, pose
 from datasets.camera_model import Camera
+from datasets.recording import Frame, Recording
 from datasets.scene import Scene, View
 
 _NUMERICS = ("cloud", "contraction", "encodings", "field", "losses", "mlp", "model", "objective", "rays", "rendering",
@@ -80,5 +81,27 @@ def make_scene(tmp_path: Path, far_wall: Callable[[Camera, np.ndarray], np.ndarr
         box = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.12]])
         background = "white" if mask else "scene"
         return Scene("little", tuple(views), 0.1, np.inf, box, background, metric=True, provenance={"made": "for a test"})
+
+    return make
+
+
+@pytest.fixture
+def simulated_session() -> Callable[..., Path]:
+    """Factory of recordings of three frames with their truth, in which the true mount is near identity."""
+
+    def make(path: Path, *, hand_eye_shift_mm: float = 0.0, hand_eye_turn_deg: float = 0.0, arm_shift_mm: float = 0.0) -> Path:
+        recording = Recording.create(path, {"trajectory": {}})
+        mount = pose.from_rotation_vector([0, 0, np.deg2rad(hand_eye_turn_deg)], [1e-3 * hand_eye_shift_mm, 0, 0])
+        true_cameras = {}
+        for index in range(3):
+            reported = pose.from_rotation_vector([0, 0, 0], [0.4, 0.1 * index, 0.3])
+            name = f"{index:03d}"
+            true_cameras[name] = (pose.rigid(np.eye(3), [0, 1e-3 * arm_shift_mm, 0]) @ reported @ mount).tolist()
+            recording.append(
+                Frame(index, name, "calibration", f"images/{name}.png", reported, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
+            )
+        files.write_json(path / "truth" / "poses.json", {"format": "koala-truth", "version": 1, "camera": PINHOLE.to_json(),
+                         "flange_from_camera": mount.tolist(), "base_from_camera": true_cameras})  # fmt: skip
+        return path
 
     return make

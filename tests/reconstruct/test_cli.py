@@ -1,0 +1,87 @@
+"""The command as a person meets it: output, exit codes 0, 1 and 2, one line on errors."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from reconstruct.cli import main
+from reconstruct.run import Run
+
+
+@pytest.fixture
+def command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[..., tuple[int, str, str]]:
+    """Run the command inside this process; returns exit code, output and errors."""
+    monkeypatch.setattr("reconstruct.backend.cache_compilations", lambda: None)
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        captured = capsys.readouterr()
+        return int(stop.value.code or 0), captured.out, captured.err
+
+    return run
+
+
+def test_help_is_instant_and_names_the_commands() -> None:
+    code = "from reconstruct.cli import main; main()"
+    arguments = [sys.executable, "-c", code, "--help"]
+    subprocess.run(arguments, check=True, capture_output=True)
+    start = time.perf_counter()
+    shown = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+    assert time.perf_counter() - start < 1.0  # 0.2 s on an idle core; importing JAX alone takes longer than this
+    assert all(name in shown for name in ("train", "eval", "render", "mesh", "report"))
+
+
+def test_eval_render_mesh_and_report_of_a_run(
+    command: Callable[..., tuple[int, str, str]], make_run: Callable[..., Run], tmp_path: Path
+) -> None:
+    run = make_run().path
+    code, out, _ = command("eval", run)
+    assert code == 0 and "2 test views at 48x40" in out and "psnr" in out and "normal_mae_alpha_acc_deg" in out
+    code, out, _ = command("render", run, "--out", tmp_path / "renders", "--json")
+    assert code == 0 and json.loads(out)["views"] == 2 and (tmp_path / "renders/rgb/000.png").is_file()
+    code, out, _ = command("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", 24, "--level", 0.02, "--json")
+    assert code == 0 and len(trimesh.load_mesh(tmp_path / "mesh.ply").faces) == json.loads(out)["faces"]
+    code, out, _ = command("report", run, "--out", tmp_path / "report")
+    assert code == 0 and out.strip() == str(tmp_path / "report/index.html")
+    for arguments in (("render", run, "--out", tmp_path / "renders"), ("mesh", run, "--out", tmp_path / "mesh.ply"),
+                      ("report", run, "--out", tmp_path / "report")):  # fmt: skip
+        code, out, err = command(*arguments)
+        assert code == 2 and "already exists" in err and not out
+
+
+def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_run: Callable[..., Run], tmp_path: Path) -> None:
+    run = make_run().path
+    cases = {
+        ("eval", tmp_path / "nothing"): "is not a run",
+        ("eval", run, "--split", "val"): "scene has no val views",
+        ("eval", run, "--splat", "val"): "No such option",
+        ("mesh", run, "--out", tmp_path / "mesh.obj"): "end --out in .ply",
+        ("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", "5"): "Invalid value",
+        ("report", run, "--out", tmp_path / "r", "--calibration", tmp_path / "none.json"): "no such file",
+    }
+    before = sorted(tmp_path.iterdir())
+    for arguments, message in cases.items():
+        code, out, err = command(*arguments)
+        errors = [line for line in err.splitlines() if line.startswith("error: ")]
+        assert code == 2 and not out and len(errors) == 1 and message in errors[0] and "Traceback" not in err, arguments
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_scene_that_is_gone_is_named(
+    command: Callable[..., tuple[int, str, str]], make_run: Callable[..., Run], tmp_path: Path
+) -> None:
+    run = make_run()
+    text = (run.path / "run.json").read_text().replace(run.scene_path, str(tmp_path / "gone"))
+    (run.path / "run.json").write_text(text)
+    code, _, err = command("eval", run.path)
+    assert code == 2 and "gone" in err and "no such scene" in err
