@@ -234,8 +234,9 @@ def test_masks_rule_cells_out_for_good() -> None:
     possible = np.zeros(8**3, bool)
     possible[100:200] = True
     occupancy = Occupancy.create(jax.random.key(0), grid=8, outer_grid=8, bounded=True, possible=possible)
+    look = jax.jit(lambda o, key: o.updated(lambda p: jnp.full(p.shape[1], 1e3), key, 60, 0.01))
     for key in jax.random.split(jax.random.key(1), 4):
-        occupancy = occupancy.updated(lambda p: jnp.full(p.shape[1], 1e3), key, 60, 0.01)
+        occupancy = look(occupancy, key)
     np.testing.assert_array_equal(np.asarray(occupancy.occupied, bool), possible)
 
 
