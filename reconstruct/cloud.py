@@ -4,6 +4,7 @@ Knows the contraction, so that fields see contracted coordinates and everybody e
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -28,14 +29,14 @@ class Cloud(eqx.Module):
 
     def encoded(self, encoding: PermutohedralLattice) -> Float[Array, "channels n"]:
         """Features of each place."""
-        points, scale = self._contracted()
+        points, scale = jax.lax.optimization_barrier(self._contracted())
         return self._averaged(encoding(points, scale))
 
     def encoded_with_jacobian(
         self, encoding: PermutohedralLattice
     ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""
-        points, scale = self._contracted()
+        points, scale = jax.lax.optimization_barrier(self._contracted())
         features, jacobian = encoding.value_and_jacobian(points, scale)
         if not self.bounded:
             jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)

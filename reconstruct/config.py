@@ -92,6 +92,7 @@ class TrainConfig(_Section):
 
     steps: int = Field(10_000, ge=1, description="Steps where no time budget is given.")
     rate: float = Field(0.01, gt=0, description="Learning rate after warm-up.")
+    network_share: float = Field(0.25, gt=0, description="The networks' rate as a share of the tables'.")
     final_rate: float = Field(0.001, gt=0, description="Learning rate at the end; log-linear between.")
     warmup: float = Field(0.02, ge=0, le=1, description="Share of the training over which the rate rises.")
     seed: int = Field(0, ge=0, description="Seed of weights, rays and sphere rotations.")

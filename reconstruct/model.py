@@ -70,22 +70,23 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud, *, defer
     Returns:
         The rays, and the density of every sample [1 / scene unit].
     """
-    density, material = field(cloud)
-    weights = sample_weights(density, samples, rays.speed)
-    flat = samples.packed(weights)
+    apart = jax.lax.optimization_barrier  # one stage is not computed again inside the loops of the next
+    density, material = apart(field(cloud))
+    weights = apart(sample_weights(density, samples, rays.speed))
+    flat = apart(samples.packed(weights))
     channels = jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], material.stacked()])
     if not deferred:
         directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
-        shading = field.shade(material, directions)
+        shading = apart(field.shade(material, directions))
         channels = jnp.concatenate([channels, shading.rgb, shading.specular])
-    sums = composite(channels, flat, samples)
+    sums = apart(composite(channels, flat, samples))
     opacity = sums[:, 0]
     mean = sums / jnp.maximum(opacity, 1e-6)[:, None]
     if deferred:
-        shading = field.shade(Material.unstacked(mean[:, 2:].T), rays.viewdirs.T)
+        shading = apart(field.shade(Material.unstacked(apart(mean[:, 2:].T)), rays.viewdirs.T))
         rgb, specular = shading.rgb.T * opacity[:, None], shading.specular.T * opacity[:, None]
     else:
         rgb, specular = sums[:, -6:-3], sums[:, -3:]
     rendered = Rendered(rgb=rgb, opacity=opacity, diffuse=sums[:, 2:5], specular=specular, roughness=sums[:, 8],
                         normals_pred=sums[:, 9:12], depth=mean[:, 1], weights=weights)  # fmt: skip
-    return rendered, density
+    return apart((rendered, density))

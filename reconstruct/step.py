@@ -169,10 +169,15 @@ class StepFunctions:
         rate = learning_rate(progress, rate=train.rate, final_rate=train.final_rate, warmup=train.warmup)
         finite = jnp.isfinite(sum(jnp.sum(leaf) for leaf in jax.tree.leaves(gradient)))
         update, optimiser = self._adam().update(gradient, state.optimiser)
-        moved = jax.tree.map(lambda p, u: p - rate * u, state.model, update)
+        rates = jax.tree_util.tree_map_with_path(lambda path, _: rate * self._share(path), state.model)
+        moved = jax.tree.map(lambda p, u, r: p - r * u, state.model, update, rates)
         keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, old)  # noqa: E731
         return TrainState(keep(moved, state.model), keep(optimiser, state.optimiser), state.occupancy, state.step + 1,
                           state.skipped + jnp.where(finite, 0, 1))  # fmt: skip
+
+    def _share(self, path: tuple) -> float:
+        """Factor on the learning rate of the parameter at `path`: tables see few samples each, networks all of them."""
+        return 1.0 if any(getattr(part, "name", "") == "table" for part in path) else self.config.train.network_share
 
     def _refresh(self, state: TrainState, batch, density, key) -> TrainState:
         rays, _, _, samples = batch

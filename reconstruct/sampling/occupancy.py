@@ -24,7 +24,7 @@ class Occupancy(eqx.Module):
     """State of the grids."""
 
     density: Float[Array, " cells"]
-    """Largest density seen lately in each cell [1 / scene unit]."""
+    """Largest density seen lately in each cell [1 / scene unit]; infinite until it was looked at."""
     occupied: UInt8[Array, " cells"]
     """1 where a step through the cell may matter."""
     extent: Float[Array, " cells"]
@@ -52,7 +52,7 @@ class Occupancy(eqx.Module):
             cells[inner:] = (radius > 1 - 2 * np.sqrt(3) / outer_grid) & (radius < 2)
             extent[inner:] = 4 / outer_grid / np.square(np.maximum(2 - np.maximum(radius, 1), 0.05))
         visits = np.random.default_rng(np.asarray(jax.random.key_data(key))).permutation(np.flatnonzero(cells))
-        density = jnp.where(jnp.asarray(cells), 1e3, 0.0)
+        density = jnp.where(jnp.asarray(cells), jnp.inf, 0.0)
         return cls(density, jnp.asarray(cells, jnp.uint8), jnp.asarray(extent), jnp.asarray(visits, jnp.int32),
                    jnp.zeros((), jnp.int32), grid, outer_grid if outer else 0)  # fmt: skip
 
@@ -69,14 +69,19 @@ class Occupancy(eqx.Module):
 
         Args:
             density_of: (3, n) points of the contracted scene to (n,) densities.
-            optical_depth: a cell whose step holds less than this is empty.
+            optical_depth: a cell whose step holds less than this is empty; so is one that holds less than the mean
+                cell, which clears the fog of the first steps.
         """
         count = min(count, self.visits.shape[0])
         order = (self.cursor + jnp.arange(count, dtype=jnp.int32)) % self.visits.shape[0]
         cells = self.visits[order]
         found = density_of(self._points(cells, jax.random.uniform(key, (3, count))))
-        density = self.density.at[cells].set(jnp.maximum(self.density[cells] * 0.7, found))
-        occupied = (density * self.extent > optical_depth).astype(jnp.uint8)
+        before = self.density[cells]
+        density = self.density.at[cells].set(jnp.where(jnp.isinf(before), found, jnp.maximum(before * 0.7, found)))
+        depth = density * self.extent
+        known = jnp.isfinite(depth)
+        mean = jnp.sum(jnp.where(known, depth, 0)) / jnp.maximum(jnp.sum(known & (self.density > 0)), 1)
+        occupied = (depth > jnp.minimum(optical_depth, mean)).astype(jnp.uint8)
         cursor = (self.cursor + count) % self.visits.shape[0]
         return eqx.tree_at(lambda o: (o.density, o.occupied, o.cursor), self, (density, occupied, cursor))
 
