@@ -33,7 +33,9 @@ def make_app(name: str, help: str) -> typer.Typer:
     @app.callback(help=help)
     def _common(debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False) -> None:
         _state["debug"] = debug
-        logging.basicConfig(level=logging.DEBUG if debug else logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+        logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+        for package in ("capture", "calib", "datasets", "reconstruct"):  # other people's debug messages go into thousands
+            logging.getLogger(package).setLevel(logging.DEBUG if debug else logging.WARNING)
 
     return app
 

@@ -54,7 +54,7 @@ def extract(trained: Trained, *, resolution: int = RESOLUTION, level: float = LE
     threshold = -np.log1p(-level) * 128 / max(axis[-1] - axis[0] for axis in axes)
     if not density.min() < threshold < density.max():
         raise ReconstructError("there is no surface in the object's box", where=trained.run.path,
-                               why=f"densities go up to {density.max():.3g}, the surface is at {threshold:.3g}",
+                               why=f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}",
                                remedy="train longer, or check the scene's box")  # fmt: skip
     spacing = axes[0][1] - axes[0][0]
     # Density grows exponentially into the surface: interpolating its logarithm does not pull the surface to the empty side.
