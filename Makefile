@@ -13,7 +13,7 @@ define step
 @printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
 endef
 
-.PHONY: demo test test-all check format figures clean
+.PHONY: demo test test-all check types format figures clean
 .DEFAULT_GOAL := test
 
 $(READY): pyproject.toml
@@ -32,8 +32,8 @@ demo: $(READY)
 	$(call step,make a scene of it,$(BIN)/datasets build demo/recording --calibration demo/calibration.json --out demo/koala/gold_head)
 	$(call step,train Surf-NeRF for $(BUDGET) s,$(BIN)/reconstruct train demo/koala/gold_head --preset fast --budget $(BUDGET) --out demo/run)
 	$(call step,measure it on the test views,$(BIN)/reconstruct eval demo/run)
-	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --out demo/mesh.ply)
 	$(call step,write the report,$(BIN)/reconstruct report demo/run --calibration demo/calibration.json --out demo/report)
+	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --out demo/mesh.ply)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
 
 test: $(READY)
@@ -45,8 +45,10 @@ test-all: $(READY)
 check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/pyright
 	$(BIN)/python -m pytest -q
+
+types: $(READY)
+	$(BIN)/pyright --pythonpath $(BIN)/python capture calib datasets reconstruct
 
 format: $(READY)
 	$(BIN)/ruff format .

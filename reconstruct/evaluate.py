@@ -100,7 +100,7 @@ def _resampled(channel: str, values: NDArray[np.float32], camera: Camera) -> NDA
         return small[..., :1]
     if channel == "normals":
         length = np.linalg.norm(small, axis=-1, keepdims=True)
-        return np.where(length > 1e-3, small / np.maximum(length, 1e-3), 0)
+        return np.where(length > 1e-3, small / np.maximum(length, 1e-3), 0).astype(np.float32)
     return small[..., :3]
 
 

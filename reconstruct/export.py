@@ -41,7 +41,7 @@ def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any
     return {"out": str(out), "split": split, "views": len(views)}
 
 
-def channels(picture: Picture) -> dict[str, NDArray[np.float32]]:
+def channels(picture: Picture) -> dict[str, NDArray[np.floating]]:
     """What is written of a picture, by folder: (height, width, 1 or 3), 0..1 but for depth."""
     return {
         "rgb": picture.rgb,

@@ -1,7 +1,7 @@
 """The report of a run: one HTML file with everything in it, pictures included, for a browser and for later.
 
 DIR/index.html    result, figures, error over time, truth and rendering side by side, the commands that made it
-DIR/strip.png     one view: truth, rendering, normals, depth, and the mesh where it was seen
+DIR/strip.png     one view in a row: photograph, rendering, normals, depth, specular part
 """
 
 import base64
@@ -52,22 +52,23 @@ def write(trained: Trained, out: Path, *, calibration: Path | None = None) -> di
         Misuse: `out` holds something.
     """
     files.refuse_existing(out)
+    calibrated = _calibration_scores(calibration)
     run, result = trained.run, _measured(trained)
     views = trained.scene.split(result["split"])
     chosen = views[:: max(1, len(views) // VIEWS)][:VIEWS]
-    rows, strip = [], None
+    rows = []
     with files.atomic_folder(out) as folder:
         with progress("rendering the report", len(chosen), "views") as shown:
             for view in chosen:
                 truth, picture = read_truth(view, trained.camera(view)), trained.picture(view)
+                if not rows:
+                    images.write(folder / "strip.png", strip_of(truth, picture))
                 rows.append(_row(view, side_by_side(truth, picture)))
-                strip = strip_of(truth, picture) if strip is None else strip
                 shown.advance()
-        images.write(folder / "strip.png", strip)
         page = PAGE.substitute(
             title=html.escape(f"{trained.scene.name}: {run.config.model}"), headline=_headline(run, result),
             figures=_table(_scores(result)), mesh=_section("Mesh", _mesh_scores(result)),
-            calibration=_section("Calibration", _calibration_scores(calibration)), curve=_curve(run), views="\n".join(rows),
+            calibration=_section("Calibration", calibrated), curve=_curve(run), views="\n".join(rows),
             work=_work(run, result), commands=html.escape(_commands(run, out, calibration)),
         )  # fmt: skip
         files.write_text(folder / "index.html", page)
@@ -83,13 +84,13 @@ def _measured(trained: Trained) -> dict[str, Any]:
 
 def side_by_side(
     truth: dict[str, NDArray[np.float32]], picture: Picture
-) -> dict[str, tuple[NDArray[np.float32] | None, NDArray[np.float32]]]:
+) -> dict[str, tuple[NDArray[np.floating] | None, NDArray[np.floating]]]:
     """(truth, rendering) of each channel as pictures 0..1; None where the truth is not known.
 
     Depth is drawn over the range of the truth where there is one; normals as (n + 1) / 2, grey where nothing is.
     """
     alpha = (truth["alpha"] > 0.5) if "alpha" in truth else None
-    pairs: dict[str, tuple[NDArray[np.float32] | None, NDArray[np.float32]]] = {"colour": (truth["rgb"], picture.rgb)}
+    pairs: dict[str, tuple[NDArray[np.floating] | None, NDArray[np.floating]]] = {"colour": (truth["rgb"], picture.rgb)}
     true_normals = (truth["normals"] + 1) / 2 if "normals" in truth else None
     pairs["normals"] = (true_normals, (_where(picture.normals, alpha if true_normals is not None else None) + 1) / 2)
     if "depth" in truth and alpha is not None:
@@ -231,13 +232,13 @@ def _curve(run: Run) -> str:
             axes.plot(*zip(*points, strict=True), label=label, color=colour, linewidth=2 if key == "psnr_unseen" else 1.2)
     axes.set(xlabel="seconds of training", ylabel="PSNR [dB]")
     axes.grid(alpha=0.25)
-    axes.legend(frameon=False, loc="lower right")
+    legend = axes.legend(frameon=False, loc="lower right")
     for text in (
         axes.xaxis.label,
         axes.yaxis.label,
         *axes.get_xticklabels(),
         *axes.get_yticklabels(),
-        *axes.get_legend().get_texts(),
+        *legend.get_texts(),
     ):
         text.set_color("#808080")
     for line in (*axes.spines.values(), *axes.xaxis.get_ticklines(), *axes.yaxis.get_ticklines()):
