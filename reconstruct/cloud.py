@@ -29,20 +29,21 @@ class Cloud(eqx.Module):
 
     def encoded(self, encoding: PermutohedralLattice) -> Float[Array, "channels n"]:
         """Features of each place."""
-        points, scale = jax.lax.optimization_barrier(self._contracted())
+        points, scale = jax.lax.optimization_barrier(self.contracted())
         return self._averaged(encoding(points, scale))
 
     def encoded_with_jacobian(
         self, encoding: PermutohedralLattice
     ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""
-        points, scale = jax.lax.optimization_barrier(self._contracted())
+        points, scale = jax.lax.optimization_barrier(self.contracted())
         features, jacobian = encoding.value_and_jacobian(points, scale)
         if not self.bounded:
             jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
         return self._averaged(features), self._averaged(jacobian)
 
-    def _contracted(self) -> tuple[Float[Array, "3 n_group"], Float[Array, " n_group"] | None]:
+    def contracted(self) -> tuple[Float[Array, "3 n_group"], Float[Array, " n_group"] | None]:
+        """Points and scale as the encodings take them."""
         if self.bounded:
             return self.points, self.scale
         factor = None if self.scale is None else self.scale * contraction_scale(self.points.T)

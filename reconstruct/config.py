@@ -96,6 +96,9 @@ class TrainConfig(_Section):
     final_rate: float = Field(0.001, gt=0, description="Learning rate at the end; log-linear between.")
     warmup: float = Field(0.02, ge=0, le=1, description="Share of the training over which the rate rises.")
     seed: int = Field(0, ge=0, description="Seed of weights, rays and sphere rotations.")
+    first_blur: float = Field(0.02, ge=0, description="Standard deviation of every sample at the start [scene unit]; 0: none.")
+    last_blur: float = Field(0.001, ge=0, description="The same once `blur_until` of the training is done.")
+    blur_until: float = Field(0.5, gt=0, le=1, description="Share of the training over which the blur shrinks.")
     checkpoint_s: float = Field(60.0, gt=0, description="Seconds between checkpoints.")
 
 

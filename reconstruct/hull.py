@@ -1,4 +1,7 @@
-"""The visual hull: cells of the object's box that no mask rules out. What is outside is never looked at again."""
+"""Cells that can hold anything: the masks' visual hull around the object, and what several cameras see around it.
+
+What is ruled out here is never looked at again.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +12,7 @@ from reconstruct.rays import Normalisation, Pixels, scaled_camera
 from reconstruct.sampling.occupancy import _centres
 
 
-def possible_cells(
+def cells_in_masks(
     pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, grid: int, scale: float
 ) -> NDArray[np.bool_] | None:
     """(grid^3,) True for cells of the cube that every mask allows; None where all pixels belong to the object.
@@ -43,3 +46,28 @@ def possible_cells(
     possible = np.zeros(len(centres), bool)
     possible[alive] = True
     return possible
+
+
+def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: int, needed: int = 3) -> NDArray[np.bool_]:
+    """(grid^3,) True for cells of the contracted surroundings that cameras can place.
+
+    Nearer than the furthest camera, a cell must be in the picture of `needed` cameras: what fewer see cannot be
+    triangulated, and would only be a cloud before a lens. Further out, one camera is enough.
+    """
+    contracted = _centres(grid, 2.0)
+    radius = np.linalg.norm(contracted, axis=-1, keepdims=True)
+    outward = contracted / np.maximum(radius, 1e-9)
+    scene = np.where(radius > 1, outward / np.maximum(2 - radius, 1e-3), contracted)
+    world = scene / normalisation.scale + normalisation.centre
+    count = np.zeros(len(world), int)
+    for view in views:
+        points = (world - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+        camera = view.camera.undistorted()  # a margin of a tenth of the picture covers the lens
+        front = points[:, 2] > 1e-9
+        column, row = camera.project(np.where(front[:, None], points, [0, 0, 1.0])).T
+        margin = 0.1 * max(camera.width, camera.height)
+        count += front & (np.abs(column - camera.width / 2) < camera.width / 2 + margin) & (np.abs(row - camera.height / 2) < camera.height / 2 + margin)
+    positions = np.stack([view.world_from_camera[:3, 3] for view in views])
+    furthest = np.linalg.norm((positions - normalisation.centre) * normalisation.scale, axis=-1).max()
+    near = np.linalg.norm(scene, axis=-1) < furthest
+    return count >= np.where(near, min(needed, len(views)), 1)

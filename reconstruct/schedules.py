@@ -17,3 +17,11 @@ def second_pass_period(progress: float, *, first: int, last: int) -> int:
     """Steps between second passes: log-linear in progress, rounded to a power of two (supplement H, "512/4")."""
     exponent = math.log2(first) + min(max(progress, 0.0), 1.0) * (math.log2(last) - math.log2(first))
     return 2 ** round(exponent)
+
+
+def encoding_blur(progress: Float[Array, ""], *, first: float, last: float, until: float) -> Float[Array, ""]:
+    """Width of the encoding's blur: log-linear from `first` to `last` over the share `until` of the training; 0 is no blur."""
+    if first == 0 or last == 0:
+        return jnp.zeros(())
+    share = jnp.clip(progress / until, 0, 1)
+    return jnp.exp(jnp.log(first) + share * (jnp.log(last) - jnp.log(first)))

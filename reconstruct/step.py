@@ -16,7 +16,7 @@ from reconstruct.rays import Normalisation, Pixels, Rays
 from reconstruct.sampling.occupancy import Occupancy, Steps, occupied_steps, packed_samples
 from reconstruct.sampling.proposal import Spacing, propose
 from reconstruct.sampling.samples import RaySamples
-from reconstruct.schedules import learning_rate
+from reconstruct.schedules import encoding_blur, learning_rate
 
 GRID_PERIOD, GRID_CELLS = 16, 65536
 """Every so many steps the occupancy grid looks at so many cells."""
@@ -76,8 +76,9 @@ class StepFunctions:
         return optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
 
     def _step(self, state: TrainState, pixels: Pixels, seed, progress, second) -> tuple[TrainState, objective.Terms]:
+        state = self._sharpened(state, progress)
         key = jax.random.fold_in(jax.random.key(seed), state.step)
-        keys = dict(zip(("pixels", "samples", "background", "sphere", "grid"), jax.random.split(key, 5), strict=True))
+        keys = dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
         index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
         rays, colour = _separate(pixels.take(_separate(index)))
         batch = _separate(self._choose(state, rays, colour, keys["samples"]))
@@ -88,8 +89,14 @@ class StepFunctions:
             terms |= more
         state = self._descend(state, gradient, progress)
         if state.occupancy is not None:
-            state = self._refresh(state, batch, density, keys["grid"])
+            state = self._note(state, batch, density)
         return state, terms
+
+    def _sharpened(self, state: TrainState, progress) -> TrainState:
+        """The state with the blur of its progress."""
+        train = self.config.train
+        blur = encoding_blur(progress, first=train.first_blur, last=train.last_blur, until=train.blur_until)
+        return eqx.tree_at(lambda s: s.model.field.encoding.blur, state, blur.astype(jnp.float32))
 
     def _second_pass(self, model: Model, gradient: Model, rays: Rays, surface, key, second) -> tuple[Model, objective.Terms]:
         """The gradient with the regularisers' added where `second` is true; elsewhere nothing is computed."""
@@ -109,7 +116,7 @@ class StepFunctions:
     def _drawn(self) -> int:
         sampler = self.config.sampler
         if sampler.kind == "occupancy" and not self._bounded:
-            return min(sampler.rays, sampler.samples // SAMPLES_PER_RAY)
+            return min(sampler.rays, sampler.samples // (2 * SAMPLES_PER_RAY))  # every ray meets the surroundings
         return sampler.rays
 
     def _choose(self, state: TrainState, rays: Rays, colour, key):
@@ -179,12 +186,16 @@ class StepFunctions:
         """Factor on the learning rate of the parameter at `path`: tables see few samples each, networks all of them."""
         return 1.0 if any(getattr(part, "name", "") == "table" for part in path) else self.config.train.network_share
 
-    def _refresh(self, state: TrainState, batch, density, key) -> TrainState:
+    def _note(self, state: TrainState, batch, density) -> TrainState:
+        """Keep in the grid what the step met anyway."""
         rays, _, _, samples = batch
-        points, _ = cloud_of(rays, samples, bounded=self._bounded)._contracted()
-        cells = state.occupancy.cell(*points)
-        occupancy = state.occupancy.seen(cells, jnp.where(samples.valid, density, 0.0))
+        points, _ = cloud_of(rays, samples, bounded=self._bounded).contracted()
+        occupancy = state.occupancy.seen(state.occupancy.cell(*points), jnp.where(samples.valid, density, 0.0))
+        return eqx.tree_at(lambda s: s.occupancy, state, occupancy)
+
+    def look_around(self, state: TrainState, seed: Int[Array, ""]) -> TrainState:
+        """Look at the next cells of the occupancy grid; wanted every `GRID_PERIOD` steps."""
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), state.step), GRID_PERIOD)
         density_of = lambda p: state.model.field.density(Cloud(p, None, bounded=True))  # noqa: E731
-        look = lambda o: o.updated(density_of, key, GRID_CELLS, self.config.sampler.optical_depth)  # noqa: E731
-        occupancy = jax.lax.cond(state.step % GRID_PERIOD == 0, look, lambda o: o, occupancy)
+        occupancy = state.occupancy.updated(density_of, key, GRID_CELLS, self.config.sampler.optical_depth)
         return eqx.tree_at(lambda s: s.occupancy, state, occupancy)

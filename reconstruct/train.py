@@ -15,14 +15,14 @@ from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
-from reconstruct.hull import possible_cells
+from reconstruct.hull import cells_in_masks, cells_in_sight
 from reconstruct.rays import Normalisation, Pixels
 from reconstruct.renderer import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.schedules import second_pass_period
-from reconstruct.step import StepFunctions, TrainState
+from reconstruct.step import GRID_PERIOD, StepFunctions, TrainState
 
-CHUNK = 32
+CHUNK = 16
 """At most so many steps between two looks at the clock."""
 LOOKS = 40
 """Lines in the log over a whole training."""
@@ -41,6 +41,7 @@ class Clock:
     seconds: float = 0.0
     step: int = 0
     since_second_pass: int = 0
+    since_look: int = 0
 
     @property
     def progress(self) -> float:
@@ -60,6 +61,7 @@ class Training:
     clock: Clock
     renderer: Renderer
     _advance: Any = field(default=None)
+    _look_around: Any = field(default=None)
 
     def chunk(self) -> dict[str, jax.Array]:
         """Up to `CHUNK` steps, the last of them with the second pass where it is due. Returns the last step's terms."""
@@ -71,6 +73,10 @@ class Training:
         start = time.perf_counter()
         self.state, terms = self._advance(self.state, self.pixels, jnp.asarray(self.run.config.train.seed, jnp.int32),
                                           jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))  # fmt: skip
+        clock.since_look += count
+        if self.state.occupancy is not None and clock.since_look >= GRID_PERIOD:
+            self.state = self._look_around(self.state, jnp.asarray(self.run.config.train.seed, jnp.int32))
+            clock.since_look = 0
         jax.block_until_ready(terms)
         clock.seconds += time.perf_counter() - start
         clock.step += count
@@ -84,6 +90,9 @@ class Training:
         lowered = jax.jit(self.functions.advance, donate_argnums=(0,)).lower(
             self.state, self.pixels, scalar(0, jnp.int32), scalar(0, jnp.float32), scalar(1, jnp.int32), scalar(False, bool))  # fmt: skip
         self._advance = lowered.compile()
+        if self.state.occupancy is not None:
+            look = jax.jit(self.functions.look_around, donate_argnums=(0,))
+            self._look_around = look.lower(self.state, scalar(0, jnp.int32)).compile()
         return time.perf_counter() - start
 
     def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:
@@ -103,7 +112,8 @@ class Training:
 
     def save(self) -> None:
         """Checkpoint state and clock."""
-        clock = {"seconds": self.clock.seconds, "step": self.clock.step, "since_second_pass": self.clock.since_second_pass}
+        clock = {"seconds": self.clock.seconds, "step": self.clock.step, "since_second_pass": self.clock.since_second_pass,
+                 "since_look": self.clock.since_look}  # fmt: skip
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)
 
 
@@ -176,7 +186,8 @@ def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     functions, state, pixels, probe = _prepare(scene, run.config, run.normalisation)
     state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
     budget_s = budget_s or run.content.get("budget_s")
-    clock = Clock(run.config.train.steps, budget_s, clock["seconds"], int(clock["step"]), int(clock["since_second_pass"]))
+    clock = Clock(run.config.train.steps, budget_s, clock["seconds"], int(clock["step"]), int(clock["since_second_pass"]),
+                  int(clock["since_look"]))  # fmt: skip
     return Training(run, functions, state, pixels, probe, clock, Renderer(functions))
 
 
@@ -186,8 +197,11 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation):
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
     possible = None
-    if config.sampler.kind == "occupancy" and normalisation.bounded:
-        possible = possible_cells(pixels, views, normalisation, config.sampler.grid, config.scale)
+    if config.sampler.kind == "occupancy":
+        if normalisation.bounded:
+            possible = cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale)
+        else:
+            possible = cells_in_sight(views, normalisation, config.sampler.outer_grid)
     state = functions.initial(jax.random.key(config.train.seed), possible)
     return functions, state, pixels, _probe(scene, config, normalisation)
 

@@ -84,6 +84,9 @@ class PermutohedralLattice(eqx.Module):
 
     table: Float[Array, "features rows"]
     """Channels of all levels' tables, one level after the other."""
+    blur: Float[Array, ""]
+    """Standard deviation that every point has at least; training lowers it, so that shape comes before detail. No
+    gradient goes to it."""
     resolutions: tuple[float, ...] = eqx.field(static=True)
     log2_size: int = eqx.field(static=True)
 
@@ -94,7 +97,7 @@ class PermutohedralLattice(eqx.Module):
         """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`."""
         growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
         table = jax.random.uniform(key, (features, levels * 2**log2_size), minval=-1e-4, maxval=1e-4)
-        return cls(table, tuple(float(coarsest * growth**level) for level in range(levels)), log2_size)
+        return cls(table, jnp.zeros(()), tuple(float(coarsest * growth**level) for level in range(levels)), log2_size)
 
     @property
     def num_channels(self) -> int:
@@ -133,10 +136,10 @@ class PermutohedralLattice(eqx.Module):
         e = jax.lax.optimization_barrier(lift(*(points[axis] * units for axis in range(3))))
         code = jax.lax.optimization_barrier(ordering(e))
         coefficients = [barycentric(e, code)] + (weight_slopes(code, units) if with_slopes else [])
-        if scale is not None:
-            resolution = np.array(self.resolutions, np.float32)[:, None]
-            share = jax.lax.optimization_barrier(ball_share(jax.lax.stop_gradient(scale), resolution))
-            coefficients = [[c * share for c in one] for one in coefficients]
+        squared = jnp.square(self.blur)[None] if scale is None else jnp.square(self.blur) + jnp.square(scale)
+        resolution = np.array(self.resolutions, np.float32)[:, None]
+        share = jax.lax.optimization_barrier(ball_share(jax.lax.stop_gradient(jnp.sqrt(squared + 1e-24)), resolution))
+        coefficients = [[c * share for c in one] for one in coefficients]
         return jax.lax.optimization_barrier((table_rows(e, code, self.log2_size), coefficients))
 
     def decay(self) -> Float[Array, ""]:

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8, UInt32
 
-from reconstruct.contraction import contract
 from reconstruct.rays import Rays
 from reconstruct.sampling.samples import RaySamples
 
@@ -27,6 +26,8 @@ class Occupancy(eqx.Module):
     """Largest density seen lately in each cell [1 / scene unit]; infinite until it was looked at."""
     occupied: UInt8[Array, " cells"]
     """1 where a step through the cell may matter."""
+    bits: UInt32[Array, " words"]
+    """`occupied`, a bit per cell: an eighth of the memory to look through."""
     extent: Float[Array, " cells"]
     """Length of a step in the cell [scene unit]."""
     visits: Int[Array, " visited"]
@@ -37,23 +38,26 @@ class Occupancy(eqx.Module):
 
     @classmethod
     def create(
-        cls, key: PRNGKeyArray, *, grid: int, outer_grid: int, bounded: bool, possible: Bool[np.ndarray, " inner"] | None
+        cls, key: PRNGKeyArray, *, grid: int, outer_grid: int, bounded: bool, possible: Bool[np.ndarray, " cells"] | None
     ) -> "Occupancy":
-        """All cells occupied, or those of the inner grid that are `possible` (masks rule the others out)."""
+        """All cells occupied, or those that are `possible`: of the inner grid where bounded, else of the outer one."""
         inner, outer = grid**3, 0 if bounded else outer_grid**3
         cells = np.ones(inner + outer, bool)
-        if possible is not None:
+        if possible is not None and bounded:
             cells[:inner] = possible
-        elif not bounded:
+        if not bounded:
             cells[:inner] = np.linalg.norm(_centres(grid, 1.0), axis=-1) < 1 + np.sqrt(3) / grid
         extent = np.full(inner + outer, 2 / grid, np.float32)
         if outer:
             radius = np.linalg.norm(_centres(outer_grid, 2.0), axis=-1)
             cells[inner:] = (radius > 1 - 2 * np.sqrt(3) / outer_grid) & (radius < 2)
+            if possible is not None:
+                cells[inner:] &= possible
             extent[inner:] = 4 / outer_grid / np.square(np.maximum(2 - np.maximum(radius, 1), 0.05))
         visits = np.random.default_rng(np.asarray(jax.random.key_data(key))).permutation(np.flatnonzero(cells))
         density = jnp.where(jnp.asarray(cells), jnp.inf, 0.0)
-        return cls(density, jnp.asarray(cells, jnp.uint8), jnp.asarray(extent), jnp.asarray(visits, jnp.int32),
+        occupied = jnp.asarray(cells, jnp.uint8)
+        return cls(density, occupied, _as_bits(occupied), jnp.asarray(extent), jnp.asarray(visits, jnp.int32),
                    jnp.zeros((), jnp.int32), grid, outer_grid if outer else 0)  # fmt: skip
 
     def cell(self, x: Float[Array, "..."], y: Float[Array, "..."], z: Float[Array, "..."]) -> Int[Array, "..."]:
@@ -69,8 +73,8 @@ class Occupancy(eqx.Module):
 
         Args:
             density_of: (3, n) points of the contracted scene to (n,) densities.
-            optical_depth: a cell whose step holds less than this is empty; so is one that holds less than the mean
-                cell, which clears the fog of the first steps.
+            optical_depth: a cell whose step holds less than this is empty. While the mean cell holds less, the mean
+                decides instead (down to a tenth), so that the thin fog of the first steps gets its shape.
         """
         count = min(count, self.visits.shape[0])
         order = (self.cursor + jnp.arange(count, dtype=jnp.int32)) % self.visits.shape[0]
@@ -81,9 +85,19 @@ class Occupancy(eqx.Module):
         depth = density * self.extent
         known = jnp.isfinite(depth)
         mean = jnp.sum(jnp.where(known, depth, 0)) / jnp.maximum(jnp.sum(known & (self.density > 0)), 1)
-        occupied = (depth > jnp.minimum(optical_depth, mean)).astype(jnp.uint8)
+        occupied = (depth > jnp.clip(mean, 0.1 * optical_depth, optical_depth)).astype(jnp.uint8)
         cursor = (self.cursor + count) % self.visits.shape[0]
-        return eqx.tree_at(lambda o: (o.density, o.occupied, o.cursor), self, (density, occupied, cursor))
+        looked = eqx.tree_at(lambda o: (o.density, o.cursor), self, (density, cursor))
+        return looked.with_occupied(occupied)
+
+    def with_occupied(self, occupied: UInt8[Array, " cells"]) -> "Occupancy":
+        """The same grids with these cells occupied."""
+        return eqx.tree_at(lambda o: (o.occupied, o.bits), self, (occupied, _as_bits(occupied)))
+
+    def holds(self, cells: Int[Array, "..."]) -> UInt32[Array, "..."]:
+        """1 for occupied cells, 0 for empty ones."""
+        words = self.bits.at[cells >> 5].get(mode="promise_in_bounds")
+        return (words >> (cells & 31).astype(jnp.uint32)) & jnp.uint32(1)
 
     def seen(self, cells: Int[Array, " n"], density: Float[Array, " n"]) -> "Occupancy":
         """Take note of densities that training met anyway."""
@@ -96,6 +110,11 @@ class Occupancy(eqx.Module):
         local = jnp.where(outside, cells - self.grid**3, cells)
         position = jnp.stack([local // (size * size), local // size % size, local % size]).astype(jnp.float32)
         return ((position + offset) / size * 2 - 1) * reach
+
+
+def _as_bits(occupied: UInt8[Array, " cells"]) -> UInt32[Array, " words"]:
+    padded = jnp.pad(occupied, (0, -occupied.shape[0] % 32)).astype(jnp.uint32).reshape(-1, 32)
+    return jnp.sum(padded << jnp.arange(32, dtype=jnp.uint32), -1, dtype=jnp.uint32)
 
 
 def _cell(x, y, z, size: int, reach: float):
@@ -172,11 +191,13 @@ def occupied_steps(
     t = steps.at(jnp.arange(steps.count, dtype=jnp.float32) + jitter[:, None])
     x, y, z = (rays.origins[:, i, None] + t * rays.directions[:, i, None] for i in range(3))
     if not bounded:
-        x, y, z = contract(jnp.stack([x, y, z], -1)).transpose(2, 0, 1)
-    hit = occupancy.occupied.at[occupancy.cell(x, y, z)].get(mode="promise_in_bounds").astype(jnp.uint32)
-    part = np.repeat(np.arange(3), [steps.front, steps.inside, steps.behind])
-    has_length = jnp.stack([steps.enter > steps.near, steps.leave > steps.enter, steps.far > steps.leave], -1)
-    hit = jnp.where(has_length[:, part], hit, jnp.uint32(0))  # a ray that misses has no steps inside
+        inverse = jax.lax.rsqrt(jnp.maximum(x * x + y * y + z * z, 1.0))  # `contract`, written out: this loop is hot
+        x, y, z = (v * ((2 - inverse) * inverse) for v in (x, y, z))
+    hit = occupancy.holds(occupancy.cell(x, y, z))
+    counts = (steps.front, steps.inside, steps.behind)
+    has_length = (steps.enter > steps.near, steps.leave > steps.enter, steps.far > steps.leave)
+    parts = [jnp.broadcast_to(part[:, None], (hit.shape[0], count)) for part, count in zip(has_length, counts, strict=True)]
+    hit = jnp.where(jnp.concatenate(parts, -1), hit, jnp.uint32(0))  # a ray that misses has no steps inside
     powers = jnp.uint32(1) << jnp.arange(32, dtype=jnp.uint32)
     return jnp.sum(hit.reshape(*hit.shape[:-1], -1, 32) * powers, -1, dtype=jnp.uint32)
 

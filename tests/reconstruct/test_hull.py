@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 
 from datasets.scene import Scene
-from reconstruct.hull import possible_cells
+from reconstruct.hull import cells_in_masks
 from reconstruct.rays import Normalisation, Pixels
 from reconstruct.sampling.occupancy import _centres
 
@@ -23,7 +23,7 @@ def test_masks_leave_what_they_all_show(make_scene: Callable[..., Scene]) -> Non
     """Discs of 20 pixels at 0.4 m with f = 90 px: a ball of about 0.09 m about the axis stays, the box's corners go."""
     scene = make_scene(mask=True)
     normalisation = Normalisation.of(scene)
-    cells = possible_cells(pixels_of(scene), scene.views, normalisation, 16, 1.0)
+    cells = cells_in_masks(pixels_of(scene), scene.views, normalisation, 16, 1.0)
     world = _centres(16, 1.0) / normalisation.scale + normalisation.centre
     distance = np.linalg.norm(world, axis=-1)
     assert cells is not None
@@ -34,4 +34,4 @@ def test_masks_leave_what_they_all_show(make_scene: Callable[..., Scene]) -> Non
 
 def test_views_without_masks_rule_nothing_out(make_scene: Callable[..., Scene]) -> None:
     scene = make_scene(mask=False)
-    assert possible_cells(pixels_of(scene), scene.views, Normalisation.of(scene), 8, 1.0) is None
+    assert cells_in_masks(pixels_of(scene), scene.views, Normalisation.of(scene), 8, 1.0) is None

@@ -103,15 +103,7 @@ def test_occupied_steps_equal_a_loop(bounded: bool) -> None:
     occupancy = Occupancy.create(jax.random.key(0), grid=grid, outer_grid=outer, bounded=bounded, possible=None)
     rng = np.random.default_rng(1)
     flags = rng.random(occupancy.occupied.shape) < 0.4
-    occupancy = Occupancy(
-        occupancy.density,
-        jnp.asarray(flags, jnp.uint8),
-        occupancy.extent,
-        occupancy.visits,
-        occupancy.cursor,
-        grid,
-        occupancy.outer_grid,
-    )
+    occupancy = occupancy.with_occupied(jnp.asarray(flags, jnp.uint8))
     steps, jitter = steps_of(rays, bounded, 32), jnp.asarray(rng.random(24), jnp.float32)
     found = bits(STEPS(occupancy, rays, steps, jitter, bounded))
     t = np.asarray(steps.at(jnp.arange(steps.count) + jitter[:, None]))
