@@ -17,8 +17,8 @@ from reconstruct.safe import normalise
 from reconstruct.sampling.occupancy import occupied_steps, packed_samples
 from reconstruct.step import StepFunctions, TrainState
 
-CHUNK, CAPACITY, MAX_PER_RAY = 4096, 65536, 64
-"""Rays per chunk, samples per chunk, samples per ray."""
+CHUNK, CAPACITY = 4096, 65536
+"""Rays per chunk, and samples."""
 CHANNELS = {"rgb": 3, "opacity": 1, "diffuse": 3, "specular": 3, "roughness": 1, "depth": 1, "normals_pred": 3, "normals": 3}
 
 
@@ -67,7 +67,8 @@ class Renderer:
 
     def rays(self, state: TrainState, origins, directions, radii, *, normals: bool = False) -> dict[str, NDArray[np.float32]]:
         """Render n rays: a dictionary of (n, channels) arrays as in `CHANNELS`, depth in scene units."""
-        chunk = min(CHUNK, max(256, 1 << (len(origins) - 1).bit_length()))
+        crowded = not self.functions.normalisation.bounded  # every ray meets the surroundings
+        chunk = min(CHUNK // 2 if crowded else CHUNK, max(256, 1 << (len(origins) - 1).bit_length()))
         function = self._function(chunk, normals)
         parts, start = [], 0
         while start < len(origins):
@@ -97,7 +98,7 @@ class Renderer:
         else:
             middle = jnp.full(rays.origins.shape[0], 0.5)
             words = jax.lax.optimization_barrier(occupied_steps(state.occupancy, rays, functions.steps(rays), middle, bounded))
-            samples, fits = packed_samples(words, functions.steps(rays), middle, capacity=CAPACITY, max_per_ray=MAX_PER_RAY)
+            samples, fits = packed_samples(words, functions.steps(rays), middle, capacity=CAPACITY, max_per_ray=functions.config.sampler.max_per_ray)
             done = jnp.sum(fits)
         samples = jax.lax.optimization_barrier(samples)
         cloud = cloud_of(rays, samples, bounded=bounded, turn=turn)

@@ -73,8 +73,9 @@ class Occupancy(eqx.Module):
 
         Args:
             density_of: (3, n) points of the contracted scene to (n,) densities.
-            optical_depth: a cell whose step holds less than this is empty. While the mean cell holds less, the mean
-                decides instead (down to a tenth), so that the thin fog of the first steps gets its shape.
+            optical_depth: a cell whose step holds less than this is empty. While the mean cell holds less than
+                twice that, half the mean decides instead (down to a hundredth), so that the thin fog of the first
+                steps is given time to take its shape.
         """
         count = min(count, self.visits.shape[0])
         order = (self.cursor + jnp.arange(count, dtype=jnp.int32)) % self.visits.shape[0]
@@ -85,7 +86,7 @@ class Occupancy(eqx.Module):
         depth = density * self.extent
         known = jnp.isfinite(depth)
         mean = jnp.sum(jnp.where(known, depth, 0)) / jnp.maximum(jnp.sum(known & (self.density > 0)), 1)
-        occupied = (depth > jnp.clip(mean, 0.1 * optical_depth, optical_depth)).astype(jnp.uint8)
+        occupied = (depth > jnp.clip(mean / 2, 0.01 * optical_depth, optical_depth)).astype(jnp.uint8)
         cursor = (self.cursor + count) % self.visits.shape[0]
         looked = eqx.tree_at(lambda o: (o.density, o.cursor), self, (density, cursor))
         return looked.with_occupied(occupied)
