@@ -99,8 +99,11 @@ def write(path: Path, array: ArrayLike) -> None:
 
 
 def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
-    """0..1 rounded to 0..255; what is outside is clipped, NaN becomes 0."""
-    return (np.clip(np.nan_to_num(np.asarray(array, np.float32)), 0, 1) * 255 + 0.5).astype(np.uint8)
+    """0..1 rounded to 0..255; what is outside is clipped. Raises DatasetError where a value is NaN."""
+    array = np.asarray(array, np.float32)
+    if np.isnan(array).any():
+        raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
+    return (np.clip(array, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:

@@ -66,7 +66,11 @@ def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: 
         front = points[:, 2] > 1e-9
         column, row = camera.project(np.where(front[:, None], points, [0, 0, 1.0])).T
         margin = 0.1 * max(camera.width, camera.height)
-        count += front & (np.abs(column - camera.width / 2) < camera.width / 2 + margin) & (np.abs(row - camera.height / 2) < camera.height / 2 + margin)
+        count += (
+            front
+            & (np.abs(column - camera.width / 2) < camera.width / 2 + margin)
+            & (np.abs(row - camera.height / 2) < camera.height / 2 + margin)
+        )
     positions = np.stack([view.world_from_camera[:3, 3] for view in views])
     furthest = np.linalg.norm((positions - normalisation.centre) * normalisation.scale, axis=-1).max()
     near = np.linalg.norm(scene, axis=-1) < furthest

@@ -98,7 +98,9 @@ class Renderer:
         else:
             middle = jnp.full(rays.origins.shape[0], 0.5)
             words = jax.lax.optimization_barrier(occupied_steps(state.occupancy, rays, functions.steps(rays), middle, bounded))
-            samples, fits = packed_samples(words, functions.steps(rays), middle, capacity=CAPACITY, max_per_ray=functions.config.sampler.max_per_ray)
+            samples, fits = packed_samples(
+                words, functions.steps(rays), middle, capacity=CAPACITY, max_per_ray=functions.config.sampler.max_per_ray
+            )
             done = jnp.sum(fits)
         samples = jax.lax.optimization_barrier(samples)
         cloud = cloud_of(rays, samples, bounded=bounded, turn=turn)

@@ -1,8 +1,8 @@
 """A run on disk: what was trained, on what, with which settings, and where it stands.
 
-    RUN/run.json        configuration, scene, normalisation, versions
-    RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, every loss
-    RUN/checkpoints/    training states
+RUN/run.json        configuration, scene, normalisation, versions
+RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, every loss
+RUN/checkpoints/    training states
 """
 
 import json

@@ -56,11 +56,19 @@ class StepFunctions:
         model = Model.create(key, self.config)
         sampler, occupancy = self.config.sampler, None
         if sampler.kind == "occupancy":
-            occupancy = Occupancy.create(key, grid=sampler.grid, outer_grid=sampler.outer_grid, bounded=self._bounded, possible=possible)
+            occupancy = Occupancy.create(
+                key, grid=sampler.grid, outer_grid=sampler.outer_grid, bounded=self._bounded, possible=possible
+            )
         return TrainState(model, self._adam().init(model), occupancy, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
 
     def advance(
-        self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], count: Int[Array, ""], second: Bool[Array, ""]
+        self,
+        state: TrainState,
+        pixels: Pixels,
+        seed: Int[Array, ""],
+        progress: Float[Array, ""],
+        count: Int[Array, ""],
+        second: Bool[Array, ""],
     ) -> tuple[TrainState, objective.Terms]:
         """`count` steps, the last of them with the regularisers' second pass where `second` is true.
 
@@ -132,7 +140,7 @@ class StepFunctions:
             hit = jnp.any(words > 0, -1)
             (order,) = jnp.nonzero(hit, size=kept, fill_value=0)
             words = jnp.where((jnp.arange(kept) < jnp.sum(hit))[:, None], words[order], 0)
-            rays, colour, jitter, words = _separate(jax.tree.map(lambda a: a[order], (rays, colour, jitter)) + (words,))
+            rays, colour, jitter, words = _separate((*jax.tree.map(lambda a: a[order], (rays, colour, jitter)), words))
         samples, fits = packed_samples(words, self.steps(rays), jitter, capacity=sampler.samples, max_per_ray=sampler.max_per_ray)
         return rays, colour, fits & jnp.any(words > 0, -1), samples
 
@@ -165,7 +173,11 @@ class StepFunctions:
         sampler, spacing = self.config.sampler, Spacing.of(self.normalisation)
         turn = None
         if sampler.multisamples == 6:
-            turn = jnp.zeros(rays.origins.shape[0]) if key is None else 2 * jnp.pi * jax.random.uniform(key, (rays.origins.shape[0],))
+            turn = (
+                jnp.zeros(rays.origins.shape[0])
+                if key is None
+                else 2 * jnp.pi * jax.random.uniform(key, (rays.origins.shape[0],))
+            )
         density_at = lambda p, r, t: objective.proposal_density(p, r, t, bounded=self._bounded, turn=turn)  # noqa: E731
         sdist, levels = propose(model.proposals, rays, spacing, key, sampler, density_at)
         return RaySamples.from_edges(spacing.t(sdist)), sdist, levels, turn

@@ -39,7 +39,9 @@ def first_surface(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays 
     return jnp.where(jnp.any(exceeds, -1), first, jnp.argmax(jnp.where(valid, weights, -1.0), -1))
 
 
-def neighbourhood_radius(pixel_radius: Float[Array, " n"], t_mid: Float[Array, " n"], t_half: Float[Array, " n"]) -> Float[Array, " n"]:
+def neighbourhood_radius(
+    pixel_radius: Float[Array, " n"], t_mid: Float[Array, " n"], t_half: Float[Array, " n"]
+) -> Float[Array, " n"]:
     """Half-width of the conical frustum across the ray (Mip-NeRF equation 7, supplement equation 7).
 
         sigma_r^2 = r^2 (t_mid^2 / 4 + 5 t_half^2 / 12 - 4 t_half^4 / (15 (3 t_mid^2 + t_half^2)))
@@ -53,7 +55,11 @@ def neighbourhood_radius(pixel_radius: Float[Array, " n"], t_mid: Float[Array, "
 
 
 def find_surfaces(
-    weights: Float[Array, "rays slots"], samples: RaySamples, pixel_radius: Float[Array, " rays"], count: int, confidence: float = 0.5
+    weights: Float[Array, "rays slots"],
+    samples: RaySamples,
+    pixel_radius: Float[Array, " rays"],
+    count: int,
+    confidence: float = 0.5,
 ) -> Surface:
     """Up to `count` rays whose opacity exceeds `confidence`, with their first surface. The others are skipped, not zeroed."""
     weights = jax.lax.stop_gradient(weights)
@@ -65,7 +71,9 @@ def find_surfaces(
     slot = first_surface(rows, length > 0)[:, None]
     pick = lambda table: jnp.take_along_axis(table, slot, -1)[:, 0]  # noqa: E731
     t_mid, t_half = pick(t), pick(length) / 2
-    return Surface(ray.astype(jnp.int32), t_mid, jnp.where(real, pick(rows), 0.0), neighbourhood_radius(pixel_radius[ray], t_mid, t_half))
+    return Surface(
+        ray.astype(jnp.int32), t_mid, jnp.where(real, pick(rows), 0.0), neighbourhood_radius(pixel_radius[ray], t_mid, t_half)
+    )
 
 
 def sphere_directions(count: int, kappa: float = 0.0) -> Float[np.ndarray, "count 3"]:

@@ -97,7 +97,11 @@ class Training:
 
     def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:
         """One line for the log; renders the probe."""
-        line: dict[str, Any] = {"step": self.clock.step, "seconds": round(self.clock.seconds, 3), "progress": round(self.clock.progress, 5)}
+        line: dict[str, Any] = {
+            "step": self.clock.step,
+            "seconds": round(self.clock.seconds, 3),
+            "progress": round(self.clock.progress, 5),
+        }
         mse = float(terms["mse"])
         line["psnr_train"] = -10 * float(np.log10(max(mse, 1e-10)))
         if self.probe is not None:
@@ -117,7 +121,9 @@ class Training:
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)
 
 
-def train(scene: Scene, scene_path: Path, config: Config, out: Path, *, budget_s: float | None = None, resume: bool = False) -> dict[str, Any]:
+def train(
+    scene: Scene, scene_path: Path, config: Config, out: Path, *, budget_s: float | None = None, resume: bool = False
+) -> dict[str, Any]:
     """Train on the scene's train views and leave a run in `out`.
 
     Args:
@@ -159,7 +165,9 @@ def _loop(training: Training) -> None:
             if clock.progress >= next_look or clock.progress >= 1:
                 line = training.look(terms)
                 next_look = clock.progress + 1 / LOOKS
-                shown.note(f"PSNR {line['psnr_train']:.1f} dB" + (f", unseen {line['psnr_unseen']:.1f}" if "psnr_unseen" in line else ""))
+                shown.note(
+                    f"PSNR {line['psnr_train']:.1f} dB" + (f", unseen {line['psnr_unseen']:.1f}" if "psnr_unseen" in line else "")
+                )
                 if line["skipped"] > MAX_SKIPPED:
                     raise ReconstructError("training does not stay finite", where=f"step {clock.step}", why=f"{line['skipped']} steps had a gradient that is not finite",
                                            remedy="lower train.rate")  # fmt: skip

@@ -89,7 +89,10 @@ def weight_slopes(code: Int[Array, "..."], scale: Float[np.ndarray, "..."]) -> l
     """
     sets: list[list[Coordinate]] = [[], [], []]
     for k in range(4):
-        gains = [jnp.where(rank_of(code, i) == 3 - k, 1.0, 0.0) - jnp.where(rank_of(code, i) == (4 - k) % 4, 1.0, 0.0) for i in range(4)]
+        gains = [
+            jnp.where(rank_of(code, i) == 3 - k, 1.0, 0.0) - jnp.where(rank_of(code, i) == (4 - k) % 4, 1.0, 0.0)
+            for i in range(4)
+        ]
         for axis in range(3):
             sets[axis].append(scale * sum(gain * np.float32(LIFT[i, axis]) for i, gain in enumerate(gains) if LIFT[i, axis]))
     return sets
