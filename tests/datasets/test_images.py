@@ -35,8 +35,14 @@ def test_floats_come_back_to_the_bit(tmp_path: Path, suffix: str, channels: int)
 
 
 def test_float_in_png_is_rounded_and_clipped(tmp_path: Path) -> None:
-    images.write(tmp_path / "a.png", np.array([[-1.0, 0.5 / 255 + 1e-4, 2.0, np.nan]]))
-    assert np.allclose(images.read(tmp_path / "a.png").ravel() * 255, [0, 1, 255, 0])
+    images.write(tmp_path / "a.png", np.array([[-1.0, 0.5 / 255 + 1e-4, 2.0]]))
+    assert np.allclose(images.read(tmp_path / "a.png").ravel() * 255, [0, 1, 255])
+
+
+def test_a_picture_with_nan_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="1 of 2 values"):
+        images.write(tmp_path / "a.png", np.array([[0.5, np.nan]]))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".exr", ".tif"])
