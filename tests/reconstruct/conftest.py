@@ -105,7 +105,7 @@ def ball_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
 def small_config() -> Config:
     """The fast preset with everything made small."""
     return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8",
-                                  "sampler.grid=32"])  # fmt: skip
+                                  "sampler.grid=32", "field.density_bias=0.5"])  # fmt: skip
 
 
 @pytest.fixture

@@ -119,7 +119,7 @@ def test_nothing_flows_back_to_the_points(grid: PermutohedralLattice, points: ja
 @pytest.mark.parametrize("log2_size", [4, 11, 20])
 def test_rows_are_in_their_level_s_table_and_spread_out(log2_size: int) -> None:
     far = jnp.asarray(np.random.default_rng(3).uniform(-300, 300, (3, 20000)), jnp.float32)
-    made = PermutohedralLattice(jnp.zeros((1, 2 << log2_size)), (1.0, 3.0), log2_size)
+    made = PermutohedralLattice(jnp.zeros((1, 2 << log2_size)), jnp.zeros(()), (1.0, 3.0), log2_size)
     rows = np.stack(LOCATE(made, far)[0])  # (vertex, level, n)
     within = rows - np.arange(2)[:, None] * 2**log2_size
     assert within.min() >= 0
