@@ -1,6 +1,11 @@
 """The training loop: prepare, step until the budget or the steps are spent, log, checkpoint, resume."""
 
+import shutil
+import signal
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -140,12 +145,13 @@ def train(
     started = time.perf_counter()
     training = _resumed(scene, out, budget_s) if resume else _fresh(scene, scene_path, config, out, budget_s)
     prepared = time.perf_counter() - started
-    compiled = training.compile()
     try:
+        compiled = training.compile()
         _loop(training)
-    except KeyboardInterrupt:
-        training.save()
-        raise KeyboardInterrupt(f"continue with --resume --out {out}") from None
+    except BaseException:
+        if training.clock.step == 0:  # nothing was trained: leave nothing behind
+            shutil.rmtree(out)
+        raise
     training.save()
     last = training.run.log()[-1]
     return {"run": str(out), "steps": training.clock.step, "training_s": training.clock.seconds, "preparation_s": prepared,
@@ -157,7 +163,7 @@ def _loop(training: Training) -> None:
     clock = training.clock
     next_look, next_save = clock.progress + 1 / LOOKS, time.monotonic() + training.run.config.train.checkpoint_s
     total, unit = (clock.steps, "steps") if clock.budget_s is None else (clock.budget_s, "s")
-    with progress("training", total, unit) as shown:
+    with progress("training", total, unit) as shown, _interrupt_between_chunks() as interrupted:
         shown.advance(clock.step if clock.budget_s is None else clock.seconds)
         while clock.progress < 1:
             before = (clock.step, clock.seconds)
@@ -171,10 +177,27 @@ def _loop(training: Training) -> None:
                 if line["skipped"] > MAX_SKIPPED:
                     raise ReconstructError("training does not stay finite", where=f"step {clock.step}", why=f"{line['skipped']} steps had a gradient that is not finite",
                                            remedy="lower train.rate")  # fmt: skip
+            if interrupted():
+                training.save()
+                raise KeyboardInterrupt
             if time.monotonic() > next_save:
                 training.save()
                 next_save = time.monotonic() + training.run.config.train.checkpoint_s
             shown.advance(clock.step - before[0] if clock.budget_s is None else clock.seconds - before[1])
+
+
+@contextmanager
+def _interrupt_between_chunks() -> Iterator[Callable[[], bool]]:
+    """Hold Ctrl-C back until a chunk is whole: in its midst the state belongs to the device. Yields whether it came."""
+    came = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield came.is_set
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: came.set())
+    try:
+        yield came.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _fresh(scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None) -> Training:
