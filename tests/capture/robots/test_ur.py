@@ -163,6 +163,7 @@ def test_the_same_seed_gives_the_same_poses_bit_for_bit():
     for time_scale in (20.0, 10.0):
         with SimulatedController.start(seed=5, time_scale=time_scale) as simulated, _robot(simulated) as robot:
             robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+            time.sleep(0.5)  # settled is slower than a limit; the last 0.1 um of the way take until the arm is at rest
             visits.append((robot.state().base_from_flange, simulated.true_base_from_flange()))
     np.testing.assert_array_equal(*visits)
 
