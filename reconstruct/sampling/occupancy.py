@@ -113,9 +113,11 @@ class Occupancy(eqx.Module):
         return ((position + offset) / size * 2 - 1) * reach
 
 
-def _as_bits(occupied: UInt8[Array, " cells"]) -> UInt32[Array, " words"]:
-    padded = jnp.pad(occupied, (0, -occupied.shape[0] % 32)).astype(jnp.uint32).reshape(-1, 32)
-    return jnp.sum(padded << jnp.arange(32, dtype=jnp.uint32), -1, dtype=jnp.uint32)
+def _as_bits(flags: UInt8[Array, "*rows n"] | UInt32[Array, "*rows n"]) -> UInt32[Array, "*rows words"]:
+    """Zeros and ones as bits, 32 to a word, the first the lowest; the last word is filled with zeros."""
+    padded = jnp.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, -flags.shape[-1] % 32)]).astype(jnp.uint32)
+    words = padded.reshape(*flags.shape[:-1], -1, 32) << jnp.arange(32, dtype=jnp.uint32)
+    return jnp.sum(words, -1, dtype=jnp.uint32)
 
 
 def _cell(x, y, z, size: int, reach: float):
@@ -199,8 +201,7 @@ def occupied_steps(
     has_length = (steps.enter > steps.near, steps.leave > steps.enter, steps.far > steps.leave)
     parts = [jnp.broadcast_to(part[:, None], (hit.shape[0], count)) for part, count in zip(has_length, counts, strict=True)]
     hit = jnp.where(jnp.concatenate(parts, -1), hit, jnp.uint32(0))  # a ray that misses has no steps inside
-    powers = jnp.uint32(1) << jnp.arange(32, dtype=jnp.uint32)
-    return jnp.sum(hit.reshape(*hit.shape[:-1], -1, 32) * powers, -1, dtype=jnp.uint32)
+    return _as_bits(hit)
 
 
 def select_bit(words: UInt32[Array, "n words"], rank: Int[Array, " n"]) -> Int[Array, " n"]:
