@@ -5,20 +5,19 @@ With the predictions and the corrections C[i] of `calib.model`, minimised is
     sum huber(|seen - predicted| / sigma_px)  +  sum |translation(C[i]) / sigma_t|^2 + |rotation(C[i]) / sigma_r|^2
     + what is known of the intrinsics beforehand,
 
-by Levenberg-Marquardt with analytic derivatives. A view's correction touches its own corners alone, so the normal
-equations are solved by eliminating the (6, 6) blocks of the views (Schur complement; Triggs et al. 2000, section 6.1).
+by Levenberg-Marquardt with analytic derivatives. A view's correction touches its own corners alone and is eliminated view by
+view (`calib.elimination`).
 The three sigmas are estimated along with the rest (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r
 starting from the arm's stated accuracy, which counts as `PRIOR_VIEWS` views' worth of evidence.
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from calib import projection
+from calib.elimination import Eliminated, eliminate
 from calib.errors import CalibrationError
 from calib.model import Session, State, perturbed, predict
 
@@ -27,6 +26,8 @@ HUBER = 3.0
 """Residual in sigmas from which on a corner pulls with constant force; a good one gets there once in 90 times."""
 OUTLIER = 6.0
 """Residual in sigmas from which on a corner is left out."""
+MIN_SIGMA_PX = 1e-4
+"""No corner is taken to be more certain than this: what is left then is rounding."""
 PRIOR_VIEWS = 4.0
 """How many views' worth of evidence the arm's stated accuracy is."""
 
@@ -75,17 +76,17 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
     Raises:
         CalibrationError: the start is too far off, or nearly all corners are outliers.
     """
-    sigmas = Sigmas(sigma_px, session.accuracy.translation_m, session.accuracy.rotation_rad)
+    sigmas = Sigmas(max(sigma_px, MIN_SIGMA_PX), session.accuracy.translation_m, session.accuracy.rotation_rad)
     state, steps, settled = start, 0, False
     inliers = np.ones(len(session.view), bool)
+    linear = _linear(session, state)
     for number in range(rounds):
         chosen = session.some(inliers)
-        state, count = _minimise(chosen, state, sigmas)
+        state, fitted, count = _minimise(chosen, state, sigmas, linear.some(inliers))
         steps += count
-        residuals = session.pixels - predict(session, state)[0]
-        system = _system(chosen, state, sigmas)
-        last, sigmas = sigmas, _estimated_sigmas(chosen, state, sigmas, system, residuals[inliers])
-        kept = np.linalg.norm(residuals, axis=1) <= OUTLIER * max(sigmas.pixel, 1e-6)
+        linear = fitted if inliers.all() else _linear(session, state)
+        last, sigmas = sigmas, _estimated_sigmas(chosen, state, sigmas, fitted)
+        kept = np.linalg.norm(linear.residuals, axis=1) <= OUTLIER * sigmas.pixel
         if kept.sum() < 0.5 * len(kept):
             raise CalibrationError("pictures and arm poses do not fit together", why=f"{(~kept).sum()} of {len(kept)} corners are outliers",
                                    remedy="check that poses are flange poses in metres and belong to these images")  # fmt: skip
@@ -94,8 +95,8 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
         inliers = kept
         if settled:
             break
-    information, *_ = _reduced(_system(session.some(inliers), state, sigmas))
-    return Refined(state, sigmas, information, residuals, inliers, steps, settled)
+    information = _system(session.some(inliers), state, sigmas, linear.some(inliers)).information
+    return Refined(state, sigmas, information, linear.residuals, inliers, steps, settled)
 
 
 def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
@@ -115,85 +116,102 @@ def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
 
 
 @dataclass(frozen=True)
-class _System:
-    """Normal equations in blocks: global g, views v."""
+class _Linear:
+    """Predictions about a state, before anything is weighed."""
 
-    gg: Array
-    gv: Array
-    vv: Array
-    g: Array
-    v: Array
-    cost: float
+    residuals: Array
+    """(n, 2) seen minus predicted [px]."""
+    by_global: Array
+    """(n, 2, p)."""
+    by_view: Array
+    """(n, 2, 6)."""
+
+    def some(self, chosen: NDArray[np.bool_]) -> "_Linear":
+        return _Linear(self.residuals[chosen], self.by_global[chosen], self.by_view[chosen])
 
 
-def _system(session: Session, state: State, sigmas: Sigmas) -> _System:
-    """Normal equations at `state` with Huber's weights; right-hand sides point downhill."""
+def _linear(session: Session, state: State) -> _Linear:
     pixels, by_global, by_view = predict(session, state)
-    residuals = (session.pixels - pixels) / sigmas.pixel
-    distance = np.linalg.norm(residuals, axis=1)
-    weight = np.minimum(1.0, HUBER / np.maximum(distance, 1e-12))
+    return _Linear(session.pixels - pixels, by_global, by_view)
+
+
+def _cost(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> float:
+    """What is minimised."""
+    distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
     cost = np.where(distance <= HUBER, distance**2, 2 * HUBER * distance - HUBER**2).sum()
-    root = (np.sqrt(weight) / sigmas.pixel)[:, None, None]
-    rows = np.concatenate([by_global, by_view], -1) * root
-    targets = residuals * np.sqrt(weight)[:, None]
-
-    views, p = len(session.base_from_flange), by_global.shape[-1]
-    blocks, sides = np.zeros((views, p + 6, p + 6)), np.zeros((views, p + 6))
-    ends = np.searchsorted(session.view, np.arange(views + 1))
-    for i, (first, last) in enumerate(pairwise(ends)):
-        own = rows[first:last].reshape(-1, p + 6)
-        blocks[i], sides[i] = own.T @ own, own.T @ targets[first:last].ravel()
-    scaled = state.corrections / sigmas.correction
-    cost += (scaled**2).sum()
-    vv = blocks[:, p:, p:] + np.diag(sigmas.correction**-2)
-    v = sides[:, p:] - scaled / sigmas.correction
-    gg, g = blocks[:, :p, :p].sum(0), sides[:, :p].sum(0)
-    for i, name in enumerate(session.free):
-        if name in session.known:
-            value, std = session.known[name]
-            off = (value - state.intrinsics[projection.NAMES.index(name)]) / std
-            gg[i, i], g[i], cost = gg[i, i] + std**-2, g[i] + off / std, cost + off**2
-    return _System(gg, blocks[:, :p, p:], vv, g, v, float(cost))
+    cost += ((state.corrections / sigmas.correction) ** 2).sum()
+    return float(cost + sum((_known(session, state, name)[1]) ** 2 for name in _known_names(session)))
 
 
-def _reduced(system: _System) -> tuple[Array, Array, Array]:
-    """Schur complement of the views (p, p), its right-hand side (p,), and (views, p, 6) gv @ inverse(vv)."""
-    eliminated = np.swapaxes(np.linalg.solve(system.vv, np.swapaxes(system.gv, 1, 2)), 1, 2)
-    information = system.gg - np.einsum("vik,vjk->ij", eliminated, system.gv)
-    return (information + information.T) / 2, system.g - np.einsum("vik,vk->i", eliminated, system.v), eliminated
+def _known_names(session: Session) -> list[str]:
+    return [name for name in session.free if name in session.known]
 
 
-def _minimise(session: Session, state: State, sigmas: Sigmas, max_steps: int = 50) -> tuple[State, int]:
-    """Levenberg-Marquardt (Marquardt 1963's scaling by the diagonal) until a step changes the cost by less than 1e-9 of it."""
-    damping, steps = 1e-4, 0
-    system = _system(session, state, sigmas)
+def _known(session: Session, state: State, name: str) -> tuple[float, float]:
+    """Weight of what is known of an intrinsic, and how far the state is from it, in standard deviations."""
+    value, std = session.known[name]
+    return 1 / std, (value - state.intrinsics[projection.NAMES.index(name)]) / std
+
+
+def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Eliminated:
+    """The linear problem about `state` with Huber's weights, the corrections eliminated."""
+    distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
+    root = (np.sqrt(np.minimum(1.0, HUBER / np.maximum(distance, 1e-12))) / sigmas.pixel)[:, None, None]
+    rows = np.concatenate([linear.by_view, linear.by_global, linear.residuals[..., None]], -1) * root
+    own = np.zeros((len(state.corrections), 6, 7))
+    own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
+    names = _known_names(session)
+    known = np.zeros((len(names), linear.by_global.shape[-1] + 1))
+    for row, name in zip(known, names, strict=True):
+        row[session.free.index(name)], row[-1] = _known(session, state, name)
+    return eliminate(session.view, rows, own, known)
+
+
+def _attempt(
+    session: Session, state: State, sigmas: Sigmas, step: tuple[Array, Array], cost: float
+) -> tuple[State, _Linear, float]:
+    """The state after a step, and its cost.
+
+    Where the cost has not fallen, the corrections follow once more: the more certain the corners, the narrower and more bent the
+    valley along which corrections and global unknowns must move together (a second-order correction; Nocedal & Wright, 15.6).
+    """
+    candidate = state.moved(session.columns, *step)
+    for attempt in range(3):
+        linear = _linear(session, candidate)
+        changed = _cost(session, candidate, sigmas, linear)
+        if changed <= cost or attempt == 2:
+            break
+        system = _system(session, candidate, sigmas, linear)
+        candidate = candidate.moved(session.columns, 0 * step[0], np.linalg.solve(system.own, system.own_side[..., None])[..., 0])
+    return candidate, linear, changed
+
+
+def _minimise(session: Session, state: State, sigmas: Sigmas, linear: _Linear, max_steps: int = 50) -> tuple[State, _Linear, int]:
+    """Levenberg-Marquardt until a step changes the cost by less than 1e-9 of it; the linearisation about the end comes along."""
+    damping, steps = 1e-6, 0
+    cost, system = _cost(session, state, sigmas, linear), _system(session, state, sigmas, linear)
     while steps < max_steps and damping < 1e10:
-        information, side, _ = _reduced(system)
-        scale = np.sqrt(np.diag(system.gg))
-        damped = information / np.outer(scale, scale) + damping * np.eye(len(scale))
         try:
-            step = cho_solve(cho_factor(damped), side / scale) / scale
-            view_steps = np.linalg.solve(system.vv, (system.v - np.einsum("vik,i->vk", system.gv, step))[..., None])[..., 0]
-            candidate = state.moved(session.columns, step, view_steps)
-            following = _system(session, candidate, sigmas)
+            candidate, following, changed = _attempt(session, state, sigmas, system.step(damping), cost)
         except (np.linalg.LinAlgError, CalibrationError):
             damping *= 10
             continue
-        if not following.cost <= system.cost:
+        if not changed <= cost:
             damping *= 10
             continue
-        gained = system.cost - following.cost
-        state, system, damping, steps = candidate, following, max(damping / 10, 1e-12), steps + 1
-        if gained <= 1e-9 * max(system.cost, 1.0):
+        gained, cost = cost - changed, changed
+        state, linear, damping, steps = candidate, following, max(damping / 10, 1e-12), steps + 1
+        if gained <= 1e-9 * max(cost, 1.0):
             break
-    return state, steps
+        system = _system(session, state, sigmas, linear)
+    return state, linear, steps
 
 
-def _estimated_sigmas(session: Session, state: State, sigmas: Sigmas, system: _System, residuals: Array) -> Sigmas:
+def _estimated_sigmas(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Sigmas:
     """Sigmas that explain what is left: sums of squares over the degrees of freedom that the fit left to each kind of error."""
-    information, _, eliminated = _reduced(system)
-    covariance = np.linalg.pinv(information, hermitian=True)
-    of_views = np.linalg.inv(system.vv) + np.einsum("vik,ij,vjl->vkl", eliminated, covariance, eliminated)
+    system = _system(session, state, sigmas, linear)
+    inverse = np.linalg.pinv(system.root)
+    of_views = system.own_covariances(inverse @ inverse.T)
     share = np.clip(np.diagonal(of_views, axis1=1, axis2=2) / sigmas.correction**2, 0, 1)  # 1: the corners say nothing
     views = len(share)
 
@@ -201,9 +219,10 @@ def _estimated_sigmas(session: Session, state: State, sigmas: Sigmas, system: _S
         prior, freedom = 3 * PRIOR_VIEWS, 3 * views - share[:, columns].sum()
         return float(np.sqrt((prior * stated**2 + (state.corrections[:, columns] ** 2).sum()) / (prior + freedom)))
 
-    freedom = max(2 * len(residuals) - len(information) - 6 * views + share.sum(), 0.1 * len(residuals))
-    clipped = np.minimum(np.linalg.norm(residuals, axis=1), HUBER * sigmas.pixel)
+    corners = len(linear.residuals)
+    freedom = max(2 * corners - len(system.root) - 6 * views + share.sum(), 0.1 * corners)
+    clipped = np.minimum(np.linalg.norm(linear.residuals, axis=1), HUBER * sigmas.pixel)
     return Sigmas(
-        max(float(np.sqrt((clipped**2).sum() / freedom)), 1e-4),
+        max(float(np.sqrt((clipped**2).sum() / freedom)), MIN_SIGMA_PX),
         of_arm(slice(0, 3), session.accuracy.translation_m), of_arm(slice(3, 6), session.accuracy.rotation_rad),
     )  # fmt: skip

@@ -40,24 +40,6 @@ def test_ordinary_session_is_within_the_aim_and_says_what_the_noise_was(simulate
     assert found.sigmas.translation_m == pytest.approx(5e-5, rel=0.35)  # 75 - 12 of them: 9 %, rotation shares
 
 
-def test_schur_complement_equals_the_dense_solution(small):
-    session, sigmas = small.session(free=FREE), refine.Sigmas(0.1, 5e-5, 2e-4)
-    system = refine._system(session, small.state(), sigmas)
-    p, views = len(system.g), len(system.v)
-    dense = np.zeros((p + 6 * views, p + 6 * views))
-    dense[:p, :p] = system.gg
-    for i in range(views):
-        own = slice(p + 6 * i, p + 6 * i + 6)
-        dense[:p, own], dense[own, :p], dense[own, own] = system.gv[i], system.gv[i].T, system.vv[i]
-    information, side, _ = refine._reduced(system)
-    covariance = np.linalg.inv(information)
-    scale = np.sqrt(np.diag(covariance))
-    expected = np.linalg.inv(dense)[:p, :p]
-    np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-6)
-    step = np.linalg.solve(dense, np.concatenate([system.g, system.v.ravel()]))[:p]
-    np.testing.assert_allclose(covariance @ side / scale, step / scale, atol=1e-6)
-
-
 def test_gross_corner_errors_are_left_out(simulate):
     spoilt = simulate(seed=4, views=15, outliers=3)
     found = refine.refine(spoilt.session(free=FREE), spoilt.state(), sigma_px=0.3)
