@@ -1,4 +1,4 @@
-"""Where the object is and how near and far the cameras see, from their geometry and masks.
+"""Where the object is and how near and far the cameras see, from their geometry and from surface points.
 
 Depth is along the camera's z. Boxes are (2, 3): lower and upper corner in the world.
 """
@@ -8,12 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import images, pose
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.scene import View
 
 Box = NDArray[np.float64]
 
+FEWEST_POINTS = 40
+"""Surface points that bounds need: fewer may all lie on one part of the object."""
 PARALLEL = 0.05
 """Axes whose directions spread less than this (mean squared sine about the common one) have no common point."""
 
@@ -53,7 +55,7 @@ def visible_box(views: Sequence[View]) -> Box:
     matrices = np.stack([view.world_from_camera for view in views])
     centre, _ = focus(matrices)
     distances = np.linalg.norm(matrices[:, :3, 3] - centre, axis=1)
-    half = max(float(d) * _half_field(view.camera) for d, view in zip(distances, views, strict=True))
+    half = max(float(d) * half_field(view.camera) for d, view in zip(distances, views, strict=True))
     return np.stack([centre - half, centre + half])
 
 
@@ -86,69 +88,41 @@ def surroundings(views: Sequence[View]) -> tuple[Box, float, float]:
     return np.stack([centre - half, centre + half]), 0.05 * float(distances.min()), np.inf
 
 
-def mask_box(views: Sequence[View], box: ArrayLike, *, views_used: int = 24, resolution: int = 48) -> Box:
-    """`box` tightened to the visual hull: what no alpha or mask declares empty.
+def about_points(views: Sequence[View], points: ArrayLike) -> tuple[Box, float, float] | None:
+    """(box, near, far) from (n, 3) surface points; None where fewer than `FEWEST_POINTS` are in the common field of view.
 
-    Conservative: masks are widened by half a voxel's diagonal as each camera sees it. Three passes, each in
-    the box that the last one found.
+    The box holds the middle 98% of those points that at least half of the cameras have in their pictures, and a twentieth
+    more on each side. Near is 0.8 of the nearest depth that any camera has points at (its first percentile), far twice
+    the furthest: what has no texture may be a little nearer, or further.
     """
-    chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
-    masks = [_mask(view) for view in chosen]
-    result = np.asarray(box, np.float64)
-    for _ in range(3):
-        voxel = (result[1] - result[0]) / resolution
-        axes = [result[0, k] + voxel[k] * (np.arange(resolution) + 0.5) for k in range(3)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        seen = np.zeros(len(points), int)
-        for view, mask in zip(chosen, masks, strict=True):
-            counted, possible = _carve(view, mask, points, float(np.linalg.norm(voxel)) / 2)
-            points, seen = points[possible], (seen + counted)[possible]
-        kept = points[seen >= max(len(chosen) // 4, 1)]
-        if not len(kept):
-            return np.asarray(box, np.float64)
-        result = np.stack([np.maximum(kept.min(0) - voxel, result[0]), np.minimum(kept.max(0) + voxel, result[1])])
-    return result
+    points = np.asarray(points, np.float64)
+    in_sight = np.zeros(len(points), int)
+    nearest, furthest = np.inf, 0.0
+    for view in views:
+        depths = depths_in_picture(view, points)
+        seen = np.isfinite(depths)
+        in_sight += seen
+        if seen.sum() >= FEWEST_POINTS // 4:
+            low, high = np.quantile(depths[seen], (0.01, 0.99))
+            nearest, furthest = min(nearest, float(low)), max(furthest, float(high))
+    common = points[in_sight >= len(views) / 2]
+    if len(common) < FEWEST_POINTS or not furthest:
+        return None
+    low, high = np.quantile(common, (0.01, 0.99), axis=0)
+    margin = 0.05 * np.maximum(high - low, 0.05 * (high - low).max() + 1e-9)
+    return np.stack([low - margin, high + margin]), 0.8 * nearest, 2 * furthest
 
 
-_CELL = 2
-"""Pixels per side of a mask cell."""
-
-
-def _mask(view: View) -> NDArray[np.bool_]:
-    """(rows, columns) of mask cells: True where any pixel belongs to the object."""
-    picture = images.read(view.mask or view.image)
-    inside = picture[..., 0 if view.mask else -1] > 0
-    height, width = inside.shape
-    padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
-    cells = padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL)
-    return np.any(cells, axis=(1, 3))
-
-
-def _carve(view: View, mask: NDArray[np.bool_], points: NDArray[np.float64],
-           radius: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
-    """Which (n, 3) points this view sees at all, and which it allows to belong to the object, as (n,) each."""
-    from scipy.ndimage import maximum_filter
-
-    camera = view.camera
-    seen, possible = np.zeros(len(points), bool), np.ones(len(points), bool)
+def depths_in_picture(view: View, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) depth of each point that a view has in its picture; NaN for the others. The lens is taken as ideal."""
     local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-    front = local[:, 2] > 2 * radius
-    safe_depth = np.where(front, local[:, 2], 1.0)
-    index = np.flatnonzero(front & (np.abs(local[:, :2]).max(1) < 1.5 * _half_field(camera) * safe_depth))  # a sane lens there
-    pixels = camera.project(local[index])
-    inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(1)
-    index, pixels = index[inside], pixels[inside]
-    if not len(index):
-        return seen, possible
-    footprint = radius * max(camera.fx, camera.fy) / (float(local[index, 2].min()) - radius) / _CELL
-    wide = maximum_filter(mask, size=2 * int(np.ceil(footprint)) + 1, mode="nearest")
-    column, row = (pixels / _CELL).astype(int).T
-    seen[index] = True
-    possible[index] = wide[row, column]
-    return seen, possible
+    front = local[:, 2] > 0
+    pixels = view.camera.undistorted().project(np.where(front[:, None], local, [0.0, 0.0, 1.0]))
+    inside = front & ((pixels >= 0) & (pixels <= [view.camera.width, view.camera.height])).all(1)
+    return np.where(inside, local[:, 2], np.nan)
 
 
-def _half_field(camera: Camera) -> float:
+def half_field(camera: Camera) -> float:
     """Tangent of the widest angle from the axis to an edge's middle."""
     return max(camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx,
                camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy)  # fmt: skip

@@ -16,6 +16,7 @@ from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, Misuse
 from datasets.formats import koala
+from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.recording import MANIFEST, TRUTH, Frame, Recording
 from datasets.region import Region
 from datasets.scene import SPLITS, Scene, View
@@ -49,7 +50,7 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, done: Call
     for frame in frames:
         views.append(_view(recording, frame, camera, calibration.flange_from_camera.matrix))
         done()
-    box = object_box(recording, tuple(views))
+    box, evidence = object_box(recording, tuple(views))
     near = NEAR_SHARE * bounds.depth_range(views, box)[0]
     provenance = {
         "format": koala.FORMAT, "recording": str(recording.path.absolute()),
@@ -58,7 +59,7 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, done: Call
         "flange_from_camera": calibration.flange_from_camera.to_json(), "software": {"koala-capture": version("koala-capture")},
     }  # fmt: skip
     scene = Scene(Path(out).resolve().name, tuple(views), near, np.inf, box, "scene", metric=True, notes=tuple(notes),
-                  provenance=provenance)  # fmt: skip
+                  provenance=provenance, bounds_from=evidence)  # fmt: skip
     koala.save(scene, out, extra=extra_truth(recording.path))
     return scene
 
@@ -130,12 +131,12 @@ def extra_truth(folder: Path) -> dict[str, Path]:
     return {f"{TRUTH}/{path.name}": path for path in sorted((folder / TRUTH).glob("*.ply"))}
 
 
-def object_box(recording: Recording, views: tuple[View, ...]) -> NDArray[np.float64]:
-    """(2, 3) the object's volume as the trajectory states it [m]; without one, where the cameras look."""
+def object_box(recording: Recording, views: tuple[View, ...]) -> tuple[NDArray[np.float64], str]:
+    """(2, 3) the object's volume as the trajectory states it [m]; without one, where the cameras look; and which it is."""
     where = f"{recording.path / MANIFEST}, object"
     stated = recording.manifest.get("object") or recording.manifest.get("trajectory", {}).get("object")
     if stated is None:
-        return bounds.surroundings(views)[0]
+        return bounds.surroundings(views)[0], CAMERAS_ALONE
     try:
         centre, size = (np.asarray(stated[key], np.float64).reshape(3) for key in ("centre", "size"))
     except (KeyError, TypeError, ValueError) as error:
@@ -144,4 +145,4 @@ def object_box(recording: Recording, views: tuple[View, ...]) -> NDArray[np.floa
         ) from None
     if not np.isfinite(centre).all() or not (size > 0).all() or not np.isfinite(size).all():
         raise DatasetError("object's volume is impossible", where=where, why=f"centre {centre}, size {size}")
-    return np.stack([centre - size / 2, centre + size / 2])
+    return np.stack([centre - size / 2, centre + size / 2]), "stated"

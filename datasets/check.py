@@ -141,5 +141,6 @@ def summary(scene: Scene) -> dict[str, object]:
         "truth": {key: sum(key in view.truth for view in scene.views) for key in sorted({k for v in scene.views for k in v.truth})},
         "background": scene.background, "metric": scene.metric, "near": scene.near,
         "far": scene.far if np.isfinite(scene.far) else None, "box": scene.box.tolist(),
+        "bounds_from": scene.bounds_from, "points": 0 if scene.points is None else len(scene.points),
         "distance_to_focus": [float(distances.min()), float(distances.max())], "notes": list(scene.notes),
     }  # fmt: skip

@@ -33,12 +33,17 @@ def build(
 
 
 @app.command()
-def info(scene: SceneName, data_root: Root = None, as_json: Json = False) -> None:
+def info(
+    scene: SceneName,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure bounds in the pictures where nothing states them.")] = False,
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
     """Say what a scene holds: views, camera, bounds, truth."""
     from datasets.check import summary
     from datasets.formats import load_scene
 
-    found = summary(load_scene(scene, data_root=data_root))
+    found = summary(load_scene(scene, data_root=data_root, measure=measure))
     console.report(found, as_json=as_json, text=_text(found))
 
 
@@ -124,6 +129,7 @@ def _text(found: dict[str, Any]) -> str:
         f"object box   {low} to {high} {unit}",
         f"cameras      {nearest:.3g} to {furthest:.3g} {unit} from where they look",
         f"near, far    {found['near']:.4g}, {'infinity' if found['far'] is None else format(found['far'], '.4g')} {unit}",
+        f"bounds from  {found['bounds_from']}",
         f"background   {found['background']}",
         f"truth        {', '.join(f'{key} ({count})' for key, count in found['truth'].items()) or 'none'}",
     ]

@@ -115,6 +115,8 @@ class Scene:
     notes: tuple[str, ...] = ()
     """What the reader had to assume or leave out, a line each, for the user."""
     provenance: dict[str, Any] = field(default_factory=dict)
+    bounds_from: str = "stated"
+    """On what evidence near, far and box rest, for a person: "stated", "cameras alone", points or masks and how many."""
 
     def split(self, name: str) -> tuple[View, ...]:
         """Views of one split. Raises Misuse where there are none."""

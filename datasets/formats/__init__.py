@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import KoalaError, Misuse, nearest
-from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio
+from datasets.formats import assemble, blender, colmap, dtu, koala, llff, nerfstudio
 from datasets.scene import Scene
 
 FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
@@ -21,7 +21,8 @@ FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
 
 
 def load_scene(path: str | Path, *, format: str | None = None, data_root: Path | None = None,
-               hold_out: int = 8, images: str | None = None, problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+               hold_out: int = 8, images: str | None = None, problems: list[KoalaError] | None = None,
+               measure: bool = False) -> Scene:  # fmt: skip
     """Read a scene's cameras and bounds; its images stay on disk until a view is read.
 
     Args:
@@ -29,6 +30,8 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
         format: one of `FORMATS`; None finds out.
         hold_out: where the files name no test views, every so-many-th by sorted name is one; 0 for none.
         images: folder of the images to use where a layout offers several sizes ("images_8").
+        measure: where a scene has neither masks nor surface points, match and triangulate its pictures (some seconds), so
+            that box, near and far are measured; `Scene.bounds_from` says with what evidence.
         problems: where a list is given, a damaged view is left out and its error put there; else it is raised.
 
     Raises:
@@ -42,7 +45,12 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
     options: dict[str, Any] = {"problems": problems}
     if kind != "koala":
         options.update(hold_out=hold_out, images_folder=images)
-    return FORMATS[kind][1](folder, **options)
+    scene = FORMATS[kind][1](folder, **options)
+    if measure and scene.points is None and scene.bounds_from.startswith(assemble.CAMERAS_ALONE):
+        from datasets.measure import measured
+
+        scene = measured(scene)
+    return scene
 
 
 def detect(folder: Path) -> str:

@@ -9,7 +9,11 @@ import numpy as np
 
 from datasets import bounds, images
 from datasets.errors import DatasetError, KoalaError
+from datasets.hull import visual_hull
 from datasets.scene import Scene, View
+
+CAMERAS_ALONE = "cameras alone"
+"""`Scene.bounds_from` where nothing but where the cameras stand and look is known."""
 
 
 @dataclass
@@ -66,13 +70,19 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
     masked = views[0].mask is not None or images.channels(views[0].image) in (2, 4)
     train = tuple(view for view in views if view.split == "train") or views
     if masked:
-        box = bounds.mask_box(train, bounds.visible_box(train))
-        near, far = near_far or bounds.depth_range(views, box)
+        hull = visual_hull(train, bounds.visible_box(train))
+        box, (near, far) = hull.box, hull.depth_range(views)
+        if near_far is not None and max(near, near_far[0]) < min(far, near_far[1]):  # else the file's are of something else
+            near, far = max(near, near_far[0]), min(far, near_far[1])
+        evidence = f"masks or alpha of {hull.views_used} views" if hull.views_used else CAMERAS_ALONE
     else:
         box, near, far = bounds.surroundings(train)
+        evidence = CAMERAS_ALONE
         if near_far is not None:
             near, far = near_far
+            evidence += "; near and far as stated"
             if bounds.focus(np.stack([view.world_from_camera for view in train]))[1] < bounds.PARALLEL:
                 box = bounds.frustum_box(train, near, far)
     name = gathering.folder.resolve().name
-    return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes), provenance=provenance)
+    return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes),
+                 provenance=provenance, bounds_from=evidence)  # fmt: skip

@@ -3,6 +3,7 @@
 Poses are camera_from_world in our axes and pixel convention already; the world is that of the model.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,16 +59,15 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     views = assemble.hold_out(gathering.finished(listed_in=f"{place.name}/images"), hold_out)
     scene = assemble.scene(gathering, views, provenance={"format": "colmap", "source": str(folder.absolute())})
     points = np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
-    return _with_points(scene, points) if len(points) >= 10 else scene
+    return _with_points(scene, points) if len(points) else scene
 
 
 def _with_points(scene: Scene, points: np.ndarray) -> Scene:
-    """The scene with its sparse points, and the box about the middle 98% of them where no mask gave a better one."""
-    box = scene.box if scene.background == "white" else np.stack([np.quantile(points, q, axis=0) for q in (0.01, 0.99)])
-    if not (box[0] < box[1]).all():
-        box = scene.box
-    near = bounds.depth_range(scene.views, box)[0]
-    return Scene(**{**vars(scene), "points": points, "box": box, "near": min(scene.near, near)})
+    """The scene with its sparse points, and box and near from them where no mask gave better ones."""
+    found = bounds.about_points(scene.views, points)
+    if scene.background == "white" or found is None:
+        return replace(scene, points=points)
+    return replace(scene, points=points, box=found[0], near=found[1], bounds_from=f"{len(points)} points of the model")
 
 
 def _model(folder: Path) -> tuple[Path, Any]:

@@ -4,6 +4,7 @@
 `scale_mat_i` takes the unit sphere about the object to the world. The world is that of the file (millimetres for DTU).
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +70,9 @@ def _in_sphere(scene: Scene, scale_mat: NDArray[np.float64]) -> Scene:
     box = np.stack([np.maximum(scene.box[0], cube[0]), np.minimum(scene.box[1], cube[1])])
     box = box if scene.background == "white" and (box[0] < box[1]).all() else cube
     near, far = bounds.depth_range(scene.views, box)
-    return Scene(**{**vars(scene), "box": box, "near": near if scene.background == "white" else min(near, scene.near),
-                    "far": far if scene.background == "white" else scene.far})  # fmt: skip
+    if scene.background == "white":
+        return replace(scene, box=box, near=max(near, scene.near), far=min(far, scene.far))
+    return replace(scene, box=box, near=min(near, scene.near), bounds_from="unit sphere of the file")
 
 
 def _arrays(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,7 @@ def load(folder: Path, *, problems: list[KoalaError] | None = None) -> Scene:
     if not (folder / POINTS).is_file():
         return scene
     with np.load(folder / POINTS, allow_pickle=False) as stored:
-        return Scene(**{**vars(scene), "points": stored["points"].astype(np.float64)})
+        return replace(scene, points=stored["points"].astype(np.float64))
 
 
 def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:

@@ -35,7 +35,7 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
 def facts(scene: Scene) -> dict[str, Any]:
     """What is true of a scene as a whole, for JSON; an infinite far is null."""
     return {"name": scene.name, "metric": scene.metric, "background": scene.background, "near": scene.near,
-            "far": scene.far if np.isfinite(scene.far) else None, "box": scene.box.tolist(),
+            "far": scene.far if np.isfinite(scene.far) else None, "box": scene.box.tolist(), "bounds_from": scene.bounds_from,
             "notes": list(scene.notes), "provenance": scene.provenance}  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
     return Scene(name, views, near, far, box, background, metric, notes=tuple(content.get("notes", ())),
-                 provenance=content.get("provenance", {}))  # fmt: skip
+                 provenance=content.get("provenance", {}), bounds_from=str(content.get("bounds_from", "stated")))  # fmt: skip
 
 
 def read(folder: Path) -> dict[str, Any] | None:

@@ -1,7 +1,6 @@
 import numpy as np
-import pytest
 
-from datasets import bounds, images, pose
+from datasets import bounds, pose
 from datasets.camera_model import Camera
 from datasets.scene import View
 
@@ -44,29 +43,16 @@ def test_frustum_box_by_hand() -> None:
     assert np.allclose(bounds.frustum_box([view], 1, 2), [[-2 * wide, -2 * high, 1], [2 * wide, 2 * high, 2]])
 
 
-@pytest.mark.parametrize("lens", [{}, {"k1": -0.1, "cx": 60.0}])
-def test_mask_box_holds_the_object_and_little_else(tmp_path, lens: dict) -> None:
-    """An ellipsoid with half-axes 0.9, 0.5, 0.3 about (1, 2, 3), drawn exactly into masks."""
-    from dataclasses import replace
-
-    axes, centre = np.array([0.9, 0.5, 0.3]), np.array([1.0, 2.0, 3.0])
-    camera = replace(CAMERA, **lens)
-    views = []
-    for view in ring():
-        origin = (view.world_from_camera[:3, 3] - centre) / axes
-        rays = camera.directions(camera.pixel_centres()) @ view.world_from_camera[:3, :3].T / axes
-        b, a, c = rays @ origin, (rays**2).sum(-1), origin @ origin - 1
-        path = tmp_path / f"{view.name}.png"
-        images.write(path, np.uint8(255 * (b * b > a * c)))
-        views.append(replace(view, camera=camera, image=path, mask=path))
-    start = bounds.visible_box(views)
-    box = bounds.mask_box(views, start)
-    assert (start[1] - start[0] > 3).all()  # the premise: there is something to tighten
-    assert (box[0] <= centre - axes).all() and (box[1] >= centre + axes).all()
-    assert (box[1] - box[0] < 2 * axes + 0.3).all()  # mask cells of 2 px are 0.07 units here, on either side twice
-
-
-def test_masks_that_exclude_everything_leave_the_box(tmp_path) -> None:
-    images.write(tmp_path / "black.png", np.zeros((96, 128), np.uint8))
-    views = [View(v.name, v.camera, v.world_from_camera, "train", v.image, tmp_path / "black.png") for v in ring()]
-    assert np.array_equal(bounds.mask_box(views, [[0, 1, 2], [2, 3, 4]]), [[0, 1, 2], [2, 3, 4]])
+def test_bounds_about_points_by_hand() -> None:
+    """Cameras 4 from a cloud of half-width 0.5, all of which they see, and a few points that only one of them sees."""
+    views = ring()
+    random = np.random.default_rng(0)
+    cloud = np.add(random.uniform(-0.5, 0.5, (4000, 3)), (1, 2, 3))
+    behind_one = views[0].world_from_camera[:3, 3] * 2 - [1, 2, 3]  # as far behind the first camera as the centre is before it
+    found = bounds.about_points(views, np.concatenate([cloud, behind_one + random.normal(0, 0.01, (50, 3))]))
+    assert found is not None
+    box, near, far = found
+    assert np.allclose(box, [[0.46, 1.46, 2.46], [1.54, 2.54, 3.54]], atol=0.03)  # 98% of 1, and a tenth more
+    assert 0.8 * 2.9 < near < 0.8 * 3.6 and far > 2 * 4.4
+    assert bounds.about_points(views, cloud[: bounds.FEWEST_POINTS - 1]) is None
+    assert bounds.about_points(views, np.zeros((0, 3))) is None

@@ -15,9 +15,13 @@ from datasets.formats import koala
 from datasets.scene import Scene
 
 
-def run(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    code = "from datasets.cli import main; main()"
-    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=60,
+def command(*arguments: object, before: str = "pass") -> list[str]:
+    """What a shell would start, the Python statement `before` first."""
+    return [sys.executable, "-c", f"{before}\nfrom datasets.cli import main; main()", *map(str, arguments)]
+
+
+def run(*arguments: object, before: str = "pass", **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(*arguments, before=before), capture_output=True, text=True, timeout=120,
                           env={**os.environ, **environment}, check=False)  # fmt: skip
 
 
@@ -85,23 +89,9 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Sc
     from datasets.camera_model import Camera
 
     koala.save(make_scene(Camera(96, 72, 90.0, 91.0, 50.0, 34.0, k1=-0.1)), tmp_path / "scene")
-    code = (
-        "import errno, os, resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
-        "from datasets.cli import main; main()"
-    )
-    command = [
-        sys.executable,
-        "-c",
-        code,
-        "export",
-        str(tmp_path / "scene"),
-        "--format",
-        "blender",
-        "--out",
-        str(tmp_path / "o" / "x"),
-    ]
-    failed = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    small_files = ("import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+                   "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))")  # fmt: skip
+    failed = run("export", tmp_path / "scene", "--format", "blender", "--out", tmp_path / "o" / "x", before=small_files)
     assert failed.returncode == 1 and "Traceback" not in failed.stderr and "error:" in failed.stderr
     assert list((tmp_path / "o").iterdir()) == []
 
@@ -110,23 +100,13 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene],
     from datasets.camera_model import Camera
 
     koala.save(make_scene(Camera(320, 240, 300.0, 301.0, 160.0, 120.0, k1=-0.1), 40, truth=False), tmp_path / "scene")
-    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom datasets.cli import main; main()"
-    command = [
-        sys.executable,
-        "-c",
-        code,
-        "export",
-        str(tmp_path / "scene"),
-        "--format",
-        "llff",
-        "--out",
-        str(tmp_path / "o" / "x"),
-    ]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 30
+    started = command("export", tmp_path / "scene", "--format", "llff", "--out", tmp_path / "o" / "x",
+                      before="import signal; signal.signal(signal.SIGINT, signal.default_int_handler)")  # fmt: skip
+    process = subprocess.Popen(started, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
     while not list((tmp_path / "o").glob(".x.*/images/*.png")) and time.monotonic() < deadline:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 1 and errors.startswith("error: stopped by Ctrl-C") and len(errors.strip().splitlines()) == 1
     assert list((tmp_path / "o").iterdir()) == []

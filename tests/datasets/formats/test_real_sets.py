@@ -41,6 +41,15 @@ def test_lego_poses_agree_with_the_images(real_data: Folder) -> None:
         assert np.prod(high - low) < 2.5 * np.ptp(rows) * np.ptp(columns)  # perspective widens a box's corners
 
 
+def test_fox_is_measured_where_that_is_asked_for(real_data: Folder) -> None:
+    """Photographs of a wall and a head before it, 2 to 8 units away: found by a triangulation of another kind, once."""
+    scene = load_scene(real_data("fox"), measure=True)
+    assert 1.2 < scene.near < 1.9 and 14 < scene.far < 18 and scene.points is not None and len(scene.points) > 2000
+    inner, outer = np.array([[-0.9, -1.6, -3.2], [1.9, 1.2, 2.9]]), np.array([[-1.6, -2.6, -4.6], [2.6, 2.1, 3.7]])
+    assert (outer[0] <= scene.box[0]).all() and (scene.box[0] <= inner[0]).all()
+    assert (inner[1] <= scene.box[1]).all() and (scene.box[1] <= outer[1]).all()
+
+
 def test_fox_names_the_17_missing_files(real_data: Folder) -> None:
     scene = load_scene(real_data("fox"))
     assert counts(scene) == (43, 7) and scene.background == "scene" and scene.far == np.inf
@@ -59,8 +68,11 @@ def test_mold_gold_cape_scales_its_intrinsics_and_masks(real_data: Folder) -> No
     assert camera.fx == camera.fy == pytest.approx(7689.22992416 * 640 / 3648) and camera.is_centred
     picture = scene.views[0].read()
     assert picture.shape == (640, 640, 4) and 0.4 < picture[..., 3].mean() < 0.6
-    assert (scene.near, scene.far) == pytest.approx((1.7123296340843293, 13.349627050825582))
-    assert (scene.box[1] - scene.box[0] < 3).all()  # cameras stand 2.6 to 4.9 away
+    assert scene.near == pytest.approx(1.7123296340843293)  # as the file states
+    assert 5 < scene.far < 6.5  # the file says 13.35; the hull of the masks ends before
+    object_box = np.array([[-0.81, 0.49, 0.21], [0.67, 1.80, 1.99]])  # about points triangulated from the photographs
+    assert (scene.box[0] <= object_box[0]).all() and (scene.box[1] >= object_box[1]).all()
+    assert (scene.box[1] - scene.box[0] < object_box[1] - object_box[0] + 0.3).all() and "masks" in scene.bounds_from
 
 
 def test_fern_says_that_its_model_lacks_a_file(real_data: Folder) -> None:

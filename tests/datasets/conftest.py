@@ -1,0 +1,67 @@
+"""Made-up scenes of which the geometry is known exactly."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import images, pose
+from datasets.camera_model import Camera
+from datasets.scene import Scene, View
+
+CAMERA = Camera(128, 96, 110, 110, 64, 48)
+
+
+@pytest.fixture
+def camera_ring() -> Callable[..., list[View]]:
+    """Factory of cameras on a ring that look at its centre; they have no images."""
+
+    def make(centre: tuple = (1.0, 2.0, 3.0), radius: float = 4.0, count: int = 12) -> list[View]:
+        views = []
+        for index in range(count):
+            angle = 2 * np.pi * index / count
+            position = np.add(centre, (radius * np.cos(angle), radius * np.sin(angle), 1.5 * np.sin(3 * angle)))
+            views.append(View(str(index), CAMERA, pose.look_at(position, centre), "train", Path("none")))
+        return views
+
+    return make
+
+
+@pytest.fixture
+def two_walls(tmp_path: Path) -> Callable[..., Scene]:
+    """Factory of pictures of a textured square of side 1.6 at z = 0 before a textured wall at z = 2, from 4 away.
+
+    Twelve cameras on an arc look at the origin along +z, with the lens that is given.
+    """
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    random = np.random.default_rng(0)
+    textures = []
+    for _ in range(2):
+        texture = sum(s * gaussian_filter(random.normal(size=(1024, 1024)), s, mode="wrap") for s in (1.5, 4, 10))
+        textures.append((texture - texture.min()) / np.ptp(texture))
+
+    def picture(camera: Camera, matrix: np.ndarray) -> np.ndarray:
+        rays = camera.directions(camera.pixel_centres()) @ matrix[:3, :3].T
+        result = np.zeros(rays.shape[:2])
+        for texture, depth, half in ((textures[1], 2.0, np.inf), (textures[0], 0.0, 0.8)):
+            points = matrix[:3, 3] + rays * ((depth - matrix[2, 3]) / rays[..., 2:])
+            values = map_coordinates(texture, np.moveaxis(points[..., :2] * 160, -1, 0), order=1, mode="grid-wrap")
+            result = np.where((np.abs(points[..., :2]) < half).all(-1), values, result)
+        return np.repeat(result[..., None], 3, axis=-1)
+
+    def make(camera: Camera | None = None) -> Scene:
+        camera = camera or Camera(200, 150, 220.0, 221.0, 101.0, 74.0, k1=-0.05)
+        views = []
+        for index in range(12):
+            angle = np.deg2rad(4.0 * (index - 5.5))
+            position = (4 * np.sin(angle), 0.25 * (index % 3), -4 * np.cos(angle))
+            matrix = pose.look_at(position, (0, 0, 0), up=(0, -1, 0))
+            path = tmp_path / "walls" / f"{index:02d}.png"
+            images.write(path, picture(camera, matrix))
+            views.append(View(f"{index:02d}", camera, matrix, "train", path))
+        box = np.array([[-9.0, -9, -9], [9, 9, 9]])
+        return Scene("walls", tuple(views), 0.01, np.inf, box, "scene", bounds_from="cameras alone")
+
+    return make

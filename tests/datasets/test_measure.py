@@ -1,0 +1,77 @@
+"""Bounds measured in pictures of which the geometry is known."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import images, matching, pose
+from datasets.formats import koala, load_scene
+from datasets.measure import measured
+from datasets.scene import Scene
+from datasets.triangulate import agreement, triangulate
+
+
+def test_points_lie_on_the_walls_and_bounds_about_them(two_walls: Callable[..., Scene]) -> None:
+    scene = two_walls()
+    found = measured(scene)
+    assert found.points is not None and len(found.points) > 200
+    depth = found.points[:, 2]
+    square = (np.abs(found.points[:, :2]) < 0.8).all(1) & (np.abs(depth) < 0.5)
+    off = np.where(square, np.abs(depth), np.abs(depth - 2))
+    assert np.median(off) < 0.01 and np.quantile(off, 0.98) < 0.13  # half a pixel (0.014 at 6) over tracks of 6 degrees
+    assert square.sum() > 50 and (~square).sum() > 50
+    assert found.box[0, 2] == pytest.approx(-0.1, abs=0.06) and found.box[1, 2] == pytest.approx(2.1, abs=0.1)
+    assert 0.8 * 3.3 < found.near < 4.0 and 2 * 5.5 < found.far < 2 * 7.5  # the square stands 4 away, its corners nearer
+    assert "points triangulated from 12 views" in found.bounds_from and "% of" in found.bounds_from
+
+
+def test_wrong_poses_place_nothing_and_leave_the_bounds(two_walls: Callable[..., Scene]) -> None:
+    scene = two_walls()
+    flipped = scene.with_views(
+        tuple(replace(v, world_from_camera=v.world_from_camera @ np.diag([1.0, -1, -1, 1])) for v in scene.views)
+    )
+    found = measured(flipped)
+    assert np.array_equal(found.box, scene.box) and found.near == scene.near
+    assert "too few to measure by" in found.bounds_from
+
+
+def test_agreement_tells_right_poses_from_wrong_ones(two_walls: Callable[..., Scene]) -> None:
+    scene = two_walls()
+    matrices = np.stack([v.world_from_camera for v in scene.views])
+    matches = matching.matched(scene.views, matching.neighbours(matrices, np.zeros(3)))
+    assert matches.count > 1000 and agreement(matches, matrices) > 0.85
+    assert agreement(matches, matrices @ np.diag([1.0, -1, -1, 1])) < 0.3
+    assert agreement(matches, pose.inverse(matrices)) < 0.3
+    cloud = triangulate(matches, matrices)
+    assert np.median(cloud.errors_px) < 0.5 and (cloud.views_per_point >= 3).all()
+    local = np.einsum("nij,ni->nj", matrices[cloud.sightings[:, 1], :3, :3],
+                      cloud.points[cloud.sightings[:, 0]] - matrices[cloud.sightings[:, 1], :3, 3])  # fmt: skip
+    assert (local[:, 2] > 0).all()
+
+
+def test_neighbours_are_near_but_not_the_same() -> None:
+    angles = np.deg2rad([0, 0.5, 10, 20, 180])
+    matrices = np.stack([pose.look_at((4 * np.cos(a), 4 * np.sin(a), 0), (0, 0, 0)) for a in angles])
+    pairs = matching.neighbours(matrices, np.zeros(3), count=1)
+    assert (0, 1) not in pairs and (2, 3) in pairs and (0, 2) in pairs
+
+
+def test_pictures_without_texture_have_no_matches(two_walls: Callable[..., Scene]) -> None:
+    scene = two_walls()
+    for view in scene.views:
+        images.write(view.image, np.full((150, 200, 3), 0.5))
+    found = measured(scene)
+    assert found.points is None and "only 0 points" in found.bounds_from
+
+
+def test_measuring_is_asked_for_and_never_overrules_what_is_stated(two_walls: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = two_walls()
+    koala.save(scene, tmp_path / "unknown")
+    assert load_scene(tmp_path / "unknown").points is None
+    assert load_scene(tmp_path / "unknown", measure=True).points is not None
+    koala.save(replace(scene, bounds_from="stated"), tmp_path / "stated")
+    kept = load_scene(tmp_path / "stated", measure=True)
+    assert kept.bounds_from == "stated" and np.array_equal(kept.box, scene.box)
