@@ -78,6 +78,34 @@ def verify_command(
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
 
 
+@app.command("bench")
+def bench_command(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few points of 40 trials: a minute instead of a quarter of an hour.")
+    ] = False,
+    trials: Annotated[
+        int | None, typer.Option("--trials", min=2, help="Sessions per point; default 200, with --quick 40.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
+    json: Json = False,
+) -> None:
+    """Run time against error of all methods.
+
+    On simulated sessions without pictures, beside the Cramer-Rao bound.
+    """
+    from calib import bench, bench_report
+    from datasets.files import refuse_existing
+
+    refuse_existing(out)
+    points = bench.quick_grid() if quick else bench.full_grid()
+    with console.progress("measuring", len(points), "points") as bar:
+        results = list(bench.run(points, trials or (40 if quick else 200), seed, done=lambda result: bar.advance()))
+    bench_report.write(out, results)
+    text = f"{bench_report.describe(results)}\nwritten to {out}"
+    console.report({"out": str(out), **bench_report.summary(results)}, as_json=json, text=text)
+
+
 def _observe(recording: Path) -> "TargetSession":
     """Find the target in every frame, with a progress bar."""
     from calib.session import observe_recording
@@ -121,5 +149,9 @@ def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
 
 
 def main() -> None:
-    """Entry point of the `calib` command."""
+    """Entry point of the `calib` command. Its matrices are small: threads of the linear algebra only get in each other's way."""
+    import os
+
+    for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(library, "1")
     console.run(app)

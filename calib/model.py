@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib import projection
 from calib.errors import CalibrationError
+from calib.geometry import exponential, rotate, rows_cross
 from datasets import pose
 
 Array = NDArray[np.float64]
@@ -92,25 +93,25 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
         (n, 2) pixels; (n, 2, p) by the global parameters; (n, 2, 6) by the correction of the corner's own view.
     """
     flange_from_base = pose.inverse(session.base_from_flange)[session.view, :3, :3]
-    correction_rotation, right_jacobian = _exponential(state.corrections[:, 3:])
+    correction_rotation, right_jacobian = exponential(state.corrections[:, 3:])
     back = np.swapaxes(correction_rotation, 1, 2)[session.view]  # true flange from reported flange, rotation
     camera_from_flange = pose.inverse(state.flange_from_camera)
     in_base, in_flange, in_camera = _chain(session, state, back)
-    if in_camera[:, 2].min() <= 1e-6:
+    if not in_camera[:, 2].min() > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
 
     pixels, by_camera, by_intrinsics = projection.project(in_camera, state.intrinsics)
     by_flange = by_camera @ camera_from_flange[:3, :3]
     by_base = by_flange @ (back @ flange_from_base)
-    hand_eye = np.concatenate([-by_flange, by_flange @ _cross(in_flange)], -1)
-    board = np.concatenate([by_base, -by_base @ _cross(in_base)], -1)
-    own = np.concatenate([-by_flange @ back, by_flange @ _cross(in_flange) @ right_jacobian[session.view]], -1)
+    hand_eye = np.concatenate([-by_flange, rows_cross(by_flange, in_flange)], -1)
+    board = np.concatenate([by_base, -rows_cross(by_base, in_base)], -1)
+    own = np.concatenate([-by_flange @ back, rows_cross(by_flange, in_flange) @ right_jacobian[session.view]], -1)
     return pixels, np.concatenate([by_intrinsics[..., session.columns], hand_eye, board], -1), own
 
 
 def camera_points(session: Session, state: State) -> Array:
     """(n, 3) corners in the camera frame of their view [m]."""
-    correction_rotation, _ = _exponential(state.corrections[:, 3:])
+    correction_rotation, _ = exponential(state.corrections[:, 3:])
     return _chain(session, state, np.swapaxes(correction_rotation, 1, 2)[session.view])[-1]
 
 
@@ -119,32 +120,6 @@ def _chain(session: Session, state: State, back: Array) -> tuple[Array, Array, A
     flange_from_base = pose.inverse(session.base_from_flange)[session.view]
     camera_from_flange = pose.inverse(state.flange_from_camera)
     in_base = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
-    reported = _rotate(flange_from_base[:, :3, :3], in_base) + flange_from_base[:, :3, 3]
-    in_flange = _rotate(back, reported - state.corrections[session.view, :3])
+    reported = rotate(flange_from_base[:, :3, :3], in_base) + flange_from_base[:, :3, 3]
+    in_flange = rotate(back, reported - state.corrections[session.view, :3])
     return in_base, in_flange, in_flange @ camera_from_flange[:3, :3].T + camera_from_flange[:3, 3]
-
-
-def _rotate(rotations: Array, points: Array) -> Array:
-    return np.einsum("nij,nj->ni", rotations, points)
-
-
-def _cross(vectors: Array) -> Array:
-    """(n, 3, 3) matrices of the cross product with (n, 3) vectors."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices
-
-
-def _exponential(vectors: Array) -> tuple[Array, Array]:
-    """(n, 3, 3) rotations of (n, 3) rotation vectors and their right Jacobians (Sola et al. 2018, eq. 143)."""
-    angle2 = np.sum(vectors**2, -1)[:, None, None]
-    safe = np.where(angle2 > 1e-8, angle2, 1.0)
-    angle = np.sqrt(safe)
-    cross = _cross(vectors)
-    sine = np.where(angle2 > 1e-8, np.sin(angle) / angle, 1 - angle2 / 6)
-    cosine = np.where(angle2 > 1e-8, (1 - np.cos(angle)) / safe, 0.5 - angle2 / 24)
-    cubic = np.where(angle2 > 1e-8, (angle - np.sin(angle)) / (safe * angle), 1 / 6 - angle2 / 120)
-    square = cross @ cross
-    return np.eye(3) + sine * cross + cosine * square, np.eye(3) - cosine * cross + cubic * square

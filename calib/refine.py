@@ -186,6 +186,11 @@ def _attempt(
     return candidate, linear, changed
 
 
+def linear_system(session: Session, state: State, sigmas: Sigmas) -> Eliminated:
+    """The linear problem about `state`: its information, and the Gauss-Newton step from there."""
+    return _system(session, state, sigmas, _linear(session, state))
+
+
 def _minimise(session: Session, state: State, sigmas: Sigmas, linear: _Linear, max_steps: int = 50) -> tuple[State, _Linear, int]:
     """Levenberg-Marquardt until a step changes the cost by less than 1e-9 of it; the linearisation about the end comes along."""
     damping, steps = 1e-6, 0

@@ -52,14 +52,6 @@ def test_jacobian_agrees_with_central_differences(bent):
         np.testing.assert_allclose(by_view[..., index], (ahead - behind) / 2e-6, **tolerance)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.99e-4, 1.01e-4, 1.0, 3.0])
-def test_exponential_is_a_rotation_near_zero_and_far(angle):
-    vector = angle * np.array([[0.6, -0.48, 0.64]])
-    rotation, right = model._exponential(vector)
-    np.testing.assert_allclose(rotation[0], pose.from_rotation_vector(vector[0])[:3, :3], atol=1e-14)
-    np.testing.assert_allclose(right @ vector[0], vector, atol=1e-14)  # the axis is left alone
-
-
 def test_perturbation_moves_about_the_first_frame():
     a_from_b = pose.from_rotation_vector([0.1, 0.2, 0.3], [0.5, 0.0, 0.0])
     moved = model.perturbed(a_from_b, np.array([0.0, 0.0, 0.01, 0.0, 0.0, 1e-3]))

@@ -88,6 +88,6 @@ def test_board_alone_is_found_again(small):
 
 def test_fifty_views_take_less_than_two_seconds(simulate):
     large = simulate(seed=8, views=50)
-    start = time.perf_counter()
+    start = time.process_time()  # of this process alone: others may keep the machine busy
     refine.refine(large.session(free=FREE), disturbed(large.state(), np.random.default_rng(0)), sigma_px=0.3)
-    assert time.perf_counter() - start < 2.0  # 0.1 s on an idle core; the rest is for a busy one
+    assert time.process_time() - start < 2.0  # 0.1 s on an idle core

@@ -1,0 +1,205 @@
+"""Run time against error: every closed form and the refinement on simulated sessions, beside the Cramér-Rao bound.
+
+A point of the benchmark is a noise level and a number of views; each trial is one simulated session, whose board poses come from
+its corners by least squares. The bound is the smallest covariance that any unbiased method can reach: the inverse information
+at the truth. What a sample of finite size shows of it scatters by several percent, so that the efficient estimator, which is the
+truth plus one Gauss-Newton step on the same noise and known only to a simulation, is measured along: it is the bound "as drawn".
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import bundle, handeye, refine
+from calib.model import Accuracy, State
+from calib.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
+from calib.targets import Board
+from datasets import pose
+from datasets.errors import KoalaError
+
+Array = NDArray[np.float64]
+RIG = replace(KOALA, board=Board("chessboard", 7, 6, 0.04))
+"""The Koala rig with a board of 30 corners, seen whole."""
+REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
+FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
+"""An arm without error is stated to be this accurate: nobody would claim more."""
+GIVEN: tuple[str, ...] = ()
+ESTIMATED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where methods are compared: standard deviations per axis, and the number of views."""
+
+    sigma_px: float
+    arm_mm: float
+    arm_deg: float
+    views: int
+    free: tuple[str, ...] = GIVEN
+    """Intrinsics that are estimated along; for the closed forms from the pictures alone."""
+
+    @property
+    def arm(self) -> Accuracy:
+        """Of the arm, truly."""
+        return Accuracy(1e-3 * self.arm_mm, float(np.deg2rad(self.arm_deg)))
+
+    @property
+    def stated(self) -> Accuracy:
+        """Of the arm, as the refinement is told."""
+        return Accuracy(max(self.arm.translation_m, FLOOR.translation_m), max(self.arm.rotation_rad, FLOOR.rotation_rad))
+
+
+@dataclass
+class Errors:
+    """What one method did at one point, a value per trial that it finished."""
+
+    translation_mm: list[float] = field(default_factory=list)
+    rotation_deg: list[float] = field(default_factory=list)
+    time_ms: list[float] = field(default_factory=list)
+    failures: int = 0
+
+    def add(self, truth: Array, found: Array, seconds: float) -> None:
+        """Count one answer."""
+        distance, angle = pose.difference(truth, found)
+        self.translation_mm.append(1e3 * float(distance))
+        self.rotation_deg.append(float(np.rad2deg(angle)))
+        self.time_ms.append(1e3 * seconds)
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean square error (translation [mm], rotation [deg]); infinite where a trial failed."""
+        if self.failures or not self.translation_mm:
+            return np.inf, np.inf
+        return float(np.sqrt(np.mean(np.square(self.translation_mm)))), float(np.sqrt(np.mean(np.square(self.rotation_deg))))
+
+    @property
+    def median(self) -> tuple[float, float]:
+        """Median error (translation [mm], rotation [deg]); NaN where every trial failed."""
+        if not self.translation_mm:
+            return np.nan, np.nan
+        return float(np.median(self.translation_mm)), float(np.median(self.rotation_deg))
+
+
+@dataclass(frozen=True)
+class Result:
+    """One point measured."""
+
+    point: Point
+    methods: dict[str, Errors]
+    """By name: closed forms, `REFINED`, `DRAWN`."""
+    bound: tuple[float, float]
+    """Rms error that no unbiased method undercuts (translation [mm], rotation [deg])."""
+
+    @property
+    def best(self) -> tuple[str, str]:
+        """Closed form with the smallest rms error (in translation, in rotation)."""
+        closed = [name for name in self.methods if name in handeye.METHODS]
+        first, second = (min(closed, key=lambda name: self.methods[name].rms[axis]) for axis in (0, 1))
+        return first, second
+
+    def against_best(self) -> tuple[float, float]:
+        """Rms error of the refinement in units of the best closed form's (translation, rotation)."""
+        refined = self.methods[REFINED].rms
+        first, second = (_ratio(refined[axis], self.methods[self.best[axis]].rms[axis], axis) for axis in (0, 1))
+        return first, second
+
+    def against_bound(self) -> tuple[float, float]:
+        """Rms error of the refinement in units of the bound as drawn (translation, rotation)."""
+        refined, drawn = self.methods[REFINED].rms, self.methods[DRAWN].rms
+        return _ratio(refined[0], drawn[0], 0), _ratio(refined[1], drawn[1], 1)
+
+
+EXACT = (1e-4, 1e-5)
+"""Errors (translation [mm], rotation [deg]) below which an answer counts as exact: a tenth of a micrometre."""
+
+
+def _ratio(error: float, reference: float, axis: int) -> float:
+    return 1.0 if error <= EXACT[axis] else error / max(reference, EXACT[axis])
+
+
+def full_grid() -> list[Point]:
+    """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views; with known intrinsics, and around the Koala rig estimated along."""
+    known = [Point(*levels) for levels in product((0.0, 0.1, 1.0), (0.0, 0.03, 1.0), (0.0, 0.005, 0.1), (5, 10, 20, 50))]
+    along = [Point(px, mm, deg, views, ESTIMATED)
+             for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1)) for views in (10, 20, 50)]  # fmt: skip
+    return known + along
+
+
+def quick_grid() -> list[Point]:
+    """A few points that show each regime."""
+    known = [Point(*levels) for levels in product((0.1, 1.0), (0.03, 1.0), (0.005, 0.1), (10, 25))]
+    return [*known, Point(0.0, 0.0, 0.0, 10), Point(0.1, 0.03, 0.005, 25, ESTIMATED)]
+
+
+def run(
+    points: Sequence[Point], trials: int, seed: int, *, rig: Rig = RIG, done: Callable[[Result], None] = lambda result: None
+) -> Iterator[Result]:
+    """Measure `points` with `trials` sessions each; the same seed gives the same sessions."""
+    for number, point in enumerate(points):
+        result = measure(point, trials, np.random.default_rng([seed, number]), rig)
+        done(result)
+        yield result
+
+
+def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG) -> Result:
+    """Measure every method at one point."""
+    methods = {name: Errors() for name in (*handeye.METHODS, REFINED, DRAWN)}
+    variances = []
+    for _ in range(trials):
+        drawn = simulate(rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm,
+                         free=point.free)  # fmt: skip
+        drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
+        variances.append(_bound(drawn, point, methods[DRAWN]))
+        _compare(drawn, point, methods)
+    bound = np.sqrt(np.mean(variances, axis=0))
+    return Result(point, methods, (1e3 * float(bound[0]), float(np.rad2deg(bound[1]))))
+
+
+def _compare(drawn: Simulated, point: Point, methods: dict[str, Errors]) -> None:
+    """All closed forms, then the refinement from the best of them by residual, as `calib handeye` does."""
+    session, truth = drawn.session, drawn.truth
+    seen = bundle.fit(session.view, session.pixels, session.points, truth.intrinsics, drawn.camera_from_board, point.free)
+    answers = []
+    for name in handeye.METHODS:
+        start = time.perf_counter()
+        try:
+            answer = handeye.solve(session.base_from_flange, seen.camera_from_board, name)
+        except KoalaError:
+            methods[name].failures += 1
+            continue
+        methods[name].add(truth.flange_from_camera, answer.flange_from_camera, time.perf_counter() - start)
+        answers.append(answer)
+    best = min(answers, key=lambda answer: answer.score(np.ones(point.views, bool)))
+    start = time.perf_counter()
+    first = State(seen.intrinsics, best.flange_from_camera, best.base_from_board, np.zeros((point.views, 6)))
+    try:
+        refined = refine.refine(session, first, sigma_px=_spread(seen.residuals, point.views, len(point.free)))
+    except KoalaError:
+        methods[REFINED].failures += 1
+        return
+    methods[REFINED].add(truth.flange_from_camera, refined.state.flange_from_camera, time.perf_counter() - start)
+
+
+def _spread(residuals: Array, views: int, free: int) -> float:
+    """Standard deviation of a corner [px] from what a fit of (6 x views + free) unknowns left."""
+    return max(float(np.sqrt((residuals**2).sum() / (residuals.size - 6 * views - free))), refine.MIN_SIGMA_PX)
+
+
+def _bound(drawn: Simulated, point: Point, efficient: Errors) -> tuple[float, float]:
+    """Variances (translation [m^2], rotation [rad^2]) of the hand-eye pose that this session allows; adds the efficient answer."""
+    session, truth = drawn.session, drawn.truth
+    sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
+    system = refine.linear_system(session, truth, sigmas)
+    step, _ = system.step(0.0)
+    efficient.add(
+        truth.flange_from_camera, truth.moved(session.columns, step, np.zeros((point.views, 6))).flange_from_camera, 0.0
+    )
+    covariance = np.linalg.inv(system.root) @ np.linalg.inv(system.root).T
+    of_pose = covariance[-12:-6, -12:-6]
+    x, y, z = truth.flange_from_camera[:3, 3]
+    of_origin = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
+    return float(np.trace(of_origin @ of_pose @ of_origin.T)), float(np.trace(of_pose[3:, 3:]))

@@ -1,0 +1,156 @@
+"""The benchmark's results as a table (CSV, Markdown) and a picture."""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib import handeye
+from calib.bench import BOUND, DRAWN, REFINED, Errors, Point, Result
+from datasets import files
+
+TIE = 1.01
+"""Methods whose errors differ by less than a hundredth are equal to what a few hundred trials can tell."""
+CLOSE = 1.10
+"""How near to the bound the refinement is wanted."""
+COLUMNS = ("sigma_px", "arm_mm", "arm_deg", "views", "intrinsics", "method", "rms_mm", "rms_deg", "median_mm", "median_deg",
+           "time_ms", "failures")  # fmt: skip
+
+
+def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
+    """One row per point and method, as in the CSV file; the bound is a method of its own."""
+    found = []
+    for result in results:
+        for name, errors in result.methods.items():
+            (rms_mm, rms_deg), (median_mm, median_deg) = errors.rms, errors.median
+            found.append({**_place(result.point), "method": name, "rms_mm": rms_mm, "rms_deg": rms_deg, "median_mm": median_mm,
+                          "median_deg": median_deg, "time_ms": _time(errors), "failures": errors.failures})  # fmt: skip
+        found.append({**_place(result.point), "method": BOUND, "rms_mm": result.bound[0], "rms_deg": result.bound[1]})
+    return found
+
+
+def _place(point: Point) -> dict[str, Any]:
+    return {"sigma_px": point.sigma_px, "arm_mm": point.arm_mm, "arm_deg": point.arm_deg, "views": point.views,
+            "intrinsics": "estimated" if point.free else "given"}  # fmt: skip
+
+
+def _time(errors: Errors) -> float:
+    return float(np.median(errors.time_ms)) if errors.time_ms else np.nan
+
+
+def summary(results: Sequence[Result]) -> dict[str, Any]:
+    """What the benchmark says as a whole: worst ratios of the refinement, and at how many points it keeps to them."""
+    best = np.array([result.against_best() for result in results])
+    bound = np.array([result.against_bound() for result in results])
+    return {
+        "points": len(results), "trials": max(len(r.methods[REFINED].time_ms) for r in results),
+        "failures_of_refinement": sum(r.methods[REFINED].failures for r in results),
+        "at_or_below_best": int((best <= TIE).all(1).sum()), "worst_against_best": best.max(0).tolist(),
+        "within_tenth_of_bound": int((bound <= CLOSE).all(1).sum()), "worst_against_bound": bound.max(0).tolist(),
+    }  # fmt: skip
+
+
+def describe(results: Sequence[Result]) -> str:
+    """`summary` in words."""
+    s = summary(results)
+    return (
+        f"{s['points']} points of {s['trials']} trials, refinement failed {s['failures_of_refinement']} times\n"
+        f"at or below the best closed form (within {TIE - 1:.0%}): {s['at_or_below_best']} points; "
+        f"worst {s['worst_against_best'][0]:.3f} in translation, {s['worst_against_best'][1]:.3f} in rotation\n"
+        f"within {CLOSE - 1:.0%} of the bound: {s['within_tenth_of_bound']} points; "
+        f"worst {s['worst_against_bound'][0]:.3f} in translation, {s['worst_against_bound'][1]:.3f} in rotation"
+    )
+
+
+def markdown(results: Sequence[Result]) -> str:
+    """A table with one row per point."""
+    lines = [
+        "| corners [px] | arm [mm] | arm [°] | views | intrinsics | best closed form: translation | rotation | refinement [mm] | [°] "
+        "| bound [mm] | [°] | refinement / best | refinement / bound | time, closed forms to refinement [ms] |",
+        "|" + "---|" * 14,
+    ]
+    for result in results:
+        p, refined = result.point, result.methods[REFINED]
+        (first, second), best, bound = result.best, result.against_best(), result.against_bound()
+        closed = [_time(result.methods[name]) for name in handeye.METHODS]
+        lines.append(
+            f"| {p.sigma_px:g} | {p.arm_mm:g} | {p.arm_deg:g} | {p.views} | {'estimated' if p.free else 'given'} "
+            f"| {first} {result.methods[first].rms[0]:.4f} | {second} {result.methods[second].rms[1]:.4f} "
+            f"| {refined.rms[0]:.4f} | {refined.rms[1]:.4f} | {result.bound[0]:.4f} | {result.bound[1]:.4f} "
+            f"| {best[0]:.2f}, {best[1]:.2f} | {bound[0]:.2f}, {bound[1]:.2f} "
+            f"| {min(closed):.1f}–{max(closed):.1f}, {_time(refined):.1f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def write(folder: Path, results: Sequence[Result]) -> None:
+    """Write bench.csv, bench.md and bench.png into a new folder."""
+    with files.atomic_folder(folder) as temporary:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, restval="")
+        writer.writeheader()
+        writer.writerows(rows(results))
+        files.write_text(temporary / "bench.csv", text.getvalue())
+        files.write_text(temporary / "bench.md", f"{describe(results)}\n\n{markdown(results)}")
+        _plot(temporary / "bench.png", results)
+
+
+def _plot(path: Path, results: Sequence[Result]) -> None:
+    """Above: error against run time at three noise levels, a line per method along the number of views. Below: all ratios."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 12), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(3, 3)
+    for column, level in enumerate(_levels(results)):
+        chosen = [r for r in results if _level(r.point) == level]
+        for axis, unit in enumerate(("mm", "°")):
+            _error_against_time(grid[axis][column], chosen, axis, unit)
+        grid[0][column].set_title(f"corners {level[0]:g} px, arm {level[1]:g} mm, {level[2]:g}°"
+                                  + (", intrinsics estimated" if level[3] else ""))  # fmt: skip
+    grid[0][0].legend(fontsize=8, ncols=2)
+    for axis, kind in enumerate(("translation", "rotation")):
+        _ratios(grid[2][axis], results, axis, kind)
+    grid[2][2].axis("off")
+    grid[2][2].text(0, 0.5, describe(results).replace("; ", ";\n").replace("points of", "points of\n"), va="center")
+    figure.savefig(path, dpi=100)
+
+
+def _level(point: Point) -> tuple[float, float, float, bool]:
+    return point.sigma_px, point.arm_mm, point.arm_deg, bool(point.free)
+
+
+def _levels(results: Sequence[Result]) -> list[tuple[float, float, float, bool]]:
+    """Up to three noise levels worth a picture: the Koala rig's with intrinsics given and estimated, and a poor rig's."""
+    present = list(dict.fromkeys(_level(r.point) for r in results))
+    wanted = [(0.1, 0.03, 0.005, False), (0.1, 0.03, 0.005, True), (1.0, 1.0, 0.1, False)]
+    return ([level for level in wanted if level in present] + [level for level in present if level not in wanted])[:3]
+
+
+def _error_against_time(axes: Any, results: Sequence[Result], axis: int, unit: str) -> None:
+    for name in (*handeye.METHODS, REFINED):
+        error = [r.methods[name].rms[axis] for r in results]
+        time = [_time(r.methods[name]) for r in results]
+        style = {"color": "black", "linewidth": 2, "zorder": 5} if name == REFINED else {"alpha": 0.8}
+        axes.plot(time, error, marker="o", markersize=4, label=name, **style)
+        if name == REFINED:
+            for x, y, r in zip(time, error, results, strict=True):
+                axes.annotate(f"{r.point.views} views", (x, y), textcoords="offset points", xytext=(6, 3), fontsize=8)
+    for r in results:
+        axes.axhline(r.bound[axis], color="grey", linestyle=":", linewidth=1)
+    axes.plot([], [], color="grey", linestyle=":", label="bound at each number of views")
+    axes.set(xscale="log", yscale="log", xlabel="run time [ms]", ylabel=f"rms error [{unit}]")
+
+
+def _ratios(axes: Any, results: Sequence[Result], axis: int, kind: str) -> None:
+    places = np.arange(len(results))
+    axes.plot(places, [r.against_best()[axis] for r in results], "o", markersize=4, label="refinement / best closed form")
+    axes.plot(places, [r.against_bound()[axis] for r in results], "k.", label=f"refinement / {DRAWN}")
+    axes.axhline(1.0, color="grey", linewidth=1)
+    axes.axhline(CLOSE, color="grey", linestyle="--", linewidth=1)
+    axes.set(ylim=(0, 1.3), xlabel="point of the benchmark", ylabel="ratio of rms errors", title=kind)
+    axes.legend(fontsize=8, loc="lower right")
