@@ -40,6 +40,14 @@ class CameraDescription(Schema):
     serial: str = Field("", description="serial number; empty: the only camera that is connected")
 
 
+class SimulationDescription(Schema):
+    """A simulated controller that runs already, as `capture sim` writes it. A real rig has none."""
+
+    side_port: int = Field(ge=1, le=65535, description="port on 127.0.0.1 where the simulation says where the arm truly is")
+    scene: str = Field("gold_head", description="what stands before the camera")
+    seed: int = Field(0, ge=0, description="of everything random")
+
+
 class RigDescription(Schema):
     """One rig: arm, camera and bracket."""
 
@@ -49,6 +57,7 @@ class RigDescription(Schema):
         PoseDescription(position=(0.0, 0.06, 0.08), rotation_deg=(45.0, 0.0, 0.0)),
         description="nominal camera pose on the flange, by drawing or ruler: 1 cm and 5 degrees are enough, calib finds the true one",
     )
+    simulation: SimulationDescription | None = Field(None, description="only of a rig that is simulated; null: a real one")
 
 
 def load_rig(path: Path | str) -> RigDescription:

@@ -1,10 +1,10 @@
 """Opens a rig: the real one that a file describes, or the simulated one of a seed."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from capture.rig import Camera, Robot
 from capture.rig_description import RigDescription, load_rig
 from capture.trajectory import Trajectory
 from datasets.errors import Misuse
+
+if TYPE_CHECKING:
+    from capture.sim.handle import ControllerHandle
 
 SIMULATED = "sim"
 
@@ -64,7 +67,17 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
     """
     description = describe(name)
     if name == SIMULATED:
-        with _simulated(description, trajectory, scene, seed, time_scale) as rig:
+        from capture.sim.controller import SimulatedController
+
+        with SimulatedController.start(seed=seed, time_scale=time_scale) as controller:
+            with _simulated(name, description, controller, trajectory, scene, seed) as rig:
+                yield rig
+        return
+    if description.simulation is not None:
+        from capture.sim.handle import ControllerHandle
+
+        running = ControllerHandle(description.robot.host, description.simulation.side_port)
+        with closing(running), _simulated(name, description, running, trajectory, scene, description.simulation.seed) as rig:
             yield rig
         return
     from capture.cameras.basler import Basler
@@ -82,21 +95,23 @@ def _arm(host: str, description: RigDescription, trajectory: Trajectory, *, simu
     motion, robot = trajectory.motion, description.robot
     limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
     settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
-    deadlines = Deadlines(stale_s=2.0, watchdog_hz=0.5) if simulated else Deadlines()  # rendering takes all of the computer
-    return UR5e(host, limits=limits, settling=settling, deadlines=deadlines)
+    if not simulated:
+        return UR5e(host, limits=limits, settling=settling)
+    patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering takes all of the computer
+    return UR5e(host, limits=limits, settling=settling, deadlines=patient, frequency=125.0)
 
 
 @contextmanager
-def _simulated(description: RigDescription, trajectory: Trajectory, scene: str, seed: int, time_scale: float) -> Iterator[Rig]:
+def _simulated(
+    name: str, description: RigDescription, controller: "ControllerHandle", trajectory: Trajectory, scene: str, seed: int
+) -> Iterator[Rig]:
     from capture.sim.camera import SimulatedCamera
-    from capture.sim.controller import SimulatedController
     from capture.sim.truth import RigTruth
 
     truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
-    with SimulatedController.start(seed=seed, time_scale=time_scale) as controller:
-        camera = SimulatedCamera(trajectory, scene, truth, controller.true_base_from_flange, seed)
-        with camera, _arm(controller.host, description, trajectory, simulated=True) as robot:
-            yield Rig(robot, camera, description, SIMULATED, camera, {"scene": scene, "seed": seed})
+    camera = SimulatedCamera(trajectory, scene, truth, controller, seed)
+    with camera, _arm(controller.host, description, trajectory, simulated=True) as robot:
+        yield Rig(robot, camera, description, name, camera, {"scene": scene, "seed": seed})
 
 
 def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
@@ -105,12 +120,14 @@ def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
     Raises:
         Misuse: no such scene (naming the nearest), one that the trajectory does not suit, or a real rig is asked for one.
     """
-    if rig != SIMULATED:
+    simulation = None if rig == SIMULATED else describe(rig).simulation
+    if rig != SIMULATED and simulation is None:
         if scene:
             raise Misuse("--scene belongs to the simulation", where=rig, remedy="leave it out, or use --rig sim")
         return ""
     from capture.sim.views import check_scene
 
-    scene = scene or ("charuco_board" if trajectory.target is not None else "gold_head")
+    if not scene:
+        scene = "charuco_board" if trajectory.target is not None else "gold_head" if simulation is None else simulation.scene
     check_scene(scene, trajectory)
     return scene

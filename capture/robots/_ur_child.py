@@ -26,6 +26,7 @@ VARIABLES = [
     "safety_mode",
     "safety_status_bits",
     "runtime_state",
+    "target_speed_fraction",
 ]
 
 
@@ -54,6 +55,7 @@ class _Client:
             "joints": self.receive.getActualQ(),
             "joint_speeds": self.receive.getActualQd(),
             "tcp_pose": self.receive.getActualTCPPose(),
+            "speed_fraction": self.receive.getTargetSpeedFraction(),
             "safety_bits": self.receive.getSafetyStatusBits(),
             "connected": self.receive.isConnected() and self.control.isConnected(),
             "running": self.control.isProgramRunning(),

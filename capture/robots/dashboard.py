@@ -95,5 +95,6 @@ class Dashboard:
         return line.decode("latin-1").strip()
 
     def _lost(self, command: str, error: OSError) -> RigConnectionError:
+        self.close()  # a late reply must not be taken for that to the next command
         return RigConnectionError("the dashboard server does not answer", where=f"{self.host}:{PORT}", why=f"{command}: {error}",
                                   remedy="check the network; the arm stops by its own watchdog")  # fmt: skip

@@ -3,6 +3,7 @@
 The parent keeps every deadline, watches the stream of states, and has a dashboard connection of its own to stop the arm.
 """
 
+import logging
 import threading
 import time
 from typing import Any, Self
@@ -18,6 +19,7 @@ from capture.robots.timing import Deadlines, Settling
 from capture.safety import Limits
 from datasets import pose
 
+log = logging.getLogger(__name__)
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
 
 
@@ -48,7 +50,7 @@ class UR5e:
         settling: Settling | None = None,
         deadlines: Deadlines | None = None,
         tolerance: float = 1e-3,
-        frequency: float = 125.0,
+        frequency: float = 500.0,
     ) -> None:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
         self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
@@ -57,6 +59,7 @@ class UR5e:
         self._tcp_from_flange = np.eye(4)
         self._description: dict[str, Any] = {}
         self._stopped = threading.Event()
+        self._slider = 1.0
         self._dashboard_lock = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -166,23 +169,46 @@ class UR5e:
         number = link.request("move", joints=target.tolist(), speed=speed, acceleration=acceleration)
         answer = link.wait_for(("accepted", "refused"), self.deadlines.accept_s, number=number) if number else None
         if answer is None or "refused" in answer:
-            self._watch(
-                link, link.fresh_sample(self.deadlines.stale_s, timeout_s=0.1), 0.0
-            )  # says more, where there is more to say
-            raise self._fault("the controller did not accept the motion")
+            raise self._refused(link)
         distance = float(np.abs(target - start).max())
-        deadline = time.monotonic() + 1.5 * (distance / speed + speed / acceleration) + 3.0
+        left_s = 1.5 * (distance / speed + speed / acceleration) + 3.0  # at full speed
         sample, heard = None, time.monotonic()
+        before = heard
         while True:
             newer = link.next_sample(sample, timeout_s=0.05)
             now = time.monotonic()
             heard, sample = (now, newer) if newer is not None else (heard, sample)
+            left_s, before = left_s - (now - before) * self._speed_fraction(sample), now
             self._watch(link, sample, now - heard)
             if sample is not None and sample.content["operation"] != answer["operation_before"] and not sample.content["moving"]:
                 return
-            if now > deadline:
+            if left_s < 0:
                 left = np.degrees(np.abs(target - np.asarray(sample.content["joints"])).max()) if sample else np.nan
                 raise self._fault(f"the motion took too long, {left:.1f} degrees are left")
+
+    def _refused(self, link: ChildLink) -> CaptureError:
+        """Why the controller did not take a motion: for a moment, look for a reason that says more."""
+        deadline, sample = time.monotonic() + 0.3, None
+        while time.monotonic() < deadline:
+            sample = link.next_sample(sample, timeout_s=0.05) or sample
+            if not link.alive or (sample is not None and (_unsafe(sample) or not sample.content["connected"])):
+                break
+        if sample is not None and not _unsafe(sample) and sample.content["connected"] and not sample.content["running"]:
+            return self._fault("the controller ended its program instead of moving",
+                               remedy="its log at the pendant says why (a pose that it cannot reach, a limit); then resume")  # fmt: skip
+        try:
+            self._watch(link, sample, 0.0)
+        except CaptureError as error:
+            return error
+        return self._fault("the controller did not accept the motion")
+
+    def _speed_fraction(self, sample: Sample | None) -> float:
+        """Where the speed slider stands, 0.01 to 1: so much slower are motions, and so much longer their deadlines."""
+        fraction = 1.0 if sample is None else min(max(float(sample.content["speed_fraction"]), 0.01), 1.0)
+        if fraction < 1.0 and fraction != self._slider:
+            log.warning("the speed slider stands at %.0f %%: motions take %.1f times as long", 100 * fraction, 1 / fraction)
+        self._slider = fraction
+        return fraction
 
     def _settle(self, target: NDArray[np.float64]) -> None:
         """Return once the arm is still, and at the target; the state after that is the one to record."""
@@ -216,7 +242,7 @@ class UR5e:
         if sample is None:
             return
         content = sample.content
-        if content["safety_bits"] & (PROTECTIVE_BIT | EMERGENCY_BIT):
+        if _unsafe(sample):
             raise self._fault("the robot was stopped for safety")
         if not content["connected"]:
             raise self._fault("the connection to the robot was lost")
@@ -228,7 +254,7 @@ class UR5e:
             self._stop_by_dashboard()
         return MotionError("the motion was stopped on request", where=self.host, why="the arm stands still")
 
-    def _fault(self, what: str) -> CaptureError:
+    def _fault(self, what: str, remedy: str = "resume the recording") -> CaptureError:
         """Stop the arm by every means, close, and find out what happened."""
         stopped = self._stop_by_dashboard()
         link, self._link = self._link, None
@@ -251,7 +277,7 @@ class UR5e:
                                       remedy="the arm stops by its own watchdog; check network and controller, then resume")  # fmt: skip
         lost = any(word in what for word in ("connection", "stream", "state"))
         return (RigConnectionError if lost else MotionError)(
-            what, where=self.host, why="; ".join(filter(None, ("the arm was stopped", words))), remedy="resume the recording"
+            what, where=self.host, why="; ".join(filter(None, ("the arm was stopped", words))), remedy=remedy
         )
 
     def _stop_by_dashboard(self) -> bool:
@@ -280,3 +306,8 @@ class UR5e:
         why = answer["failed"] if answer else f"no answer within {self.deadlines.connect_s:.0f} s. {link.kill()}".strip()
         remedy = "end the other program that controls the robot" if "use" in why else "check the controller, then run again"
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
+
+
+def _unsafe(sample: Sample) -> bool:
+    """Whether the controller says that it has stopped the arm for safety."""
+    return bool(sample.content["safety_bits"] & (PROTECTIVE_BIT | EMERGENCY_BIT))

@@ -9,21 +9,23 @@ import json
 import os
 import random
 import sys
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from capture.kinematics import UR5E
+from capture.sim import side_channel
 from capture.sim.arm import Arm
 from capture.sim.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
 from capture.sim.session import CYCLE_HZ
 
 
-async def _listen(server: ControllerServer) -> tuple[str, int]:
-    """Open all ports on a loopback address that nobody uses; returns it and the port of the side channel."""
+async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
+    """Open all ports on the address `wanted`, or on a loopback address that nobody uses; returns it and the side channel's port."""
     handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
-    for _ in range(50):
-        host = f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
+    for _ in range(1 if wanted else 50):
+        host = wanted or f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
         opened = []
         try:
             for port, handler in handlers.items():
@@ -32,9 +34,9 @@ async def _listen(server: ControllerServer) -> tuple[str, int]:
             for listener in opened:
                 listener.close()
             continue
-        side = await asyncio.start_server(server.side_channel, "127.0.0.1", 0)
+        side = await asyncio.start_server(partial(side_channel.serve, server), "127.0.0.1", 0)
         return host, side.sockets[0].getsockname()[1]
-    raise OSError(f"no loopback address with free ports {list(handlers)}")
+    raise OSError(f"ports {', '.join(map(str, handlers))} are not free{' there' if wanted else ' on any loopback address'}")
 
 
 async def _run(options: dict[str, Any]) -> None:
@@ -43,7 +45,7 @@ async def _run(options: dict[str, Any]) -> None:
     links = UR5E.calibrated(np.random.default_rng([seed, 1]), length_m, angle_rad) if length_m or angle_rad else UR5E
     arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
     server = ControllerServer(arm, options["time_scale"])
-    host, side_port = await _listen(server)
+    host, side_port = await _listen(server, options["host"])
     loop = asyncio.get_running_loop()
     orphaned = asyncio.Event()
     loop.add_reader(sys.stdin.fileno(), lambda: None if os.read(sys.stdin.fileno(), 1024) else orphaned.set())

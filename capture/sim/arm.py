@@ -16,7 +16,11 @@ from datasets import pose
 SAFETY_DECELERATION = 10.0
 """Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
 RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
-"""The arm swings after a stop: frequency, decay time, and amplitude [rad per rad/s^2]."""
+"""The joints swing after a stop, and the encoders see it: frequency, decay time, and amplitude [rad per rad/s^2]."""
+FLEXURE_HZ, FLEXURE_PER_ACCELERATION = 9.0, 6e-4
+"""Tubes, gears and bracket bend besides, which no encoder sees: frequency and amplitude [rad per rad/s^2]."""
+QUIET_S = 6 * RINGING_DECAY_S
+"""Both have died away this long after a stop [s]: a four-hundredth is left, and taken as nothing."""
 
 
 class RobotMode(IntEnum):
@@ -52,8 +56,10 @@ class Arm:
         self.flange_from_tcp = np.eye(4)
         self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
         self.profile: Profile = Stop(np.asarray(home, np.float64), np.zeros(6), 1.0)
-        self.start_s = 0.0
         self.speed_fraction = 1.0
+        self.joint_limits = np.array([[-JOINT_LIMIT], [JOINT_LIMIT]]) * np.ones(6)
+        self.reach_m = np.inf
+        self._phase_s, self._phase_at, self._rate = 0.0, 0.0, 1.0  # of the profile, at which time, and how fast it runs
         self._visits: dict[int, int] = {}
         self._error: NDArray[np.float64] | None = None
 
@@ -62,37 +68,70 @@ class Arm:
         """Powered, brakes released and not stopped for safety."""
         return self.mode is RobotMode.RUNNING and self.safety is Safety.NORMAL
 
+    def phase(self, now: float) -> float:
+        """Time within the motion [s]: runs slower than the clock where the speed slider stands below 100 %."""
+        return self._phase_s + (now - self._phase_at) * self._rate
+
     def moving(self, now: float) -> bool:
         """Whether a motion is under way."""
-        return bool(now < self.start_s + self.profile.duration)
+        return bool(self.phase(now) < self.profile.duration)
 
     def target(self, now: float) -> tuple[Joints, Joints, Joints]:
         """(6,) angles, speeds, accelerations that the controller asks for."""
-        return self.profile.at(now - self.start_s)
+        angles, speeds, accelerations = self.profile.at(self.phase(now))
+        return angles, speeds * self._rate, accelerations * self._rate**2
 
     def actual(self, now: float) -> tuple[Joints, Joints]:
         """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
         angles, speeds, _ = self.target(now)
-        since = now - self.start_s - self.profile.duration
-        if not 0 <= since < 6 * RINGING_DECAY_S or self.profile.duration == 0:
-            return angles, speeds
-        slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2]
-        omega = 2 * np.pi * RINGING_HZ
-        swing = RINGING_PER_ACCELERATION * slowing * np.exp(-since / RINGING_DECAY_S)
+        swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_PER_ACCELERATION)
+        return angles - swing, speeds - swing_speed
+
+    def _swing(self, now: float, frequency_hz: float, amplitude: float) -> tuple[Joints | float, Joints | float]:
+        """(6,) damped oscillation after the end of a motion [rad], and its speed [rad/s]; 0 in motion and long after it."""
+        since = (self.phase(now) - self.profile.duration) / self._rate
+        if not 0 <= since < QUIET_S or self.profile.duration == 0:
+            return 0.0, 0.0
+        slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2] * self._rate**2
+        omega = 2 * np.pi * frequency_hz
+        size = amplitude * slowing * np.exp(-since / RINGING_DECAY_S)
         sine, cosine = np.sin(omega * since), np.cos(omega * since)
-        return angles - swing * sine, speeds - swing * (omega * cosine - sine / RINGING_DECAY_S)
+        return size * sine, size * (omega * cosine - sine / RINGING_DECAY_S)
 
     def base_from_tcp(self, joints: Joints) -> NDArray[np.float64]:
         """(4, 4) as the controller reports it: calibrated links, active tool offset [m]."""
         return forward(joints, self.links) @ self.flange_from_tcp
 
     def true_base_from_flange(self, now: float) -> NDArray[np.float64]:
-        """(4, 4) where the flange really is [m]. The error changes with every stop, and is the same for the same visit."""
-        return forward(self.actual(now)[0], self.links) @ self._stopping_error()
+        """(4, 4) where the flange really is [m]: beside the encoders, bent after a stop, and a little off at every visit.
+
+        The error of a visit changes with every stop, and is the same for the same visit.
+        """
+        bent = self._swing(now, FLEXURE_HZ, FLEXURE_PER_ACCELERATION)[0]
+        return forward(self.actual(now)[0] - bent, self.links) @ self._stopping_error()
 
     def begin(self, profile: Profile, now: float) -> None:
         """Start a motion from where the arm is."""
-        self.profile, self.start_s, self._error = profile, now, None
+        self.profile, self._error = profile, None
+        self._phase_s, self._phase_at = 0.0, now
+        self._rate = 1.0 if isinstance(profile, Stop) else self.speed_fraction
+
+    def slide_speed(self, fraction: float, now: float) -> None:
+        """Set the speed slider to a share in 0..1 of the speed that is asked for; a motion under way goes on with it."""
+        self._phase_s, self._phase_at = self.phase(now), now
+        self.speed_fraction = min(max(fraction, 0.01), 1.0)
+        if not isinstance(self.profile, Stop):
+            self._rate = self.speed_fraction
+
+    def keep_limits(self, now: float) -> None:
+        """Stop for safety where a joint has left its range."""
+        angles = self.target(now)[0]
+        if self.may_move and not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all():
+            self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
+
+    def reaches(self, joints: Joints) -> bool:
+        """Whether the controller lets the flange go there."""
+        return bool(np.linalg.norm(forward(joints, self.links)[:3, 3]) <= self.reach_m)
 
     def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
         """Start a movej; an arm that still moves slows down to rest first."""

@@ -1,7 +1,7 @@
 """The calibration board as a camera sees it: exact, ray by ray, since a plane needs no renderer."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,11 @@ BORDER = 0.012
 """White paper around the squares [m]."""
 
 
+@cache
+def _table(seed: int) -> NDArray[np.float32]:
+    return textures.table_top(np.random.default_rng([seed, 11]))
+
+
 @dataclass(frozen=True)
 class BoardPicture:
     """A ChArUco board that lies on the table."""
@@ -27,10 +32,6 @@ class BoardPicture:
     seed: int
     centre: tuple[float, float]
     """Middle of the table [m]."""
-
-    @cached_property
-    def _table(self) -> NDArray[np.float32]:
-        return textures.table_top(np.random.default_rng([self.seed, 11]))
 
     @cached_property
     def _markers(self) -> NDArray[np.float32]:
@@ -96,10 +97,11 @@ class BoardPicture:
         down = np.minimum(heading[..., 2:], -1e-9)
         places = (base_from_camera[:3, 3] - heading * (base_from_camera[2, 3] / down))[..., :2] - self.centre
         cell = places / TABLE_SIZE + 0.5
-        resolution = self._table.shape[0]
+        table = _table(self.seed)
+        resolution = table.shape[0]
         column, row = np.moveaxis((np.clip(cell, 0, 1 - 1e-9) * resolution).astype(np.int64), -1, 0)
         seen = ((cell > 0) & (cell < 1)).all(-1) & (heading[..., 2] < 0)
-        colour = np.where(seen[..., None], self._table[row, column], 0.1)
+        colour = np.where(seen[..., None], table[row, column], 0.1)
         lamp = 1.0 - 0.35 * np.clip(np.linalg.norm(places, axis=-1, keepdims=True), 0, 1)
         return np.concatenate([colour, lamp], -1)
 

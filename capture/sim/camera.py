@@ -4,11 +4,10 @@ So the driver that grabs is the one for real cameras; only the light is computed
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,40 @@ from capture.sim.lens import Lens, Sensor
 from capture.sim.truth import RigTruth
 from capture.sim.views import make_view
 from capture.trajectory import Trajectory
-from datasets import files, images
+from datasets import files, images, pose
+from datasets.camera_model import Camera
 
+MOMENTS = 16
+"""At so many moments of an exposure the simulation asks where the arm is."""
+SHARP_PX = 0.05
+"""Motion during an exposure below this is not rendered [px]."""
+NEAR_M = 0.3
+"""Distance of what moves through the picture the fastest [m]."""
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
 LIGHT = ("diffuse", "specular")
+
+
+class TrueArm(Protocol):
+    """What the camera needs of the simulated arm."""
+
+    def exposed(self, exposure_s: float, count: int) -> NDArray[np.float64]:
+        """(count, 4, 4) where the flange really is during an exposure that begins now [m]."""
+        ...
+
+
+def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Which of (n, 4, 4) camera poses during an exposure a picture must be the mean of: one for a camera at rest,
+    and enough for steps of half a pixel where it moves."""
+    edges = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height], [camera.cx, camera.cy]])
+    points = camera.directions(edges.astype(np.float64)) * NEAR_M
+    first_from_camera = pose.inverse(base_from_camera[0]) @ base_from_camera
+    seen = points @ np.swapaxes(first_from_camera[:, :3, :3], -1, -2) + first_from_camera[:, None, :3, 3]
+    moved = (seen[..., :2] / seen[..., 2:] - points[:, :2] / NEAR_M) * [camera.fx, camera.fy]
+    span = float(np.linalg.norm(moved.max(axis=0) - moved.min(axis=0), axis=-1).max())
+    if span < SHARP_PX:
+        return np.zeros(1, np.int64)
+    count = min(max(int(np.ceil(2 * span)), 3), len(base_from_camera))
+    return np.rint(np.linspace(0, len(base_from_camera) - 1, count)).astype(np.int64)
 
 
 class SimulatedCamera:
@@ -33,7 +62,7 @@ class SimulatedCamera:
         trajectory: its camera settings, and what stands where.
         scene: a name of `capture.sim.scenes.SCENES`.
         truth: the rig as it really is.
-        true_base_from_flange: asks the simulated arm where it really is.
+        arm: says where the flange truly is during an exposure that begins now.
         seed: of textures and noise. Noise also depends on the frame, not on what was taken before.
     """
 
@@ -42,12 +71,12 @@ class SimulatedCamera:
         trajectory: Trajectory,
         scene: str,
         truth: RigTruth,
-        true_base_from_flange: Callable[[], NDArray[np.float64]],
+        arm: TrueArm,
         seed: int,
     ) -> None:
         self.view = make_view(scene, trajectory, seed)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed
-        self._where, self._frame = true_base_from_flange, 0
+        self._arm, self._frame = arm, 0
         self._base_from_camera: NDArray[np.float64] | None = None
         self._driver = Basler(trajectory.camera, emulated=True)
         self._lens: Lens | None = None
@@ -73,8 +102,10 @@ class SimulatedCamera:
     def grab(self) -> Image:
         """See `capture.rig.Camera`; `device_ticks` are nanoseconds of the host's clock, as of a camera on USB."""
         settings = self.trajectory.camera
-        self._base_from_camera = self._where() @ self.truth.flange_from_camera
-        light = self.view.radiance(self.lens, self._base_from_camera, self._seed)
+        poses = self._arm.exposed(settings.exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
+        poses = poses[blur_moments(self.lens.camera, poses)]
+        self._base_from_camera = poses[len(poses) // 2]
+        light = self.view.radiance(self.lens, poses, self._seed)
         pixels = Sensor().expose(light, exposure_us=settings.exposure_us, gain_db=settings.gain_db, binning=settings.binning,
                                  rng=np.random.default_rng([self.seed, self._frame, 3]))  # fmt: skip
         picture = Path(self._folder.name) / f"{self._frame}.png"

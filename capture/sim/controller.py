@@ -6,31 +6,29 @@ with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UR5e(simul
 """
 
 import json
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
-from typing import IO, Any, Self
+from typing import IO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from capture.errors import SimulationError
+from capture.sim.handle import ControllerHandle
 
 START_TIMEOUT_S = 20.0
-REPLY_TIMEOUT_S = 5.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
 """Where the arm stands at first: stretched upwards [rad]."""
 
 
-class SimulatedController:
-    """Handle on the process. Use `start`; leaving the context ends the process, and so does the end of this one."""
+class SimulatedController(ControllerHandle):
+    """The process, and the way to ask it. Use `start`; leaving the context ends the process, and so does the end of this one."""
 
     def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int, words: IO[bytes]) -> None:
-        self.process, self.host, self.side_port, self._words = process, host, side_port, words
-        self._lock = threading.Lock()
-        self._side: socket.socket | None = None
+        super().__init__(host, side_port)
+        self.process, self._words = process, words
 
     @classmethod
     def start(
@@ -43,6 +41,7 @@ class SimulatedController:
         length_error_mm: float = 0.0,
         angle_error_deg: float = 0.0,
         home: NDArray[np.float64] | tuple[float, ...] = HOME,
+        host: str = "",
     ) -> Self:
         """Start the process and wait until its ports accept.
 
@@ -52,12 +51,13 @@ class SimulatedController:
             repeatability_mm, repeatability_deg: one standard deviation per axis of where the flange really stops.
             length_error_mm, angle_error_deg: the same of the arm's links against the nominal ones; the controller knows them.
             home: (6,) joint angles at the start [rad].
+            host: loopback address; empty: one that nobody uses.
 
         Raises:
             SimulationError: it did not start.
         """
         options = {
-            "seed": int(seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
+            "host": host, "seed": int(seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
             "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
             "length_error_m": length_error_mm / 1000, "angle_error_rad": float(np.radians(angle_error_deg)),
         }  # fmt: skip
@@ -75,7 +75,7 @@ class SimulatedController:
         if not line:
             process.kill()
             process.communicate()
-            raise SimulationError("the simulated controller did not start", why=_last_line(words))
+            raise SimulationError("the simulated controller did not start", where=host, why=_last_line(words))
         ready = json.loads(line)
         return cls(process, ready["host"], ready["side_port"], words)
 
@@ -87,44 +87,14 @@ class SimulatedController:
 
     def close(self) -> None:
         """End the process; may be called twice."""
-        if self._side is not None:
-            self._side.close()
-            self._side = None
+        super().close()
         self.process.kill()
         self.process.communicate()
         self._words.close()
 
-    def true_base_from_flange(self) -> NDArray[np.float64]:
-        """(4, 4) where the flange really is now [m]; for the simulated camera and for evaluation only."""
-        return np.array(self.ask("truth")["base_from_flange"])
-
-    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
-        """Send one request to the side channel and return its reply.
-
-        Requests: truth, protective_stop, emergency_stop, stop_program, drop, silent (seconds), ignore_commands (ignore).
-
-        Raises:
-            SimulationError: the process has ended, or does not know the request.
-        """
-        with self._lock:
-            try:
-                if self._side is None:
-                    self._side = socket.create_connection(("127.0.0.1", self.side_port), REPLY_TIMEOUT_S)
-                self._side.sendall((json.dumps({"do": do, **arguments}) + "\n").encode())
-                reply = b""
-                while not reply.endswith(b"\n"):
-                    chunk = self._side.recv(65536)
-                    if not chunk:
-                        raise ConnectionError("it closed the connection")
-                    reply += chunk
-            except OSError as error:
-                raise SimulationError(
-                    "the simulated controller does not answer", why=f"{error}. {_last_line(self._words)}", remedy="start it again"
-                ) from None
-        content = json.loads(reply)
-        if "error" in content:
-            raise SimulationError("the simulated controller refused a request", where=do, why=content["error"])
-        return content
+    def last_words(self) -> str:
+        """What the process printed last."""
+        return _last_line(self._words)
 
 
 def _last_line(words: IO[bytes]) -> str:

@@ -87,7 +87,8 @@ class ControlProgram:
         elif not self._executing:
             self._executing = True
             self._body = COMMANDS[number](self, now) if number in COMMANDS else None
-            self._resume()
+            if self.running:  # a program that fails never says done
+                self._resume()
 
     def end(self, now: float) -> None:
         """The program ends; the arm slows down."""
@@ -117,6 +118,9 @@ class ControlProgram:
 @command(1, 4)
 def _move_joints(program: ControlProgram, now: float) -> Generator[None] | None:
     goal, (speed, acceleration) = program.arguments(0, 6), program.arguments(6, 2)
+    if np.isfinite(goal).all() and not program.arm.reaches(goal):
+        program.end(now)
+        return None
     program.arm.move_to(goal, speed, acceleration, now)
     return _motion(program)
 
@@ -125,7 +129,7 @@ def _move_joints(program: ControlProgram, now: float) -> Generator[None] | None:
 def _move_to_pose(program: ControlProgram, now: float) -> Generator[None] | None:
     speed, acceleration = program.arguments(6, 2)
     goal = _nearest_branch(program, program.arguments(0, 6), program.arm.target(now)[0])
-    if goal is None:
+    if goal is None or not program.arm.reaches(goal):
         program.end(now)
         return None
     program.arm.move_to(goal, speed, acceleration, now)

@@ -1,10 +1,9 @@
-"""The simulated controller as a server: RTDE, script and dashboard ports on one loopback address, and a side channel.
+"""The simulated controller as a server: RTDE, script and dashboard ports on one loopback address.
 
 One asyncio loop owns everything. Controller time runs `time_scale` times as fast as the clock on the wall.
 """
 
 import asyncio
-import json
 import struct
 import time
 from typing import Any
@@ -24,14 +23,14 @@ RUNNING_STATE, STOPPED_STATE = 2, 1
 
 
 class ControllerServer:
-    """Everything behind the three ports, and the faults that can be asked for."""
+    """Everything behind the three ports. The faults that it can have are asked for in `side_channel`."""
 
     def __init__(self, arm: Arm, time_scale: float, version: tuple[int, int, int, int] = VERSION) -> None:
         self.arm, self.time_scale, self.version = arm, time_scale, version
         self.program: ControlProgram | None = None
         self.sessions: list[Session] = []
         self.digital_outputs = 0
-        self.silent_until = 0.0
+        self.silent_until, self.hung_until = 0.0, 0.0
         self.deaf = False
         self._input_written_s = 0.0
         self._start = time.monotonic()
@@ -50,7 +49,7 @@ class ControllerServer:
     @property
     def silent(self) -> bool:
         """Whether the data stream is frozen by a fault."""
-        return time.monotonic() < self.silent_until
+        return time.monotonic() < max(self.silent_until, self.hung_until)
 
     def stop_program(self) -> None:
         """End the program; the arm slows down."""
@@ -79,7 +78,7 @@ class ControllerServer:
                 if program.offset == number and kind == "int":
                     self._input_written_s = time.monotonic()
         if "speed_slider_fraction" in values:
-            self.arm.speed_fraction = values["speed_slider_fraction"]
+            self.arm.slide_speed(values["speed_slider_fraction"], self.now)
         if "standard_digital_output" in values:
             mask = values.get("standard_digital_output_mask", 0)
             self.digital_outputs = (self.digital_outputs & ~mask) | (values["standard_digital_output"] & mask)
@@ -89,6 +88,7 @@ class ControllerServer:
     def step(self) -> None:
         """One cycle: program, safety, watchdog, data to every connection."""
         program, now = self.program, self.now
+        self.arm.keep_limits(now)
         if program is not None and program.running:
             late = time.monotonic() - self._input_written_s
             if not self.arm.may_move or (program.watchdog_s is not None and late > program.watchdog_s):
@@ -157,6 +157,7 @@ class ControllerServer:
         buffer = bytearray()
         try:
             while chunk := await reader.read(65536):
+                await self._answering()
                 buffer += chunk
                 for kind, payload in rtde_protocol.split_packets(buffer):
                     session.send(session.handle(kind, payload))
@@ -171,6 +172,7 @@ class ControllerServer:
         text = ""
         try:
             while chunk := await reader.read(65536):
+                await self._answering()
                 text += chunk.decode("latin-1")
                 if text.rstrip().endswith("\nend") and text.endswith("\n"):
                     self.upload(text)
@@ -183,8 +185,10 @@ class ControllerServer:
     async def dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one connection of the dashboard."""
         try:
+            await self._answering()
             writer.write(f"{dashboard.GREETING}\n".encode())
             while line := await reader.readline():
+                await self._answering()
                 if line.strip().lower() == b"quit":
                     writer.write(b"Disconnected\n")
                     break
@@ -194,54 +198,7 @@ class ControllerServer:
         finally:
             writer.close()
 
-    async def side_channel(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve the simulation's own port: one JSON object a line, {"do": ...}, one reply a line."""
-        try:
-            while line := await reader.readline():
-                writer.write((json.dumps(self._side_reply(line)) + "\n").encode())
-        except (ConnectionError, ValueError):
-            return
-        finally:
-            writer.close()
-
-    def _side_reply(self, line: bytes) -> dict[str, Any]:
-        try:
-            request = json.loads(line)
-            action = _SIDE_ACTIONS[request.pop("do")]
-            return action(self, **request) or {"ok": True}
-        except (ValueError, KeyError, TypeError) as error:
-            return {"error": f"{type(error).__name__}: {error}; actions: {', '.join(_SIDE_ACTIONS)}"}
-
-    def truth(self) -> dict[str, Any]:
-        """Where the flange really is [m], the encoders' angles [rad] and the controller's time [s]."""
-        now = self.now
-        return {
-            "base_from_flange": self.arm.true_base_from_flange(now).tolist(),
-            "joints": self.arm.actual(now)[0].tolist(), "speeds": self.arm.actual(now)[1].tolist(),
-            "moving": self.arm.moving(now), "robot_time_s": now, "safety": self.arm.safety.name,
-            "mode": self.arm.mode.name, "program_running": self.program_running,
-        }  # fmt: skip
-
-    def drop(self) -> None:
-        """Cut every RTDE connection."""
-        for session in list(self.sessions):
-            session.writer.transport.abort()
-
-    def fall_silent(self, seconds: float) -> None:
-        """Send no data for some time on the wall; the connections stay open."""
-        self.silent_until = time.monotonic() + seconds
-
-    def ignore_commands(self, ignore: bool = True) -> None:
-        """Never acknowledge a command, or do so again."""
-        self.deaf = ignore
-
-
-_SIDE_ACTIONS = {
-    "truth": ControllerServer.truth,
-    "protective_stop": lambda server: server.arm.stop_for_safety(Safety.PROTECTIVE_STOP, server.now),
-    "emergency_stop": lambda server: server.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, server.now),
-    "stop_program": ControllerServer.stop_program,
-    "drop": ControllerServer.drop,
-    "silent": ControllerServer.fall_silent,
-    "ignore_commands": ControllerServer.ignore_commands,
-}
+    async def _answering(self) -> None:
+        """Return once the controller answers: a hung one takes connections and then says nothing."""
+        while time.monotonic() < self.hung_until:
+            await asyncio.sleep(0.02)

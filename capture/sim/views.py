@@ -1,5 +1,6 @@
 """What is in front of the simulated lens: an object in the laboratory, or the calibration board."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -23,7 +24,7 @@ class View(Protocol):
     """What is in front of the lens."""
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
-        """(height, width, 3) linear light on the pixels of the lens's camera."""
+        """(height, width, 3) linear light on the pixels of the lens's camera, its mean over (n, 4, 4) poses of an exposure."""
 
     def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
@@ -47,7 +48,9 @@ class ObjectView:
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        self._newest = self._renderer.radiance(lens.pinhole, base_from_camera, samples=SAMPLES, seed=seed)
+        pictures = (self._renderer.radiance(lens.pinhole, moment, samples=SAMPLES, seed=(seed + i) % 2**32)
+                    for i, moment in enumerate(base_from_camera))  # fmt: skip
+        self._newest = _mean(pictures, len(base_from_camera))
         return lens.image(self._newest)
 
     def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
@@ -80,7 +83,7 @@ class BoardView:
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        return self.board.radiance(lens, base_from_camera)
+        return _mean((self.board.radiance(lens, moment) for moment in base_from_camera), len(base_from_camera))
 
     def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """Nothing per picture: the board's pose says it all."""
@@ -88,6 +91,12 @@ class BoardView:
 
     def mesh(self) -> None:
         """None: a board is no object."""
+
+
+def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:
+    """Of `count` pictures; a single one stays as it is, bit for bit."""
+    total = sum(pictures, np.float32(0))
+    return np.asarray(total if count == 1 else total / np.float32(count), np.float32)
 
 
 def check_scene(scene: str, trajectory: Trajectory) -> None:

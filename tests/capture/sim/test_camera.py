@@ -20,6 +20,20 @@ def looking(trajectory: Trajectory) -> np.ndarray:
     return pose.look_at(np.add(centre, (-0.4, -0.1, 0.3)), centre) @ pose.inverse(TRUTH.flange_from_camera)
 
 
+class ArmAt:
+    """An arm that stands still, or turns about the camera's y axis at `speed` [rad/s]."""
+
+    def __init__(self, base_from_flange: np.ndarray, speed: float = 0.0) -> None:
+        self.base_from_flange, self.speed = base_from_flange, speed
+
+    def exposed(self, exposure_s: float, count: int) -> np.ndarray:
+        angles = self.speed * exposure_s * (np.arange(count) + 0.5) / count
+        turns = [pose.from_rotation_vector([0, angle, 0]) for angle in angles]
+        to_camera = TRUTH.flange_from_camera
+        return np.stack([self.base_from_flange @ to_camera @ turn @ pose.inverse(to_camera) if self.speed else self.base_from_flange
+                         for turn in turns])  # fmt: skip
+
+
 @pytest.fixture
 def trajectory(configs: Path, monkeypatch) -> Trajectory:
     monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
@@ -28,7 +42,7 @@ def trajectory(configs: Path, monkeypatch) -> Trajectory:
 
 
 def simulated(trajectory: Trajectory, scene: str = "shiny_ball", seed: int = 0) -> SimulatedCamera:
-    return SimulatedCamera(trajectory, scene, TRUTH, lambda: looking(trajectory), seed)
+    return SimulatedCamera(trajectory, scene, TRUTH, ArmAt(looking(trajectory)), seed)
 
 
 def test_truth_of_a_test_view_is_that_of_its_picture(trajectory, tmp_path):

@@ -34,9 +34,9 @@ def test_a_command_is_carried_out_once():
     program = _program()
     _order(program, 1, [*(HOME + 0.5), 1.0, 1.0], flag=1)
     program.cycle(9.0)
-    started = program.arm.start_s
+    started = program.arm.profile
     program.cycle(10.0)
-    assert program.arm.start_s == started  # the register still holds the order
+    assert program.arm.profile is started  # the register still holds the order
     assert _order(program, 0, now=10.0) == READY
 
 

@@ -1,0 +1,117 @@
+"""A session on a simulated rig that runs already, so that something can go wrong with it in the middle."""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture import cli
+from capture.robots.dashboard import Dashboard
+from capture.sim.controller import SimulatedController
+from datasets import files
+from datasets.recording import Recording
+
+COUNT = 8
+TRAJECTORY = """\
+format: koala-trajectory
+version: 1
+name: faults
+views:
+  - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], count: COUNT, roll_deg: [0, 90, 180, 270]}
+target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
+board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
+camera: {exposure_us: 10000, binning: 4, width: 64, height: 48}
+motion: {speed: 0.8, acceleration: 1.2, settle_time_s: 0.1}
+"""
+"""A board seen at 64 x 48: pictures cost next to nothing."""
+RIG = "robot: {host: HOST}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
+
+
+@dataclass
+class Session:
+    """One recording under way: the controller, and the command that a user types."""
+
+    controller: SimulatedController
+    trajectory: Path
+    rig: Path
+    out: Path
+    capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch
+    count: int
+    happened: float = 0.0
+
+    def capture(self, *, resume: bool = False) -> tuple[int, str]:
+        """Exit code of `capture run`, and what it wrote on stderr."""
+        words = ["capture", "run", str(self.trajectory), "--rig", str(self.rig), "--out", str(self.out), *(["--resume"] * resume)]
+        self.monkeypatch.setattr(sys, "argv", words)
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        return int(left.value.code or 0), self.capsys.readouterr().err
+
+    def frames(self) -> int:
+        path = self.out / "frames.jsonl"
+        return path.read_bytes().count(b"\n") if path.exists() else 0
+
+    def capture_until(self, fault: Callable[["Session"], None], *, after: int, resume: bool) -> tuple[int, str]:
+        """`capture`, and `fault` in the middle of the first motion after so many frames."""
+        done = threading.Event()
+
+        def wait() -> None:
+            while not done.wait(0.005):
+                truth = self.controller.ask("truth")
+                if self.frames() >= after and truth["moving"] and truth["phase_s"] > 0.2 * truth["motion_s"] > 0.1:
+                    fault(self)
+                    self.happened = time.monotonic()
+                    return
+
+        watcher = threading.Thread(target=wait)
+        watcher.start()
+        try:
+            return self.capture(resume=resume)
+        finally:
+            done.set()
+            watcher.join()
+
+    def at_rest(self, *, within_s: float = 4.0) -> bool:
+        """Whether the arm stands still at once, or at the latest once the controller's watchdog has ended the program."""
+        deadline = time.monotonic() + within_s
+        while time.monotonic() < deadline:
+            truth = self.controller.ask("truth")
+            if not truth["moving"] and np.abs(truth["speeds"]).max() < 1e-3:
+                return True
+            time.sleep(0.02)
+        return False
+
+    def check_whole(self) -> None:
+        """Every frame is there, in order, once, with the image that was taken for it, and nothing else."""
+        recording = Recording.open(self.out)
+        names = [f"{index:03d}" for index in range(self.count)]
+        assert [frame.name for frame in recording.frames] == names
+        for frame in recording.frames:
+            assert frame.sha256 == files.sha256(recording.image_path(frame))
+        assert sorted(files.read_json(self.out / "truth" / "poses.json")["base_from_camera"]) == names
+        assert sorted(path.name for path in (self.out / "images").iterdir()) == [f"{name}.png" for name in names]
+        assert self.frames() == self.count
+
+    def at_the_pendant(self, *orders: str) -> None:
+        """What a person does there, by the dashboard's words."""
+        dashboard = Dashboard.connect(self.controller.host)
+        for order in orders:
+            dashboard.ask(order)
+        dashboard.close()
+
+
+@pytest.fixture
+def session(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
+    with SimulatedController.start(seed=4, time_scale=8.0) as controller:
+        rig = tmp_path / "rig.yaml"
+        rig.write_text(RIG.replace("HOST", controller.host).replace("PORT", json.dumps(controller.side_port)))
+        trajectory = tmp_path / "faults.yaml"
+        trajectory.write_text(TRAJECTORY.replace("COUNT", str(COUNT)))
+        yield Session(controller, trajectory, rig, tmp_path / "recording", capsys, monkeypatch, COUNT)

@@ -1,0 +1,183 @@
+"""Every fault three times in one recording, with the vendor's client: what the user sees, where the arm is left, and that
+`--resume` finishes with no frame lost or taken twice."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capture.errors import CaptureError
+from capture.kinematics import forward
+from capture.robots.timing import Deadlines
+from capture.robots.ur import UR5e
+from capture.sim.controller import SimulatedController
+from datasets.recording import Recording
+
+Session = Any
+"""See conftest.py."""
+
+
+def _tell(do: str, **arguments: object) -> Callable[[Session], None]:
+    return lambda session: session.controller.ask(do, **arguments) and None
+
+
+def _limit_the_fastest_joint(session: Session) -> None:
+    truth = session.controller.ask("truth")
+    joint = int(np.abs(truth["speeds"]).argmax())
+    edge = float(np.degrees(truth["joints"][joint])) + float(np.sign(truth["speeds"][joint])) * 0.5
+    side = "upper_deg" if truth["speeds"][joint] > 0 else "lower_deg"
+    session.controller.ask("joint_limit", joint=joint + 1, **{side: edge})
+
+
+def _widen_the_limits(session: Session) -> None:
+    for joint in range(1, 7):
+        session.controller.ask("joint_limit", joint=joint)
+    session.at_the_pendant("unlock protective stop", "close safety popup")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong, what the user reads, what a person does about it, and the longest that it may take [s]."""
+
+    strike: Callable[[Session], None]
+    words: tuple[str, ...]
+    mend: Callable[[Session], None] = lambda session: None
+    deadline_s: float = 6.0
+
+
+RELEASE = "unlock protective stop"
+FAULTS = {
+    "protective stop": Fault(
+        _tell("protective_stop"),
+        ("protective stop: the arm stands still", "release it at the pendant"),
+        lambda session: session.at_the_pendant(RELEASE),
+    ),
+    "emergency stop": Fault(
+        _tell("emergency_stop"),
+        ("the robot is stopped for safety", "ROBOT_EMERGENCY_STOP", "switch the arm on"),
+        lambda session: session.at_the_pendant("power on", "brake release"),
+    ),
+    "connection dropped": Fault(_tell("drop"), ("connection to the robot", "resume")),
+    "data silent": Fault(
+        _tell("silent", seconds=60), ("data stream stands still", "the arm was stopped"), _tell("silent", seconds=0)
+    ),
+    "controller silent": Fault(
+        _tell("hang", seconds=60),
+        ("data stream stands still", "the dashboard does not answer either", "stops by its own watchdog"),
+        _tell("hang", seconds=0),
+        deadline_s=10.0,
+    ),
+    "joint limit": Fault(_limit_the_fastest_joint, ("protective stop: the arm stands still",), _widen_the_limits),
+    "unreachable pose": Fault(
+        _tell("reach", metres=0.1),
+        ("the controller ended its program instead of moving", "cannot reach"),
+        _tell("reach", metres=2.0),
+    ),
+    "script ended": Fault(_tell("stop_program"), ("the robot's program was stopped", "the arm was stopped")),
+}
+
+
+LONG = "controller silent"
+"""Takes three deadlines, one after the other: three times in a row only among the slow tests."""
+
+
+@pytest.mark.parametrize(
+    ("name", "times"), [*((name, 3) for name in FAULTS if name != LONG), (LONG, 1), pytest.param(LONG, 3, marks=pytest.mark.slow)]
+)
+def test_in_a_row(session: Session, name: str, times: int) -> None:
+    fault = FAULTS[name]
+    for time_of_three in range(times):
+        code, words = session.capture_until(fault.strike, after=1 + 2 * time_of_three, resume=time_of_three > 0)
+        took = time.monotonic() - session.happened
+        assert session.happened > 0  # the premise: something did go wrong
+        session.happened = 0.0
+        assert code == 1 and words.count("error:") == 1, words
+        line = next(line for line in words.splitlines() if line.startswith("error:"))
+        assert all(part in line for part in fault.words) and session.controller.host in line, line
+        assert took < fault.deadline_s, f"{took:.1f} s from fault to message"
+        assert session.at_rest()
+        assert 1 + 2 * time_of_three <= len(Recording.open(session.out).frames) < session.count
+        fault.mend(session)
+    code, words = session.capture(resume=True)
+    assert code == 0, words
+    session.check_whole()
+
+
+@pytest.mark.parametrize("name", ["protective stop", "emergency stop"])
+def test_resume_before_the_cause_is_gone_says_so_and_moves_nothing(session: Session, name: str) -> None:
+    session.capture_until(FAULTS[name].strike, after=1, resume=False)
+    assert session.at_rest()
+    before = session.controller.ask("truth")["joints"]
+    code, words = session.capture(resume=True)
+    assert code == 1 and words.count("error:") == 1, words
+    np.testing.assert_allclose(session.controller.ask("truth")["joints"], before, atol=1e-3)  # it may swing for a moment
+
+
+def test_speed_slider_makes_it_slower_and_nothing_else(session: Session, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        code, words = session.capture_until(_tell("speed_slider", fraction=0.25), after=5, resume=False)
+    assert code == 0, words
+    assert "speed slider stands at 25 %: motions take 4.0 times as long" in caplog.text
+    session.check_whole()
+
+
+def test_speed_slider_and_then_a_stop(session: Session) -> None:
+    def slow_then_stopped(at: Session) -> None:
+        at.controller.ask("speed_slider", fraction=0.1)
+        time.sleep(0.2)
+        at.controller.ask("stop_program")
+
+    for after in (1, 3, 5):
+        code, words = session.capture_until(slow_then_stopped, after=after, resume=after > 1)
+        assert code == 1 and "program was stopped" in words and session.at_rest(), words
+        session.controller.ask("speed_slider", fraction=1.0)
+    assert session.capture(resume=True)[0] == 0
+    session.check_whole()
+
+
+def test_pose_out_of_reach_is_told_before_anything_moves(session: Session) -> None:
+    session.trajectory.write_text(session.trajectory.read_text().replace("[0.40, 0.0, 0.0]", "[1.40, 0.0, 0.0]"))
+    before = session.controller.ask("truth")
+    code, told = session.capture()
+    assert code == 2 and "views cannot be taken" in told and "out of reach, wrist" in told and told.count("\n") == 1, told
+    assert session.controller.ask("truth")["joints"] == before["joints"] and not session.out.exists()
+
+
+def test_joints_beyond_their_range_are_told_before_anything_moves(session: Session) -> None:
+    text = session.trajectory.read_text()
+    start = text.index("  - {kind"), text.index("target: {kind")
+    session.trajectory.write_text(
+        text[: start[0]] + "  - {kind: joints, joints_deg: [[0, -90, 400, -90, 0, 0]]}\n" + text[start[1] :]
+    )
+    code, told = session.capture()
+    assert code == 2 and "joint 3 at 400 degrees, limit 360" in told, told
+
+
+def test_the_clients_own_inverse_kinematics_of_an_unreachable_pose_ends_the_program() -> None:
+    """The real client returns False or nothing and leaves a stopped program: why the driver sends joint angles only."""
+    from rtde_control import RTDEControlInterface
+
+    with SimulatedController.start(time_scale=20.0) as controller:
+        client = RTDEControlInterface(controller.host)
+        assert not client.moveJ_IK([1.5, 0, 0.3, 0, 3.1, 0], 1.0, 1.4)
+        assert not client.isProgramRunning() and not controller.ask("truth")["moving"]
+        client.disconnect()
+
+
+def test_a_controller_that_hangs_is_left_stopped_by_its_watchdog() -> None:
+    far = np.array([2.0, -1.2, 0.8, -1.5, -1.0, 0.2])
+    deadlines = Deadlines(stale_s=1.0, watchdog_hz=1.0)
+    with SimulatedController.start(time_scale=1.0) as controller:
+        with pytest.raises(CaptureError, match="does not answer either"), UR5e(controller.host, deadlines=deadlines) as robot:
+            threading.Timer(0.7, controller.ask, ["hang"], {"seconds": 30}).start()
+            robot.move_to(far, speed=0.4, acceleration=1.4)
+        time.sleep(0.5)
+        truth = controller.ask("truth")
+        assert not truth["program_running"] and not truth["moving"]
+        assert np.abs(np.subtract(truth["joints"], far)).max() > 0.3  # on its way it was, and there it stands
+        assert np.isfinite(forward(truth["joints"])).all()
