@@ -1,12 +1,15 @@
-"""The camera: a pinhole with OpenCV's five-parameter distortion, in our pixel convention.
+"""The camera: a pinhole with OpenCV's distortion, in our pixel convention.
 
 A point (x, y, z) in the camera frame has normalised coordinates (x/z, y/z), which the lens distorts
 (Brown 1971, in the form of OpenCV's documentation, "Camera Calibration and 3D Reconstruction"):
 
-    r2 = x*x + y*y,  radial = 1 + k1 r2 + k2 r2^2 + k3 r2^3
+    r2 = x*x + y*y,  radial = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
     x' = x radial + 2 p1 x y + p2 (r2 + 2 x*x)
     y' = y radial + p1 (r2 + 2 y*y) + 2 p2 x y
     pixel = (fx x' + cx, fy y' + cy),   first pixel's centre at (0.5, 0.5).
+
+Most lenses need no more than k1 k2 p1 p2 k3; k4 k5 k6 are OpenCV's rational model. A fisheye lens (Kannala & Brandt 2006, OpenCV's
+`fisheye`) has, with the angle a = arctan(r) off the axis, radial = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) / r instead.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -18,11 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from datasets.errors import DatasetError
 
 Points = NDArray[np.float64]
+_KINDS: dict[str, type] = {"width": int, "height": int, "fisheye": bool}
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics of one image. Sizes, focal lengths and centre in pixels; k1 k2 p1 p2 k3 are OpenCV's."""
+    """Intrinsics of one image. Sizes, focal lengths and centre in pixels; k1 k2 p1 p2 k3 k4 k5 k6 are OpenCV's."""
 
     width: int
     height: int
@@ -35,6 +39,11 @@ class Camera:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    fisheye: bool = False
+    """True where the coefficients k1 k2 k3 k4 are those of a fisheye lens."""
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -43,13 +52,13 @@ class Camera:
 
     @property
     def distortion(self) -> NDArray[np.float64]:
-        """(5,) k1 k2 p1 p2 k3, in OpenCV's order."""
-        return np.array([self.k1, self.k2, self.p1, self.p2, self.k3])
+        """(8,) k1 k2 p1 p2 k3 k4 k5 k6, in OpenCV's order."""
+        return np.array([self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6])
 
     @property
     def is_pinhole(self) -> bool:
         """True where there is no distortion at all."""
-        return not self.distortion.any()
+        return not (self.fisheye or self.distortion.any())
 
     @property
     def is_centred(self) -> bool:
@@ -62,15 +71,15 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
-    def undistorted(self) -> Self:
+    def undistorted(self) -> "Camera":
         """The pinhole with the same size, focal lengths and centre."""
-        return replace(self, k1=0.0, k2=0.0, p1=0.0, p2=0.0, k3=0.0)
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
     def distort(self, normalised: ArrayLike) -> Points:
         """(..., 2) ideal normalised coordinates to (..., 2) as the lens images them."""
         x, y = np.moveaxis(np.asarray(normalised, np.float64), -1, 0)
         r2 = x * x + y * y
-        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        radial, _ = self.radial(r2)
         return np.stack(
             [
                 x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
@@ -79,17 +88,26 @@ class Camera:
             axis=-1,
         )
 
+    def radial(self, r2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(factor by which the lens stretches the squared radius `r2`, its derivative by r2), of any shape."""
+        r2 = np.asarray(r2, np.float64)
+        if self.fisheye:
+            return fisheye_radial(r2, (self.k1, self.k2, self.k3, self.k4))
+        above, slope_above = _cubic(r2, self.k1, self.k2, self.k3)
+        if not (self.k4 or self.k5 or self.k6):
+            return above, slope_above
+        below, slope_below = _cubic(r2, self.k4, self.k5, self.k6)
+        return above / below, (slope_above * below - above * slope_below) / below**2
+
     def undistort(self, distorted: ArrayLike) -> Points:
         """Inverse of `distort` by Newton's method (to about 1e-14 within the lens's monotonic range)."""
         distorted = np.asarray(distorted, np.float64)
         if self.is_pinhole:
             return distorted.copy()
-        normalised = distorted.copy()
+        normalised = self._first_guess(distorted)
         for _ in range(20):
             x, y = np.moveaxis(normalised, -1, 0)
-            r2 = x * x + y * y
-            radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-            slope = self.k1 + r2 * (2 * self.k2 + r2 * 3 * self.k3)  # d radial / d r2
+            radial, slope = self.radial(x * x + y * y)
             a = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
             b = 2 * x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
             d = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
@@ -101,6 +119,13 @@ class Camera:
             if np.abs(residual).max(initial=0.0) < 1e-15:
                 break
         return normalised
+
+    def _first_guess(self, distorted: Points) -> Points:
+        """A fisheye's image is far from ideal at its rim: the tangent of the angle is closer."""
+        if not self.fisheye:
+            return distorted.copy()
+        angle = np.linalg.norm(distorted, axis=-1, keepdims=True)
+        return distorted * np.where(angle > 1e-9, np.tan(np.minimum(angle, 1.5)) / np.maximum(angle, 1e-9), 1.0)
 
     def project(self, points: ArrayLike) -> Points:
         """(..., 3) points in the camera frame [m] to (..., 2) pixels. Points need z > 0."""
@@ -119,8 +144,8 @@ class Camera:
         return np.stack([columns, rows], axis=-1).astype(np.float64)
 
     def to_json(self) -> dict[str, float]:
-        """Plain dictionary of the fields."""
-        return asdict(self)
+        """Plain dictionary of the fields; k4 k5 k6 and fisheye only where they are not zero."""
+        return {k: v for k, v in asdict(self).items() if v or k not in ("k4", "k5", "k6", "fisheye")}
 
     @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
@@ -130,7 +155,7 @@ class Camera:
             DatasetError: a field is missing, unknown, not finite or out of range.
         """
         try:
-            values: dict[str, Any] = {k: int(v) if k in ("width", "height") else float(v) for k, v in content.items()}
+            values: dict[str, Any] = {k: _KINDS.get(k, float)(v) for k, v in content.items()}
             camera = cls(**values)
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise DatasetError("camera is not complete", where=where, why=str(error)) from None
@@ -145,3 +170,22 @@ class Camera:
             raise DatasetError("camera has no size or no focal length", where=where,
                                why=f"{self.width}x{self.height}, fx {self.fx:g}, fy {self.fy:g}")  # fmt: skip
         return self
+
+
+def fisheye_radial(r2: Points, coefficients: ArrayLike) -> tuple[Points, Points]:
+    """Of a fisheye with (4,) k1 k2 k3 k4: distorted by ideal radius, and the derivative of that by the squared ideal radius `r2`."""
+    near = r2 < 1e-8
+    r = np.sqrt(np.where(near, 1.0, r2))
+    angle = np.arctan(r)
+    square = angle * angle
+    k1, k2, k3, k4 = np.asarray(coefficients, np.float64)
+    bent = angle * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+    by_angle = 1 + square * (3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4)))
+    slope = (by_angle / (1 + r * r) - bent / r) / (2 * r * r)
+    at_axis = k1 - 1 / 3  # arctan(r) = r - r^3 / 3 + ...
+    return np.where(near, 1 + at_axis * r2, bent / r), np.where(near, at_axis, slope)
+
+
+def _cubic(r2: Points, a: float, b: float, c: float) -> tuple[Points, Points]:
+    """1 + a r2 + b r2^2 + c r2^3 and its derivative by r2."""
+    return 1 + r2 * (a + r2 * (b + r2 * c)), a + r2 * (2 * b + r2 * 3 * c)

@@ -74,3 +74,38 @@ def test_impossible_cameras_are_refused(change: dict) -> None:
     good = Camera(640, 480, 500, 500, 320, 240).to_json()
     with pytest.raises(DatasetError, match="here"):
         Camera.from_json(good | change, where="here")
+
+
+RATIONAL = Camera(640, 480, 500.0, 505.0, 322.0, 236.0, 0.35, -0.08, 1e-3, -5e-4, 0.02, 0.5, -0.03, 0.01)
+FISHEYE = Camera(640, 480, 300.0, 301.0, 322.0, 236.0, 0.02, -0.01, k3=0.004, k4=-0.001, fisheye=True)
+POINTS = np.random.default_rng(0).uniform([-0.6, -0.5, 0.9], [0.6, 0.5, 1.1], (50, 3))
+
+
+@pytest.mark.parametrize("camera", [RATIONAL, FISHEYE], ids=["rational", "fisheye"])
+def test_rational_and_fisheye_lenses_are_opencvs(camera: Camera) -> None:
+    matrix = replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5).matrix
+    if camera.fisheye:
+        fisheye = np.array([camera.k1, camera.k2, camera.k3, camera.k4])
+        theirs, _ = cv2.fisheye.projectPoints(POINTS[:, None], np.zeros(3), np.zeros(3), matrix, fisheye)
+    else:
+        theirs, _ = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), matrix, camera.distortion)
+    np.testing.assert_allclose(camera.project(POINTS), pixels_from_opencv(theirs[:, 0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("camera", [RATIONAL, FISHEYE], ids=["rational", "fisheye"])
+def test_rational_and_fisheye_lenses_can_be_inverted_and_stored(camera: Camera) -> None:
+    normalised = POINTS[:, :2] * (4 if camera.fisheye else 1)  # the fisheye also at 70 degrees off its axis
+    np.testing.assert_allclose(camera.undistort(camera.distort(normalised)), normalised, atol=1e-9)
+    assert Camera.from_json(camera.to_json(), where="test") == camera
+    assert not camera.is_pinhole and camera.undistorted().is_pinhole
+
+
+def test_a_fisheye_is_smooth_on_its_axis() -> None:
+    r2 = np.array([0.0, 0.9e-8, 1.1e-8, 1e-4])
+    radial, slope = FISHEYE.radial(r2)
+    np.testing.assert_allclose(radial, 1 + (FISHEYE.k1 - 1 / 3) * r2, atol=1e-8)
+    np.testing.assert_allclose(slope, FISHEYE.k1 - 1 / 3, atol=1e-3)
+
+
+def test_plain_lenses_are_stored_as_they_always_were() -> None:
+    assert set(Camera(2, 2, 1, 1, 1, 1).to_json()) == {"width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}
