@@ -16,6 +16,7 @@ from datasets.camera_model import Camera
 from datasets.errors import DatasetError
 
 FORMAT, VERSION = "koala-calibration", 1
+_POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,10 @@ class Calibration:
     """Hand-eye pose: X in AX = XB."""
     base_from_board: UncertainPose | None = None
     """Where the calibration target stood."""
+    base_from_camera: UncertainPose | None = None
+    """Instead of the hand-eye pose, where the camera stands beside the arm."""
+    flange_from_board: UncertainPose | None = None
+    """Where the target sat on the flange, where the camera stands beside the arm."""
     residuals: dict[str, Any] = field(default_factory=dict)
     """What the fit left: `rms_px`, per-view errors, held-out error, counts."""
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -80,7 +85,7 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""
-        poses = {name: getattr(self, name) for name in ("flange_from_camera", "base_from_board")}
+        poses = {name: getattr(self, name) for name in _POSES if name in _POSES[:2] or getattr(self, name)}
         files.write_json(path, {
             "format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std,
             **{name: value.to_json() if value else None for name, value in poses.items()},
@@ -95,7 +100,7 @@ class Calibration:
             raise DatasetError("calibration holds no camera", where=path)
         poses = {
             name: UncertainPose.from_json(content[name], where=f"{path}, {name}") if content.get(name) else None
-            for name in ("flange_from_camera", "base_from_board")
+            for name in _POSES
         }
         return cls(Camera.from_json(content["camera"], where=f"{path}, camera"), content.get("camera_std", {}),
                    residuals=content.get("residuals", {}), provenance=content.get("provenance", {}), **poses)  # fmt: skip

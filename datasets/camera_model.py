@@ -62,9 +62,9 @@ class Camera:
 
     @property
     def is_centred(self) -> bool:
-        """True for a pinhole with square pixels and the principal point in the middle of the image."""
-        middle = (self.width / 2, self.height / 2)
-        return self.is_pinhole and self.fx == self.fy and (self.cx, self.cy) == middle
+        """True for a pinhole with square pixels and the principal point in the middle of the image, all to a billionth."""
+        off = max(abs(self.cx - self.width / 2), abs(self.cy - self.height / 2), abs(self.fx - self.fy))
+        return self.is_pinhole and off <= 1e-9 * max(self.width, self.height)
 
     def scaled(self, width: int, height: int) -> Self:
         """The camera of the same picture resampled to `width` x `height`: exact, as pixels are areas."""

@@ -12,6 +12,8 @@ from datasets.console import Json
 app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
 
 Root = Annotated[Path | None, typer.Option(help="Folder in which scene names are looked up, before $KOALA_DATA.")]
+Out = Annotated[Path, typer.Option(help="Folder to write; must not exist.")]
+Sizes = Annotated[str, typer.Option(help="Write images_N too: 2,4,8 for a half, a quarter and an eighth of the size.")]
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Folder, or a name such as koala/gold_head.")]
 
 
@@ -69,26 +71,26 @@ def check(scene: SceneName, data_root: Root = None, as_json: Json = False) -> in
 
 
 @app.command()
+@app.command("convert")
 def export(
     scene: SceneName,
-    format: Annotated[str, typer.Option(help="blender, llff or koala.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; must not exist.")],
+    format: Annotated[str, typer.Option(help="koala, blender, nerfstudio, llff, dtu, colmap, colmap-text or mipnerf360.")],
+    out: Out,
+    source: Annotated[str | None, typer.Option("--from", help="Layout of SCENE, where it has several.")] = None,
+    sizes: Sizes = "",
     data_root: Root = None,
     as_json: Json = False,
 ) -> None:
     """Write a scene in another format, undistorted where that knows no lens."""
     from datasets.build import extra_truth
-    from datasets.errors import Misuse, nearest
     from datasets.files import refuse_existing
-    from datasets.formats import blender, find, koala, llff, load_scene
+    from datasets.formats import find, load_scene, save_scene
 
-    writers = {"blender": blender.save, "llff": llff.save, "koala": koala.save}
-    if format not in writers:
-        raise Misuse(f"cannot export to {format!r}", remedy=nearest(format, writers))
     refuse_existing(out)
-    loaded = load_scene(scene, data_root=data_root)
+    loaded = load_scene(scene, data_root=data_root, format=source)
     with console.progress("exporting", len(loaded.views), "views") as shown:
-        limits = writers[format](loaded, out, extra=extra_truth(find(scene, data_root)), done=shown.advance)
+        limits = save_scene(loaded, out, format, sizes=_numbers(sizes), extra=extra_truth(find(scene, data_root)),
+                            done=shown.advance)  # fmt: skip
     count = len(loaded.views)
     text = f"{count} views written to {out}" + (f"\n{limits}" if limits else "")
     console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
@@ -110,6 +112,16 @@ def truth(
         **found
     )
     console.report(found, as_json=as_json, text=text)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """Whole numbers of a list such as "2,4,8". Raises Misuse where it is none."""
+    from datasets.errors import Misuse
+
+    try:
+        return tuple(int(word) for word in text.split(",") if word.strip())
+    except ValueError:
+        raise Misuse("is no list of whole numbers", where=repr(text), remedy="write it as 2,4,8") from None
 
 
 def _text(found: dict[str, Any]) -> str:

@@ -18,6 +18,9 @@ import numpy as np
 
 from datasets.errors import DatasetError, Misuse
 
+MAX_JSON_BYTES = 2**26
+"""Larger JSON files are refused: one of ten thousand frames has a fifth of this."""
+
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
@@ -105,12 +108,14 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
     """
     path = Path(path)
     try:
+        if path.stat().st_size > MAX_JSON_BYTES:
+            raise DatasetError("is too large for a JSON file", where=path, why=f"{path.stat().st_size} bytes")
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise Misuse("no such file", where=path, remedy="check the path") from None
     except (IsADirectoryError, NotADirectoryError):
         raise Misuse("is not a file", where=path, remedy="check the path") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise DatasetError("is not valid JSON", where=path, why=str(error), remedy="write it again") from None
     if kind is not None:
         found = content.get("format") if isinstance(content, dict) else None
@@ -130,11 +135,20 @@ def inside(folder: Path, name: str, *, where: object = "") -> Path:
     Raises:
         DatasetError: `name` is absolute or leaves `folder`, also through a symbolic link.
     """
-    root = Path(folder).resolve()
-    path = (root / name).resolve()
-    if Path(name).is_absolute() or not path.is_relative_to(root):
+    try:
+        root = Path(folder).resolve()
+        path = (root / name).resolve()
+        leaves = Path(name).is_absolute() or not path.is_relative_to(root)
+    except (TypeError, ValueError, OSError, RuntimeError) as error:  # no text, a zero byte, too long, links in a circle
+        raise DatasetError(f"path {str(name)[:80]!r} is not usable", where=where or folder, why=str(error)) from None
+    if leaves:
         raise DatasetError(f"path {name!r} leaves the folder", where=where or folder, remedy="use paths relative to it")
     return Path(folder) / name
+
+
+def within(folder: Path, path: Path, *, where: object = "") -> Path:
+    """`path`, which begins with `folder`. Raises DatasetError where it leaves it, also through a symbolic link."""
+    return inside(folder, os.path.relpath(path, folder), where=where)
 
 
 def sha256(path: Path) -> str:

@@ -7,6 +7,7 @@ are: an sRGB file gives sRGB values, alpha stays straight. Float files (EXR, TIF
 import errno
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,13 @@ from datasets.errors import DatasetError, Misuse
 
 MAX_PIXELS = 2**28
 """Headers that promise more than this are refused before anything is decoded."""
+MOST_SHRUNK = 1200
+"""Bytes that a byte of a file can stand for at most: deflate's 1032, and something for headers."""
+MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x76\x2f\x31\x01")
+"""First bytes of the formats that are read: PNG, JPEG, TIFF, BigTIFF, EXR."""
+DESCRIPTIVE = frozenset({"Make", "Model", "Software", "DateTime", "Artist", "Copyright", "ImageDescription", "ExposureTime",
+                         "FNumber", "XResolution", "YResolution", "ResolutionUnit"})  # fmt: skip
+"""Headers without a prefix that `metadata` keeps."""
 FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
 """Files that hold float as it is; the others get 8 bits."""
 
@@ -29,17 +37,29 @@ def read(path: Path) -> NDArray[np.float32]:
         Misuse: there is no such file.
         DatasetError: it is no image, cut off, or larger than `MAX_PIXELS`.
     """
+    return _decoded(path, "float")
+
+
+def read_stored(path: Path) -> NDArray[np.generic]:
+    """(height, width, channels) as stored: uint8, uint16 or float32. Raises as `read` does."""
+    kind = {255: "uint8", 65535: "uint16"}.get(steps(path), "float")
+    return _decoded(path, kind)
+
+
+def _decoded(path: Path, kind: str) -> NDArray[Any]:
     source, orientation = _open(path)
     try:
-        pixels = source.read_image("float")
+        pixels = source.read_image(kind)
         complaint = source.geterror()
+    except MemoryError:
+        pixels, complaint = None, "it does not fit into memory"
     finally:
         source.close()
     if pixels is None or complaint:
         raise DatasetError("image cannot be read", where=path, why=complaint or "decoding failed", remedy="copy it again")
     if pixels.ndim == 2:
         pixels = pixels[..., None]
-    return np.ascontiguousarray(_upright(pixels, orientation), np.float32)
+    return np.ascontiguousarray(_upright(pixels, orientation))
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -58,11 +78,33 @@ def channels(path: Path) -> int:
     return count
 
 
-def write(path: Path, array: ArrayLike) -> None:
+def steps(path: Path) -> int:
+    """255 or 65535 for files of integers, which `read` divides by it; 1 for floats. From the header alone."""
+    source, _ = _open(path)
+    kind = str(source.spec().format)
+    source.close()
+    return {"uint8": 255, "uint16": 65535}.get(kind, 1)
+
+
+def metadata(path: Path) -> dict[str, str | int | float]:
+    """What an image's header says of how it was taken: camera, exposure, time, description. Not what belongs to its pixels.
+
+    The orientation is left out, since `read` has turned the picture by it. Raises as `read` does.
+    """
+    source, _ = _open(path)
+    found = {entry.name: entry.value for entry in source.spec().extra_attribs}
+    source.close()
+    return {name: value for name, value in found.items()
+            if isinstance(value, str | int | float) and name != "Orientation"
+            and (name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE)}  # fmt: skip
+
+
+def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | float] | None = None) -> None:
     """Write (height, width) or (height, width, channels) atomically; the suffix says the format.
 
     uint8 and uint16 are stored as given. Float goes as float32 into EXR and TIFF, elsewhere it is taken as 0..1 and
-    rounded to 8 bits. Four channels are RGB and straight alpha.
+    rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` goes into the header as far as the format has
+    room for it.
 
     Raises:
         DatasetError: the format cannot hold the array.
@@ -81,7 +123,9 @@ def write(path: Path, array: ArrayLike) -> None:
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, pixels.dtype.name if pixels.dtype != np.float32 else "float")
     spec.attribute("oiio:UnassociatedAlpha", 1)
-    spec.attribute("compression", "zip" if path.suffix.lower() in FLOAT_SUFFIXES else "")
+    spec.attribute("compression", "zip" if path.suffix.lower() in FLOAT_SUFFIXES else "jpeg:95")
+    for name, value in (metadata or {}).items():
+        spec.attribute(name, value)
     with files.atomic_path(path) as temporary:
         target = oiio.ImageOutput.create(str(temporary))
         if target is None:
@@ -106,6 +150,14 @@ def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
     return (np.clip(array, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
+def to_uint16(array: ArrayLike) -> NDArray[np.uint16]:
+    """0..1 rounded to 0..65535; what is outside is clipped. Raises DatasetError where a value is NaN."""
+    array = np.asarray(array, np.float64)
+    if np.isnan(array).any():
+        raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
+    return (np.clip(array, 0, 1) * 65535 + 0.5).astype(np.uint16)
+
+
 def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:
     """Linear light from sRGB values in 0..1 (IEC 61966-2-1)."""
     srgb = np.asarray(srgb, np.float32)
@@ -117,6 +169,18 @@ def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
     linear = np.asarray(linear, np.float32)
     bright = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
+
+
+def linear_from_stored(stored: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Linear light of what `read_stored` gives, alpha (the second or fourth channel) as it is. Integers go through a table."""
+    if stored.dtype == np.float32:
+        return stored.astype(np.float32)
+    top = np.iinfo(stored.dtype).max  # type: ignore[type-var]
+    steps_of_light = np.arange(top + 1, dtype=np.float32) / np.float32(top)
+    light = linear_from_srgb(steps_of_light)[stored]
+    if stored.shape[-1] in (2, 4):
+        light[..., -1] = steps_of_light[stored[..., -1]]
+    return light
 
 
 def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> NDArray[np.float32]:
@@ -132,19 +196,30 @@ def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> N
         return pixels.copy()
     if not srgb:
         return _area_average(pixels, width, height)
-    has_alpha = pixels.shape[-1] in (2, 4)
-    colour, alpha = (pixels[..., :-1], pixels[..., -1:]) if has_alpha else (pixels, None)
-    light = linear_from_srgb(colour)
-    if alpha is None:
-        return srgb_from_linear(_area_average(light, width, height))
-    small = _area_average(np.concatenate([light * alpha, alpha], axis=-1), width, height)
+    if pixels.shape[-1] in (2, 4):
+        light = np.concatenate([linear_from_srgb(pixels[..., :-1]), pixels[..., -1:]], axis=-1)
+        small = resize_light(light, width, height)
+        return np.concatenate([srgb_from_linear(small[..., :-1]), small[..., -1:]], axis=-1)
+    return srgb_from_linear(_area_average(linear_from_srgb(pixels), width, height))
+
+
+def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """`resize` of linear light: 1 or 3 channels of colour, 2 or 4 of colour and straight alpha, by which it is weighted."""
+    if light.shape[:2] == (height, width) or light.shape[-1] not in (2, 4):
+        return _area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
+    alpha = light[..., -1:]
+    small = _area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
     small_alpha = small[..., -1:]
     straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
-    return np.concatenate([srgb_from_linear(straight), small_alpha], axis=-1)
+    return np.concatenate([straight, small_alpha], axis=-1)
 
 
 def _area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
     old_height, old_width, channels = pixels.shape
+    if width <= old_width and height <= old_height and channels <= 4:
+        import cv2
+
+        return cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, channels)
     rows = _overlaps(old_height, height) @ pixels.reshape(old_height, -1)
     turned = rows.reshape(height, old_width, channels).transpose(1, 0, 2).reshape(old_width, -1)
     columns = _overlaps(old_width, width) @ turned
@@ -168,16 +243,23 @@ def _open(path: Path) -> tuple[Any, int]:
     path = Path(path)
     if not path.is_file():
         raise Misuse("no such image", where=path, remedy="check the path")
+    with open(path, "rb") as file:
+        if not file.read(4).startswith(MAGIC):  # the library would try dozens of other formats, some of which run programs
+            why = "the file is empty" if path.stat().st_size == 0 else "it is no PNG, JPEG, TIFF or EXR"
+            raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), wanted)
     if source is None:
-        why = oiio.geterror() or ("the file is empty" if path.stat().st_size == 0 else "no known image format")
-        raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
+        raise DatasetError("image cannot be read", where=path, why=oiio.geterror() or "no header", remedy="copy it again")
     spec = source.spec()
-    if not 0 < spec.width * spec.height <= MAX_PIXELS:
+    if not 0 < spec.width * spec.height <= MAX_PIXELS or not 0 < spec.nchannels <= 64 or spec.depth > 1:
         source.close()
-        raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}")
+        raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}x{spec.nchannels}")
+    if spec.image_bytes() > MOST_SHRUNK * path.stat().st_size + 2**16:
+        source.close()
+        raise DatasetError("image cannot be read", where=path, remedy="copy it again",
+                           why=f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes")  # fmt: skip
     return source, int(spec.getattribute("Orientation") or 1)
 
 

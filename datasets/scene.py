@@ -16,6 +16,8 @@ from datasets.camera_model import Camera
 from datasets.errors import DatasetError, Misuse
 
 SPLITS = ("train", "val", "test")
+DISPARITY = "_disp"
+"""End of the name of a depth file that holds Shiny Blender's 1 / (1 + distance along the ray)."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class View:
     """8-bit grey picture of the image's size: white belongs to the object, black is to be ignored."""
     truth: dict[str, Path] = field(default_factory=dict)
     """Ground truth for evaluation alone, keyed "normals", "depth", "alpha", "diffuse", "specular"."""
+    depth_unit: float = 1e-3
+    """World units per step of a depth file of integers; files of floats hold world units."""
 
     def read(self) -> NDArray[np.float32]:
         """(height, width, 3 or 4) sRGB in 0..1, alpha straight; the mask, where there is one, becomes the alpha.
@@ -80,11 +84,22 @@ class View:
         path = self.truth[channel]
         values = images.read(path)
         self._check_size(values, path)
+        if channel == "depth":
+            return self._depth(values[..., :1], path)
         if channel != "normals":
             return values
         normals = values[..., :3] if path.suffix.lower() in images.FLOAT_SUFFIXES else 2 * values[..., :3] - 1
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
         return np.where(length > 0.5, normals / np.maximum(length, 0.5), 0.0).astype(np.float32)
+
+    def _depth(self, values: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
+        """Depth along z from a file's values; where the file says that nothing was hit, 0."""
+        if path.stem.endswith(DISPARITY):
+            lengths = np.linalg.norm(self.camera.directions(self.camera.pixel_centres()), axis=-1, keepdims=True)
+            hit = values > 0
+            return np.where(hit, (1 / np.where(hit, values, 1.0) - 1) / lengths, 0.0).astype(np.float32)
+        steps = images.steps(path)
+        return values if steps == 1 else values * np.float32(steps * self.depth_unit)
 
     def _check_size(self, picture: NDArray[np.float32], path: Path) -> None:
         height, width = picture.shape[:2]
@@ -92,6 +107,20 @@ class View:
             raise DatasetError("image has the wrong size", where=f"{path} (view {self.name})",
                                why=f"it is {width}x{height}, its camera says {self.camera.width}x{self.camera.height}",
                                remedy="use the images that the cameras were made for")  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Where views saw the points of a scene: what bundle adjustment works on."""
+
+    names: tuple[str, ...]
+    """Names of the views."""
+    index: NDArray[np.int64]
+    """(m, 2) index of a point, and of a view in `names`."""
+    pixels: NDArray[np.float64]
+    """(m, 2) where the view saw it."""
+    colours: NDArray[np.uint8]
+    """(points, 3) sRGB of each point."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +141,8 @@ class Scene:
     """True where the world unit is the metre."""
     points: NDArray[np.float64] | None = None
     """(n, 3) sparse surface points, where known."""
+    sightings: Sightings | None = None
+    """Which views saw which of the points, where known."""
     notes: tuple[str, ...] = ()
     """What the reader had to assume or leave out, a line each, for the user."""
     provenance: dict[str, Any] = field(default_factory=dict)

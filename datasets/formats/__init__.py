@@ -1,11 +1,13 @@
 """Scenes on disk, in every layout that Koala reads: `load_scene` finds out which one a folder has."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import KoalaError, Misuse, nearest
+from datasets.errors import DatasetError, KoalaError, Misuse, nearest
 from datasets.formats import assemble, blender, colmap, dtu, koala, llff, nerfstudio
 from datasets.scene import Scene
 
@@ -18,6 +20,24 @@ FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
     "colmap": (colmap.detect, colmap.load),
 }
 """Name of each layout with its test and its reader; the first whose test says yes is taken."""
+
+WRITERS: dict[str, Callable[..., str]] = {
+    "koala": koala.save,
+    "blender": blender.save,
+    "nerfstudio": nerfstudio.save,
+    "llff": llff.save,
+    "dtu": dtu.save,
+    "colmap": colmap.save,
+    "colmap-text": partial(colmap.save, text=True),
+    "mipnerf360": partial(colmap.save, sizes=(2, 4, 8)),
+}
+"""Name of each layout with its writer."""
+SIZED = frozenset({"koala", "nerfstudio", "llff", "colmap", "colmap-text"})
+"""Layouts that have room for smaller images."""
+
+
+_UNFORESEEN = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError, MemoryError)
+"""What values of the wrong kind lead to, deep inside a reader."""
 
 
 def load_scene(path: str | Path, *, format: str | None = None, data_root: Path | None = None,
@@ -42,15 +62,47 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
     if format is not None and format not in FORMATS:
         raise Misuse(f"no format called {format!r}", remedy=nearest(format, FORMATS))
     kind = format or detect(folder)
-    options: dict[str, Any] = {"problems": problems}
-    if kind != "koala":
-        options.update(hold_out=hold_out, images_folder=images)
-    scene = FORMATS[kind][1](folder, **options)
+    try:
+        scene = FORMATS[kind][1](folder, hold_out=hold_out, images_folder=images, problems=problems)
+    except _UNFORESEEN as error:
+        raise DatasetError(f"is no {kind} scene", where=folder, why=f"{type(error).__name__}: {str(error)[:200]}",
+                           remedy="write it again, or give the format that it has") from error  # fmt: skip
+    if images is not None:  # truth and sightings are of the full size
+        scene = replace(scene, views=tuple(replace(view, truth={}) for view in scene.views), sightings=None)
     if measure and scene.points is None and scene.bounds_from.startswith(assemble.CAMERAS_ALONE):
         from datasets.measure import measured
 
         scene = measured(scene)
     return scene
+
+
+def save_scene(scene: Scene, path: Path, format: str, *, sizes: Sequence[int] = (), extra: dict[str, Path] | None = None,
+               done: Callable[[], None] = lambda: None) -> str:  # fmt: skip
+    """Write a scene in one of `WRITERS`' layouts, all or nothing.
+
+    Args:
+        scene: what to write.
+        path: folder that is missing or empty.
+        format: name of the layout.
+        sizes: N for each folder `images_N` of images at 1/N of their size, where the layout has room for them.
+        extra: further files to take along, by relative name.
+        done: called after each view.
+
+    Returns:
+        One line on what the layout cannot hold, and what was done about it; empty where it holds everything.
+
+    Raises:
+        Misuse: no such layout, `path` holds something, or sizes for a layout without room.
+        DatasetError: an image is missing or damaged, or a lens leaves no picture.
+    """
+    if format not in WRITERS:
+        raise Misuse(f"cannot export to {format!r}", remedy=nearest(format, WRITERS))
+    if sizes and format not in SIZED:
+        raise Misuse(f"{format} has no room for smaller images", remedy=f"sizes go with {', '.join(sorted(SIZED))}")
+    if any(size < 2 for size in sizes):
+        raise Misuse("sizes are to be 2 or more", why=", ".join(map(str, sizes)))
+    options: dict[str, Any] = {"sizes": tuple(sizes)} if sizes else {}
+    return WRITERS[format](scene, path, extra=extra, done=done, **options)
 
 
 def detect(folder: Path) -> str:

@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from datasets import bounds, images
+from datasets import bounds, files, images
+from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError
 from datasets.hull import visual_hull
 from datasets.scene import Scene, View
 
+SAME_SHAPE = 0.02
+"""Aspect ratios that differ by less are those of one image at two sizes, each rounded to pixels."""
 CAMERAS_ALONE = "cameras alone"
 """`Scene.bounds_from` where nothing but where the cameras stand and look is known."""
 
@@ -33,6 +36,10 @@ class Gathering:
             raise error
         self.problems.append(error)
 
+    def file(self, path: Path, *, where: object) -> Path:
+        """`path`, which begins with the folder; raises DatasetError where it leaves it, also through a symbolic link."""
+        return files.within(self.folder, path, where=where)
+
     def finished(self, *, listed_in: str) -> tuple[View, ...]:
         """The views, once there are any, with a note that names the missing images.
 
@@ -51,6 +58,22 @@ class Gathering:
             twice = next(name for name in names if names.count(name) > 1)
             self.complain(DatasetError("view is listed twice", where=f"{self.folder / listed_in}, {twice}"))
         return tuple(self.views)
+
+
+def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
+    """The camera at the size of its picture, which must have its shape: files often speak of larger images.
+
+    Raises:
+        DatasetError: the picture has another shape, or is none.
+    """
+    width, height = images.size(picture)
+    camera = camera.checked(where=where)
+    if (width, height) == (camera.width, camera.height):
+        return camera
+    if abs(width * camera.height / (height * camera.width) - 1) > SAME_SHAPE:
+        raise DatasetError("image has another shape than its camera", where=where, remedy="use the images that it was made for",
+                           why=f"it is {width}x{height}, the file says {camera.width}x{camera.height}")  # fmt: skip
+    return camera.scaled(width, height)
 
 
 def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:

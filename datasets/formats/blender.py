@@ -1,7 +1,7 @@
 """Blender / NeRF-synthetic folders: `transforms_{train,val,test}.json`, RGBA images, OpenGL camera axes.
 
-`camera_angle_x` is the horizontal field of view; the principal point is the centre. Shiny Blender's `_normal.png` and
-`_alpha.png` beside an image are its truth. `koala.json`, where it lies beside, says what this layout cannot.
+`camera_angle_x` is the horizontal field of view; the principal point is the centre. Shiny Blender's `_normal.png`,
+`_disp.tiff` and `_alpha.png` beside an image are its truth. `koala.json`, where it lies beside, says what this layout cannot.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,11 @@ from datasets import files, images
 from datasets.errors import KoalaError
 from datasets.formats import assemble, export, opengl, sidecar
 from datasets.formats.koala import file_name, link
-from datasets.scene import SPLITS, Scene, View
+from datasets.scene import DISPARITY, SPLITS, Scene, View
 
-TRUTH = {"normals": "_normal.png", "alpha": "_alpha.png"}
-"""Suffix, after the image's name, of each truth map that the layout knows."""
+TRUTH = {"normals": ("_normal.png",), "alpha": ("_alpha.png",), "depth": (f"{DISPARITY}.tiff", f"{DISPARITY}.tif")}
+"""What, after the image's name, each truth map is called that the layout knows; the first is written."""
+LAYOUT = export.Layout("Blender's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point")
 
 
 def detect(folder: Path) -> bool:
@@ -44,18 +45,18 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
 
 def _gather(gathering: assemble.Gathering, split: str) -> None:
     source = gathering.folder / f"transforms_{split}.json"
-    content = files.read_json(source)
+    content = files.read_json(files.within(gathering.folder, source))
     for frame in opengl.frames_of(content, where=source):
         where = f"{source}, {frame['file_path']}"
         try:
-            files.inside(gathering.folder, frame["file_path"], where=where)
-            image = opengl.image_path(gathering.folder, frame["file_path"])
+            image = opengl.image_path(gathering.folder, frame["file_path"], where=where)
             if image is None:
                 gathering.missing.append(frame["file_path"])
                 continue
-            camera = opengl.camera(content, frame, image, where=where)
-            truth = {key: image.with_name(image.stem + end) for key, end in TRUTH.items()}
-            truth = {key: path for key, path in truth.items() if path.is_file()}
+            camera = assemble.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
+            truth = {key: image.with_name(image.stem + end) for key, ends in TRUTH.items() for end in reversed(ends)
+                     if image.with_name(image.stem + end).is_file()}  # fmt: skip
+            truth = {key: gathering.file(path, where=where) for key, path in truth.items()}
             name = image.relative_to(gathering.folder).with_suffix("").as_posix()
             gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, truth=truth))
         except KoalaError as error:
@@ -72,7 +73,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         placed = {}
         for view in scene.views:
             name = f"{view.split}/{file_name(view)}"
-            placed[name] = export.place(view, folder, name, merge_mask=True)
+            placed[name] = export.place(view, folder, name, LAYOUT)
             _shiny_truth(placed[name].view)
             done()
         for split in SPLITS:
@@ -82,7 +83,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         for name, source in (extra or {}).items():
             link(source, folder / name)
         sidecar.write(folder, scene, {name: p.view for name, p in placed.items()})
-    return export.limits(scene, list(placed.values()), "Blender's layout")
+    return export.limits(scene, list(placed.values()), LAYOUT)
 
 
 def _transforms(views: dict[str, View]) -> dict[str, Any]:
@@ -108,6 +109,11 @@ def _shiny_truth(view: View) -> None:
     """Shiny Blender's maps beside the image, for programs that know them."""
     stem = view.image.with_suffix("")
     if "normals" in view.truth:
-        images.write(stem.with_name(stem.name + TRUTH["normals"]), 0.5 + 0.5 * view.read_truth("normals"))
+        images.write(stem.with_name(stem.name + TRUTH["normals"][0]), 0.5 + 0.5 * view.read_truth("normals"))
     if "alpha" in view.truth:
-        images.write(stem.with_name(stem.name + TRUTH["alpha"]), view.read_truth("alpha")[..., :1])
+        images.write(stem.with_name(stem.name + TRUTH["alpha"][0]), view.read_truth("alpha")[..., :1])
+    if "depth" in view.truth:
+        depth = view.read_truth("depth")
+        distance = depth * np.linalg.norm(view.camera.directions(view.camera.pixel_centres()), axis=-1, keepdims=True)
+        disparity = np.where(depth > 0, 1 / (1 + distance), 0.0)
+        images.write(stem.with_name(stem.name + TRUTH["depth"][0]), images.to_uint16(disparity))

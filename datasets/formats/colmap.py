@@ -1,34 +1,42 @@
-"""COLMAP models, text or binary, through pycolmap (imported for files here alone).
+"""COLMAP folders, also as mip-NeRF 360 lays them out: a model, `images/` and, where there are several sizes, `images_N/`.
 
-Poses are camera_from_world in our axes and pixel convention already; the world is that of the model.
+Poses are camera_from_world in our axes and pixel convention already; the world is that of the model. Reading is our own
+(`colmap_files`), writing goes through pycolmap, which is imported for files here alone.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datasets import bounds, images, pose
+from datasets import bounds, files, pose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError, Misuse
-from datasets.formats import assemble
+from datasets.formats import assemble, export, sidecar
+from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
+from datasets.formats.koala import file_name, link
 from datasets.formats.llff import PICTURES
-from datasets.scene import Scene, View
+from datasets.scene import Scene, Sightings, View
 
-MODELS = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
+PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
 """Where a model may lie below the scene."""
 NEEDED = ("cameras", "images", "points3D")
 PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"), "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
     "RADIAL": ("f", "cx", "cy", "k1", "k2"), "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"), "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
 }  # fmt: skip
 """Meaning of each lens model's numbers; the others do not fit our camera."""
+LAYOUT = export.Layout("COLMAP's layout", lambda camera: True, "", mask="masks/{file}")
 
 
 def detect(folder: Path) -> bool:
-    """True for a folder with a complete model in one of `MODELS`."""
-    return any((folder / place / f"cameras{suffix}").is_file() for place in MODELS for suffix in (".bin", ".txt"))
+    """True for a folder with the cameras of a model in one of `PLACES`."""
+    return any((folder / place / f"cameras{suffix}").is_file() for place in PLACES for suffix in (".bin", ".txt"))
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
@@ -41,69 +49,176 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     place, model = _model(folder)
     home = _images(folder, place, images_folder)
     gathering = assemble.Gathering(folder, problems)
-    for image in sorted(model.images.values(), key=lambda image: image.name):
+    pixels: dict[str, np.ndarray] = {}
+    stored: dict[str, StoredImage] = {}
+    for image in sorted(model.images, key=lambda image: image.name):
         where = f"{place / 'images'}, {image.name}"
-        picture = home / image.name
         try:
+            picture = gathering.file(home / image.name, where=where)
             if not picture.is_file():
                 gathering.missing.append(image.name)
                 continue
-            camera = _camera(model.cameras[image.camera_id], where=where)
-            size = images.size(picture)
-            if size != (camera.width, camera.height):
-                camera = camera.scaled(*size)
-            matrix = pose.inverse(pose.checked(image.cam_from_world().matrix(), where=where))
-            gathering.views.append(View(Path(image.name).with_suffix("").as_posix(), camera, matrix, "train", picture))
+            full = _camera(model.cameras[image.camera_id], where=where)
+            camera = assemble.fitted(full, picture, where=where)
+            matrix = pose.inverse(pose.checked(image.camera_from_world, where=where))
+            mask = _mask(gathering, home, image.name, where=where)
+            name = Path(image.name).with_suffix("").as_posix()
+            gathering.views.append(View(name, camera, matrix, "train", picture, mask))
+            stored[name] = image
+            pixels[name] = image.pixels * [camera.width / full.width, camera.height / full.height]
         except KoalaError as error:
             gathering.complain(error)
-    views = assemble.hold_out(gathering.finished(listed_in=f"{place.name}/images"), hold_out)
-    scene = assemble.scene(gathering, views, provenance={"format": "colmap", "source": str(folder.absolute())})
-    points = np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
-    return _with_points(scene, points) if len(points) else scene
+    views = gathering.finished(listed_in=f"{place.name}/images")
+    seen = _sightings(model, stored, pixels) if len(model.points) else None
+    known = sidecar.read(folder)
+    if known is not None:
+        if seen is not None:
+            seen = replace(seen, names=tuple(sidecar.name_of(known, name) for name in seen.names))
+        scene = sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+        return replace(scene, points=model.points, sightings=seen) if seen is not None else scene
+    scene = assemble.scene(gathering, assemble.hold_out(views, hold_out),
+                           provenance={"format": "colmap", "source": str(folder.absolute())})  # fmt: skip
+    return _with_points(replace(scene, points=model.points, sightings=seen)) if seen is not None else scene
 
 
-def _with_points(scene: Scene, points: np.ndarray) -> Scene:
-    """The scene with its sparse points, and box and near from them where no mask gave better ones."""
+def _with_points(scene: Scene) -> Scene:
+    """The scene with box and near from its points, where no mask gave better ones."""
+    points = np.zeros((0, 3)) if scene.points is None else scene.points
     found = bounds.about_points(scene.views, points)
     if scene.background == "white" or found is None:
-        return replace(scene, points=points)
-    return replace(scene, points=points, box=found[0], near=found[1], bounds_from=f"{len(points)} points of the model")
+        return scene
+    return replace(scene, box=found[0], near=found[1], bounds_from=f"{len(points)} points of the model")
 
 
-def _model(folder: Path) -> tuple[Path, Any]:
-    """(folder of the model, pycolmap's reconstruction)."""
-    places = [folder / place for place in MODELS if any((folder / place / f"cameras{end}").is_file() for end in (".bin", ".txt"))]
+def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, np.ndarray]) -> Sightings:
+    index, places = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
+    for number, (name, image) in enumerate(stored.items()):
+        seen = np.flatnonzero(image.points >= 0)
+        index.append(np.stack([image.points[seen], np.full(len(seen), number)], axis=1))
+        places.append(pixels[name][seen])
+    return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places), model.colours)
+
+
+def _model(folder: Path) -> tuple[Path, Model]:
+    """(folder of the model, the model)."""
+    places = [folder / place for place in PLACES if any((folder / place / f"cameras{end}").is_file() for end in (".bin", ".txt"))]
     if not places:
-        raise Misuse("holds no COLMAP model", where=folder, why=f"no cameras.bin in {', '.join(filter(None, MODELS))}")
+        raise Misuse("holds no COLMAP model", where=folder, why=f"no cameras.bin in {', '.join(filter(None, PLACES))}")
     place = places[0]
     suffix = ".bin" if (place / "cameras.bin").is_file() else ".txt"
     absent = [name + suffix for name in NEEDED if not (place / (name + suffix)).is_file()]
     if absent:
         raise DatasetError("COLMAP model is not complete", where=place, why=f"{', '.join(absent)} is missing",
                            remedy="copy the whole model")  # fmt: skip
-    import pycolmap
-
-    try:
-        return place, pycolmap.Reconstruction(place)
-    except (RuntimeError, ValueError, IndexError) as error:
-        raise DatasetError("COLMAP model cannot be read", where=place, why=str(error)) from None
+    return place, read_model(*(files.within(folder, place / (name + suffix)) for name in NEEDED))
 
 
 def _images(folder: Path, place: Path, wanted: str | None) -> Path:
     if wanted is not None:
-        return folder / wanted
+        return files.inside(folder, wanted)
     candidates = [folder / "images", place.parent / "images", *sorted(folder.glob("images_*"))]
     for path in candidates:
-        if path.is_dir() and any(p.suffix.lower() in PICTURES for p in path.iterdir()):
+        if path.is_dir() and any(p.suffix.lower() in PICTURES for p in files.within(folder, path).rglob("*")):
             return path
     raise DatasetError("scene has no images", where=folder / "images", remedy="put the images there")
 
 
-def _camera(stored: Any, *, where: str) -> Camera:
-    name = stored.model.name
-    if name not in PARAMETERS:
-        raise DatasetError(f"camera model {name} is not supported", where=where, remedy="undistort the images with COLMAP first")
-    said = dict(zip(PARAMETERS[name], (float(v) for v in stored.params), strict=True))
+def _mask(gathering: assemble.Gathering, home: Path, name: str, *, where: str) -> Path | None:
+    """Mask of an image: `masks/NAME.EXT.png`, as COLMAP has it, or `masks/NAME.png`."""
+    folder = home.with_name(home.name.replace("images", "masks"))
+    for candidate in (folder / f"{name}.png", (folder / name).with_suffix(".png")):
+        if candidate.is_file() and folder != home:
+            return gathering.file(candidate, where=where)
+    return None
+
+
+def _camera(stored: StoredCamera, *, where: str) -> Camera:
+    if stored.model not in PARAMETERS:
+        raise DatasetError(f"camera model {stored.model} is not supported", where=where,
+                           remedy="undistort the images with COLMAP first")  # fmt: skip
+    said: dict[str, Any] = dict(zip(PARAMETERS[stored.model], stored.parameters, strict=True))
     if "f" in said:
         said["fx"] = said["fy"] = said.pop("f")
+    said["fisheye"] = "FISHEYE" in stored.model
     return Camera.from_json({"width": stored.width, "height": stored.height, **said}, where=where)
+
+
+def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None,
+         sizes: tuple[int, ...] = (), text: bool = False) -> str:  # fmt: skip
+    """Export a scene; all or nothing. Points and sightings go along where the scene has them.
+
+    Args:
+        scene: what to write.
+        path: folder that is missing or empty.
+        extra: further files to take along, by relative name.
+        done: called after each view.
+        sizes: N for each `images_N` to write, 1/N as large: (2, 4, 8) is mip-NeRF 360's layout.
+        text: write text instead of binary files.
+
+    Returns:
+        One line on what the layout cannot hold; empty where it holds everything.
+    """
+    with files.atomic_folder(path) as folder:
+        placed = []
+        for view in scene.views:
+            placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
+            done()
+        for name, source in (extra or {}).items():
+            link(source, folder / name)
+        export.smaller([p.view for p in placed], folder, sizes)
+        _write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
+        sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
+    return export.limits(scene, placed, LAYOUT)
+
+
+def _write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) -> None:
+    """The three files of the model, and those of 4.x, for views as exported."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    cameras = {camera: number for number, camera in enumerate(dict.fromkeys(view.camera for view in views), 1)}
+    for camera, number in cameras.items():
+        kind, values = _parameters(camera)
+        stored = pycolmap.Camera(camera_id=number, model=kind, width=camera.width, height=camera.height, params=values)
+        model.add_camera_with_trivial_rig(stored)
+    features = _features(scene, views)
+    for number, view in enumerate(views, 1):
+        image = pycolmap.Image(view.image.name, features[number][1], cameras[view.camera], number)
+        camera_from_world = pycolmap.Rigid3d(pose.inverse(view.world_from_camera)[:3])
+        model.add_image_with_trivial_frame(image, camera_from_world)
+    tracks: dict[int, list[tuple[int, int]]] = {}
+    for number, (points, _) in features.items():
+        for place, point in enumerate(points):
+            tracks.setdefault(int(point), []).append((number, place))
+    if scene.points is not None:
+        colours = np.zeros((len(scene.points), 3), np.uint8) if scene.sightings is None else scene.sightings.colours
+        for point, xyz in enumerate(scene.points):
+            track = pycolmap.Track([pycolmap.TrackElement(*element) for element in tracks.get(point, [])])
+            model.add_point3D(xyz, track, colours[point])
+        model.update_point_3d_errors()
+    folder.mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(folder)
+
+
+def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """By number of the image, from 1: (k,) points that it saw and (k, 2) where."""
+    seen = scene.sightings
+    if seen is None or scene.points is None:
+        return {number: (np.zeros(0, np.int64), np.zeros((0, 2))) for number in range(1, len(views) + 1)}
+    numbers = {name: index for index, name in enumerate(seen.names)}
+    found = {}
+    for number, view in enumerate(views, 1):
+        rows = np.flatnonzero(seen.index[:, 1] == numbers.get(view.name, -1))
+        found[number] = (seen.index[rows, 0], seen.pixels[rows])
+    return found
+
+
+def _parameters(camera: Camera) -> tuple[str, list[float]]:
+    """The plainest lens model that says all of a camera, and its numbers."""
+    straight = [camera.fx, camera.fy, camera.cx, camera.cy]
+    if camera.is_pinhole:
+        return "PINHOLE", straight
+    if camera.fisheye:
+        return "OPENCV_FISHEYE", [*straight, camera.k1, camera.k2, camera.k3, camera.k4]
+    bent, higher = [*straight, camera.k1, camera.k2, camera.p1, camera.p2], [camera.k3, camera.k4, camera.k5, camera.k6]
+    return ("FULL_OPENCV", bent + higher) if any(higher) else ("OPENCV", bent)

@@ -4,22 +4,25 @@
 `scale_mat_i` takes the unit sphere about the object to the world. The world is that of the file (millimetres for DTU).
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import bounds, images, pose
+from datasets import arrays, bounds, files, images, pose
 from datasets.camera_model import Camera
-from datasets.conventions import pixels_from_opencv
+from datasets.conventions import opencv_from_pixels, pixels_from_opencv
 from datasets.errors import DatasetError, KoalaError
-from datasets.formats import assemble
+from datasets.formats import assemble, export, sidecar
+from datasets.formats.koala import link
 from datasets.formats.llff import PICTURES
 from datasets.scene import Scene, View
 
 CAMERAS = ("cameras_sphere.npz", "cameras.npz")
+
+LAYOUT = export.Layout("DTU's layout", lambda camera: camera.is_pinhole, "lens distortion", mask="mask/{stem}")
 
 
 def detect(folder: Path) -> bool:
@@ -38,9 +41,9 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
         DatasetError: a camera or a mask is missing, or the cameras are no plain arrays.
     """
     source = next((folder / name for name in CAMERAS if (folder / name).is_file()), folder / CAMERAS[0])
-    stored = _arrays(source)
+    stored = _arrays(files.within(folder, source))
     home = images_folder or "image"
-    pictures = _sorted(folder / home)
+    pictures = _sorted(files.inside(folder, home))
     masks = _sorted(folder / "mask") if (folder / "mask").is_dir() else []
     if masks and len(masks) != len(pictures):
         raise DatasetError("masks and images do not correspond", where=folder / "mask", why=f"{len(masks)} and {len(pictures)}")
@@ -50,17 +53,55 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
         try:
             if f"world_mat_{index}" not in stored:
                 raise DatasetError("camera is missing", where=where, remedy="one world_mat for each image, in the order of names")
-            matrix, camera, factor = _posed(stored[f"world_mat_{index}"], images.size(picture), where=where)
-            gathering.views.append(View(picture.stem, camera, matrix, "train", picture, masks[index] if masks else None))
+            size = images.size(gathering.file(picture, where=where))
+            matrix, camera, factor = _posed(stored[f"world_mat_{index}"], size, where=where)
+            mask = gathering.file(masks[index], where=where) if masks else None
+            gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
             if factor != 1 and not gathering.notes:
                 full = f"{camera.width * factor:g}x{camera.height * factor:g}"
                 gathering.notes.append(f"{source.name} is for images of {full}, {home} holds "
                                        f"{camera.width}x{camera.height}: intrinsics are scaled")  # fmt: skip
         except KoalaError as error:
             gathering.complain(error)
-    views = assemble.hold_out(gathering.finished(listed_in=home), hold_out)
+    views = gathering.finished(listed_in=home)
+    known = sidecar.read(folder)
+    if known is not None:
+        return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+    views = assemble.hold_out(views, hold_out)
     scene = assemble.scene(gathering, views, provenance={"format": "dtu", "source": str(folder.absolute())})
     return _in_sphere(scene, stored["scale_mat_0"]) if "scale_mat_0" in stored else scene
+
+
+def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
+    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+
+    The unit sphere of `scale_mat` is the one about the object's box.
+
+    Returns:
+        One line on what the layout cannot hold; empty where it holds everything.
+    """
+    with files.atomic_folder(path) as folder:
+        placed = []
+        for number, view in enumerate(scene.views):
+            placed.append(export.place(view, folder, f"image/{number:06d}", LAYOUT))
+            done()
+        centre, radius = scene.box.mean(0), float(np.linalg.norm(scene.box[1] - scene.box[0])) / 2
+        scale = pose.rigid(radius * np.eye(3), centre)
+        matrices = {f"world_mat_{number}": _projection(p.view) for number, p in enumerate(placed)}
+        with files.atomic_path(folder / CAMERAS[0]) as temporary:
+            np.savez(temporary, **matrices, **{f"scale_mat_{number}": scale for number in range(len(placed))})
+        for name, source in (extra or {}).items():
+            link(source, folder / name)
+        sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
+    return export.limits(scene, placed, LAYOUT)
+
+
+def _projection(view: View) -> NDArray[np.float64]:
+    """(4, 4) K [R | t], with OpenCV's pixel origin."""
+    intrinsics = np.eye(4)
+    intrinsics[:3, :3] = view.camera.matrix
+    intrinsics[:2, 2] = opencv_from_pixels(intrinsics[:2, 2])
+    return intrinsics @ pose.inverse(view.world_from_camera)
 
 
 def _in_sphere(scene: Scene, scale_mat: NDArray[np.float64]) -> Scene:
@@ -75,14 +116,9 @@ def _in_sphere(scene: Scene, scale_mat: NDArray[np.float64]) -> Scene:
     return replace(scene, box=box, near=min(near, scene.near), bounds_from="unit sphere of the file")
 
 
-def _arrays(path: Path) -> dict[str, Any]:
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {
-                name: stored[name].astype(np.float64) for name in stored.files if name.startswith(("world_mat_", "scale_mat_"))
-            }
-    except (ValueError, OSError, EOFError, KeyError) as error:
-        raise DatasetError("is not a file of plain arrays", where=path, why=str(error)) from None
+def _arrays(path: Path) -> dict[str, NDArray[np.float64]]:
+    stored = arrays.read_npz(path, ("world_mat_", "scale_mat_"))
+    return {name: arrays.numbers(array, (4, 4), where=f"{path}, {name}") for name, array in stored.items() if "inv" not in name}
 
 
 def _sorted(folder: Path) -> list[Path]:

@@ -1,17 +1,20 @@
-"""What the writers of foreign layouts share: each view as a centred pinhole, its image and truth in place.
+"""What the writers of foreign layouts share: each view as the layout can hold it, its image, mask and truth in place.
 
-A view that is a centred pinhole already keeps its files to the bit; any other is resampled once.
+A view that the layout can hold keeps its files to the bit; any other is resampled once, to a centred pinhole.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from datasets import images, undistort
+from datasets import downscale, images, undistort
+from datasets.camera_model import Camera
 from datasets.errors import DatasetError
 from datasets.formats.koala import file_name, link
-from datasets.scene import Scene, View
+from datasets.scene import DISPARITY, Scene, View
 
 ORDERS = {"normals": undistort.NEAREST, "depth": undistort.NEAREST}
 """Interpolation of truth maps that must not be mixed across edges; the others are linear."""
@@ -26,47 +29,48 @@ class Placed:
     resampled: bool
 
 
-def place(view: View, folder: Path, stem: str, *, merge_mask: bool) -> Placed:
-    """Write one view's image to `stem` below `folder`, and its mask and truth.
+@dataclass(frozen=True)
+class Layout:
+    """What a layout can hold of a view."""
 
-    Args:
-        view: the view.
-        folder: of the export.
-        stem: relative path of the image without its suffix.
-        merge_mask: put a mask into the image's alpha; else it goes to masks/.
+    title: str
+    holds: Callable[[Camera], bool]
+    """True for cameras that it can describe."""
+    lacks: str
+    """Of other cameras, what it cannot describe."""
+    mask: str | None = None
+    """Name of a view's mask without its suffix, from {stem} and {file} of the image; None puts it into the image's alpha."""
+
+
+def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
+    """Write one view's image to `stem` (relative, without its suffix) below `folder`, and its mask and truth.
+
+    Raises:
+        DatasetError: a file is missing or damaged, two views would share one, or the lens leaves no picture.
     """
     try:
         pinhole = undistort.pinhole(view.camera)
     except ValueError as error:
         raise DatasetError("view cannot be made a pinhole", where=f"view {view.name}", why=str(error)) from None
-    same = view.camera.is_centred
-    target = folder / stem
-    merged = merge_mask and view.mask is not None
+    same = layout.holds(view.camera)
+    merged = layout.mask is None and view.mask is not None
     if same and not merged:
-        image = _kept(view, view.image, target)
+        image = _kept(view, view.image, folder / stem)
     else:
-        as_float = view.image.suffix.lower() == ".exr"
-        picture = view.read_image()
-        if merged and view.mask is not None:
-            picture = np.concatenate([picture[..., :3], view.read()[..., 3:]], axis=-1)
-        if not same:
-            picture = pinhole.resample(picture, undistort.SMOOTH if as_float else undistort.COLOUR)
-        image = _written(target, ".exr" if as_float else ".png", picture)
+        image = _redrawn(view, folder / stem, None if same else pinhole, merged=merged)
     mask = None
-    if view.mask is not None and not merged:
-        at = folder / "masks" / Path(stem).name
-        mask = (
-            _kept(view, view.mask, at)
-            if same
-            else _written(at, ".png", pinhole.resample(images.read(view.mask), undistort.SMOOTH))
-        )
+    if view.mask is not None and layout.mask is not None:
+        at = folder / layout.mask.format(stem=Path(stem).name, file=image.name)
+        mask = _kept(view, view.mask, at) if same else _written(at, ".png", _straightened(view.mask, pinhole))
     truth = {key: _truth(view, key, folder / "truth" / key / file_name(view), pinhole, same) for key in view.truth}
-    matrix = view.world_from_camera if same else view.world_from_camera @ pinhole.source_from_camera
-    placed = replace(view, camera=pinhole.camera, world_from_camera=matrix, image=image, mask=mask, truth=truth)
-    return Placed(placed, pinhole.turned_deg, not same)
+    if same:
+        return Placed(replace(view, image=image, mask=mask, truth=truth), 0.0, False)
+    placed = replace(view, camera=pinhole.camera, world_from_camera=view.world_from_camera @ pinhole.source_from_camera,
+                     image=image, mask=mask, truth=truth)  # fmt: skip
+    return Placed(placed, pinhole.turned_deg, True)
 
 
-def limits(scene: Scene, placed: list[Placed], layout: str) -> str:
+def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
     """One line on what the layout cannot hold of this scene, and what was done about it; empty where it holds all."""
     lost = []
     resampled = [p for p in placed if p.resampled]
@@ -74,11 +78,25 @@ def limits(scene: Scene, placed: list[Placed], layout: str) -> str:
         sizes = sorted({(p.view.camera.width, p.view.camera.height) for p in resampled})
         shown = ", ".join(f"{width}x{height}" for width, height in sizes[:3])
         turned = max(p.turned_deg for p in resampled)
-        lost.append(f"lens distortion or an off-centre principal point: {len(resampled)} views were resampled to centred "
+        lost.append(f"{layout.lacks}: {len(resampled)} views were resampled to centred "
                     f"pinholes of {shown}, their axes turned by up to {turned:.2f} degrees")  # fmt: skip
+    merged = sum(view.mask is not None for view in scene.views) if layout.mask is None else 0
+    if merged:
+        lost.append(f"masks beside images: {merged} were put into the images' alpha")
     if scene.metric or any(view.truth for view in scene.views) or scene.background == "scene":
         lost.append("bounds, background, scale and truth: koala.json beside it keeps them")
-    return f"{layout} cannot hold " + "; nor ".join(lost) if lost else ""
+    return f"{layout.title} cannot hold " + "; nor ".join(lost) if lost else ""
+
+
+def smaller(views: Sequence[View], folder: Path, sizes: Sequence[int]) -> None:
+    """For each N of `sizes`, `images_N/` (and `masks_N/`) below `folder` with each view's files at 1/N of their size."""
+    for size in sizes:
+        for view in views:
+            shrunk = downscale.camera(view.camera, size)
+            for source, name in ((view.image, "images"), (view.mask, "masks")):
+                if source is not None:
+                    downscale.write(source, folder / f"{name}_{size}" / source.name, shrunk.width, shrunk.height,
+                                colours=name == "images")  # fmt: skip
 
 
 def _kept(view: View, source: Path, target: Path) -> Path:
@@ -89,7 +107,24 @@ def _kept(view: View, source: Path, target: Path) -> Path:
     return path
 
 
-def _written(target: Path, suffix: str, picture: np.ndarray) -> Path:
+def _redrawn(view: View, target: Path, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:
+    """The image with its mask as alpha, or resampled, or both; as deep as its file was."""
+    as_float = view.image.suffix.lower() == ".exr"
+    picture = view.read_image()
+    if merged:
+        picture = np.concatenate([picture[..., :3], view.read()[..., 3:]], axis=-1)
+    if pinhole is not None:
+        picture = pinhole.resample(picture, undistort.SMOOTH if as_float else undistort.COLOUR)
+    if not as_float and images.steps(view.image) == 65535:
+        picture = images.to_uint16(picture)
+    return _written(target, ".exr" if as_float else ".png", picture)
+
+
+def _straightened(mask: Path, pinhole: undistort.Pinhole) -> NDArray[np.float32]:
+    return pinhole.resample(images.read(mask), undistort.SMOOTH)
+
+
+def _written(target: Path, suffix: str, picture: NDArray[np.generic]) -> Path:
     path = target.with_name(target.name + suffix)
     if path.exists():
         raise DatasetError("two views would share a file", where=path, remedy="give each view its own name")
@@ -99,7 +134,9 @@ def _written(target: Path, suffix: str, picture: np.ndarray) -> Path:
 
 def _truth(view: View, key: str, target: Path, pinhole: undistort.Pinhole, same: bool) -> Path:
     if same:
-        return _kept(view, view.truth[key], target)
+        source = view.truth[key]
+        disparity = key == "depth" and source.stem.endswith(DISPARITY)  # its name says how it is coded
+        return _kept(view, source, target.with_name(target.name + DISPARITY) if disparity else target)
     values = pinhole.resample(view.read_truth(key), ORDERS.get(key, undistort.SMOOTH))
     if key == "depth":
         values = values * pinhole.depth_factor()

@@ -2,7 +2,9 @@
 
 SCENE/cameras.json   version, bounds, background, and for each view its camera, pose, split and files
 SCENE/images/        as captured, never re-encoded (a hard link where the disk allows)
-SCENE/masks/         where there are masks
+SCENE/images_N/      the same at 1/N of the size, where they were asked for
+SCENE/masks/         where there are masks, with masks_N
+SCENE/points.npz     where surface points are known: points, and which views saw them where
 SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation alone
 """
 
@@ -15,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from datasets import files, pose
+from datasets import arrays, downscale, files, pose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError
 from datasets.formats import assemble, sidecar
-from datasets.scene import SPLITS, Scene, View
+from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View
 
 FILE = "cameras.json"
 FORMAT, VERSION = "koala-scene", 1
@@ -32,8 +35,11 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
+def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, done: Callable[[], None] = lambda: None,
+         sizes: tuple[int, ...] = ()) -> str:  # fmt: skip
     """Write a scene folder, images included. `extra` maps further relative names to files to take along.
+
+    For each N of `sizes`, `images_N` and `masks_N` hold the pictures at 1/N of their size.
 
     Returns:
         What the layout cannot hold of the scene: nothing.
@@ -48,17 +54,58 @@ def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, d
             done()
         for name, source in (extra or {}).items():
             link(source, folder / name)
+        for size in sizes:
+            for view in scene.views:
+                _shrink(view, folder, size)
         if scene.points is not None:
-            np.savez_compressed(folder / POINTS, points=scene.points)
+            _save_points(scene.points, scene.sightings, folder / POINTS)
         files.write_json(folder / FILE, {"format": FORMAT, "version": VERSION, **sidecar.facts(scene), "views": views})
     return ""
+
+
+def _save_points(points: NDArray[np.float64], sightings: Sightings | None, path: Path) -> None:
+    seen = {} if sightings is None else {
+        "names": np.array(sightings.names, np.str_), "index": sightings.index, "pixels": sightings.pixels, "colours": sightings.colours
+    }  # fmt: skip
+    np.savez_compressed(path, points=points, **seen)
+
+
+def _load_points(path: Path) -> tuple[NDArray[np.float64], Sightings | None]:
+    stored = arrays.read_npz(path)
+    if "points" not in stored:
+        raise DatasetError("holds no points", where=path)
+    points = arrays.numbers(stored["points"], (None, 3), where=f"{path}, points")
+    if not np.isfinite(points).all():
+        raise DatasetError("points are not finite", where=path)
+    if "index" not in stored:
+        return points, None
+    try:
+        index = arrays.numbers(stored["index"], (None, 2), where=f"{path}, index").astype(np.int64)
+        pixels = arrays.numbers(stored["pixels"], (len(index), 2), where=f"{path}, pixels")
+        colours = arrays.numbers(stored["colours"], (len(points), 3), where=f"{path}, colours").astype(np.uint8)
+        names = tuple(str(name) for name in stored["names"])
+    except KeyError as error:
+        raise DatasetError("sightings are not complete", where=path, why=str(error)) from None
+    if len(index) and not ((index >= 0).all() and (index < [len(points), len(names)]).all()):
+        raise DatasetError("sightings are of points or views that are not there", where=path)
+    return points, Sightings(names, index, pixels, colours)
+
+
+def _shrink(view: View, folder: Path, size: int) -> None:
+    """A view's image and mask at 1/`size`."""
+    small = downscale.camera(view.camera, size)
+    for source, home in ((view.image, "images"), (view.mask, "masks")):
+        if source is not None:
+            target = folder / f"{home}_{size}" / f"{file_name(view)}{source.suffix}"
+            downscale.write(source, target, small.width, small.height, colours=home == "images")
 
 
 def _saved_view(view: View, folder: Path) -> dict[str, Any]:
     name = file_name(view)
 
     def keep(source: Path, below: str) -> str:
-        relative = f"{below}/{name}{source.suffix}"
+        disparity = DISPARITY if source.stem.endswith(DISPARITY) else ""  # its name says how it is coded
+        relative = f"{below}/{name}{disparity}{source.suffix}"
         link(source, folder / relative)
         return relative
 
@@ -66,7 +113,7 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
         "name": view.name, "split": view.split, "image": keep(view.image, "images"),
         "mask": keep(view.mask, "masks") if view.mask else None,
         "truth": {key: keep(source, f"truth/{key}") for key, source in view.truth.items()},
-        "camera": view.camera.to_json(), "world_from_camera": view.world_from_camera.tolist(),
+        "depth_unit": view.depth_unit, "camera": view.camera.to_json(), "world_from_camera": view.world_from_camera.tolist(),
     }  # fmt: skip
 
 
@@ -96,14 +143,15 @@ def _copy(source: Path, target: Path) -> None:
         raise
 
 
-def load(folder: Path, *, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a scene folder.
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
+         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+    """Read a scene folder. Splits are stated, so `hold_out` has no say; `images_folder` takes the pictures from `images_N`.
 
     Raises:
         DatasetError: a view or a bound is missing, damaged or impossible.
     """
     source = folder / FILE
-    content = files.read_json(source, kind=FORMAT, version=VERSION)
+    content = files.read_json(files.inside(folder, FILE), kind=FORMAT, version=VERSION)
     gathering = assemble.Gathering(folder, problems)
     views = content.get("views")
     if not isinstance(views, list):
@@ -114,23 +162,35 @@ def load(folder: Path, *, problems: list[KoalaError] | None = None) -> Scene:
         except KoalaError as error:
             gathering.complain(error)
     scene = sidecar.scene_of(content, gathering.finished(listed_in=FILE), where=source)
+    if images_folder is not None:
+        scene = scene.with_views(tuple(_resized(view, folder, images_folder) for view in scene.views))
     if not (folder / POINTS).is_file():
         return scene
-    with np.load(folder / POINTS, allow_pickle=False) as stored:
-        return replace(scene, points=stored["points"].astype(np.float64))
+    points, sightings = _load_points(files.inside(folder, POINTS))
+    return replace(scene, points=points, sightings=sightings)
+
+
+def _resized(view: View, folder: Path, home: str) -> View:
+    """The view with its picture from another folder, its intrinsics scaled to it."""
+    where = f"{folder / FILE}, {view.name}"
+    picture = files.within(folder, files.inside(folder, home) / view.image.name, where=where)
+    mask = None
+    if view.mask is not None:
+        mask = files.inside(folder, f"{home.replace('images', 'masks')}/{view.mask.name}", where=where)
+    return replace(view, image=picture, mask=mask, camera=assemble.fitted(view.camera, picture, where=where))
 
 
 def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
     try:
         name, split = str(entry["name"]), entry["split"]
         where = f"{where} ({name})"
-        image, mask = entry["image"], entry.get("mask")
+        image, mask, unit = entry["image"], entry.get("mask"), float(entry.get("depth_unit", 1e-3))
         truth = {key: files.inside(folder, path, where=where) for key, path in entry.get("truth", {}).items()}
         camera = Camera.from_json(entry["camera"], where=f"{where}, camera")
         matrix = pose.checked(entry["world_from_camera"], where=f"{where}, world_from_camera")
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DatasetError("view is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if split not in SPLITS:
         raise DatasetError(f"no split called {split!r}", where=where, remedy=f"valid: {', '.join(SPLITS)}")
     return View(name, camera, matrix, split, files.inside(folder, image, where=where),
-                files.inside(folder, mask, where=where) if mask else None, truth)  # fmt: skip
+                files.inside(folder, mask, where=where) if mask else None, truth, unit)  # fmt: skip

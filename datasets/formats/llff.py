@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import bounds, files, images, pose
+from datasets import arrays, bounds, files, pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF
 from datasets.errors import DatasetError, KoalaError, Misuse
@@ -20,6 +20,10 @@ from datasets.scene import Scene, View
 
 FILE = "poses_bounds.npy"
 PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
+
+
+LAYOUT = export.Layout("LLFF's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point",
+                       mask="masks/{stem}")  # fmt: skip
 
 
 def detect(folder: Path) -> bool:
@@ -36,7 +40,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     Raises:
         DatasetError: as many rows as images are not there, or the images have another shape than the file says.
     """
-    rows = read_rows(folder / FILE)
+    rows = read_rows(files.inside(folder, FILE))
     pictures, chosen = find_images(folder, images_folder)
     if len(pictures) != len(rows):
         raise DatasetError("rows and images do not correspond", where=folder / FILE,
@@ -46,7 +50,9 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     masks = _masks(folder, chosen, pictures)
     for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
         try:
-            matrix, camera = _posed(row, picture, where=f"{folder / FILE}, row {number} ({picture.name})")
+            where = f"{folder / FILE}, row {number} ({picture.name})"
+            matrix, camera = _posed(row, gathering.file(picture, where=where), where=where)
+            mask = gathering.file(mask, where=where) if mask else None
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
         except KoalaError as error:
             gathering.complain(error)
@@ -66,21 +72,18 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
 
 def read_rows(path: Path) -> NDArray[np.float64]:
     """(n, 17) rows of a poses_bounds.npy. Raises DatasetError where it is no such array; never unpickles."""
-    try:
-        rows = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise DatasetError("is not a plain array file", where=path, why=str(error)) from None
-    if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17 or not np.issubdtype(rows.dtype, np.floating):
-        raise DatasetError("does not hold n x 17 numbers", where=path, why=f"shape {getattr(rows, 'shape', None)}")
+    rows = arrays.numbers(arrays.read_npy(path), (None, 17), where=path)
     if len(rows) and not (0 <= rows[:, 15].min() < rows[:, 16].max() < np.inf):
         raise DatasetError("near and far are not in order", where=path, why=f"{rows[:, 15].min()} and {rows[:, 16].max()}")
-    return rows.astype(np.float64)
+    return rows
 
 
-def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
+def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None,
+         sizes: tuple[int, ...] = ()) -> str:  # fmt: skip
     """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
 
-    Near and far of a row are those of the object's box, as its view sees it.
+    Near and far of a row are those of the object's box, as its view sees it. For each N of `sizes`, `images_N` holds the
+    images at 1/N of their size.
 
     Returns:
         One line on what the layout cannot hold; empty where it holds everything.
@@ -88,7 +91,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
     with files.atomic_folder(path) as folder:
         placed = []
         for view in scene.views:
-            placed.append(export.place(view, folder, f"images/{file_name(view)}", merge_mask=False))
+            placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
             done()
         ordered = sorted((p.view for p in placed), key=lambda view: view.image)
         rows = [row_of(v.world_from_camera, v.camera, *bounds.depth_range([v], scene.box)) for v in ordered]
@@ -96,9 +99,10 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
             np.save(temporary, np.stack(rows))
         for name, source in (extra or {}).items():
             link(source, folder / name)
+        export.smaller(ordered, folder, sizes)
         by_name = {view.image.stem: view for view in (p.view for p in placed)}
         sidecar.write(folder, scene, by_name)
-    return export.limits(scene, placed, "LLFF's layout")
+    return export.limits(scene, placed, LAYOUT)
 
 
 def row_of(world_from_camera: NDArray[np.float64], camera: Camera, near: float, far: float) -> NDArray[np.float64]:
@@ -141,8 +145,5 @@ def _posed(row: NDArray[np.float64], picture: Path, *, where: str) -> tuple[NDAr
         raise DatasetError("height, width and focal length are not positive", where=where, why=str(matrix[:, 4]))
     height, width, focal = (float(value) for value in matrix[:, 4])
     full = Camera(round(width), round(height), focal, focal, width / 2, height / 2)
-    camera = full.scaled(*images.size(picture))
-    if abs(camera.fx / camera.fy - 1) > 0.02:
-        raise DatasetError("image has another shape than its camera", where=where,
-                           why=f"it is {camera.width}x{camera.height}, the file says {width:.0f}x{height:.0f}")  # fmt: skip
+    camera = assemble.fitted(full, picture, where=where)
     return pose.checked(pose.checked(matrix[:, :4], where=where) @ OPENCV_FROM_LLFF, where=where), camera

@@ -3,16 +3,26 @@
 The world is that of the file: `applied_transform` and instant-ngp's `scale`, `offset` and `aabb_scale` are left alone.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from datasets import files
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files, images
+from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError
-from datasets.formats import assemble, opengl
+from datasets.formats import assemble, export, opengl, sidecar
+from datasets.formats.koala import file_name, link
 from datasets.scene import SPLITS, Scene, View
 
 FILE = "transforms.json"
+LAYOUT = export.Layout("nerfstudio's layout", lambda camera: camera.fisheye or not (camera.k4 or camera.k5 or camera.k6),
+                       "a rational lens", mask="masks/{stem}")  # fmt: skip
+DEPTH_STEP = 1e-3
+"""World units per step of the depth files that are written (nerfstudio's default)."""
 
 
 def detect(folder: Path) -> bool:
@@ -27,7 +37,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     Views are sorted by file name. Without `train_filenames` and the like, every `hold_out`-th view is a test view.
     """
     source = folder / FILE
-    content = files.read_json(source)
+    content = files.read_json(files.within(folder, source))
     gathering = assemble.Gathering(folder, problems)
     splits = _splits(content, where=source)
     for frame in sorted(opengl.frames_of(content, where=source), key=lambda frame: frame["file_path"]):
@@ -35,14 +45,15 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
             _gather(gathering, content, frame, splits, images_folder)
         except KoalaError as error:
             gathering.complain(error)
-    if any("depth_file_path" in frame for frame in content["frames"]):
-        gathering.notes.append("the file's depth maps are not used")
     views = gathering.finished(listed_in=FILE)
-    if not splits:
-        views = assemble.hold_out(views, hold_out)
     if len({view.mask is None for view in views}) > 1:
         gathering.complain(DatasetError("only some frames have a mask_path", where=source, remedy="give all frames one, or none"))
         views = tuple(replace(view, mask=None) for view in views)
+    known = sidecar.read(folder)
+    if known is not None:
+        return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+    if not splits:
+        views = assemble.hold_out(views, hold_out)
     return assemble.scene(gathering, views, provenance={"format": "nerfstudio", "source": str(folder.absolute())})
 
 
@@ -51,16 +62,25 @@ def _gather(gathering: assemble.Gathering, content: dict[str, Any], frame: dict[
     folder, listed = gathering.folder, frame["file_path"]
     where = f"{folder / FILE}, {listed}"
     file_path = listed if images_folder is None else f"{images_folder}/{PurePosixPath(listed).name}"
-    files.inside(folder, file_path, where=where)
-    image = opengl.image_path(folder, file_path)
+    image = opengl.image_path(folder, file_path, where=where)
     if image is None:
         gathering.missing.append(file_path)
         return
-    camera = opengl.camera(content, frame, image, where=where)
+    camera = assemble.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
     mask = files.inside(folder, frame["mask_path"], where=where) if frame.get("mask_path") else None
+    truth = {"depth": files.inside(folder, frame["depth_file_path"], where=where)} if frame.get("depth_file_path") else {}
     name = PurePosixPath(listed).with_suffix("").as_posix().removeprefix("./")
     split = splits.get(listed, "train")
-    gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, mask=mask))
+    matrix = opengl.world_from_camera(frame, where=where)
+    gathering.views.append(View(name, camera, matrix, split, image, mask, truth, depth_unit=_depth_unit(content, where=where)))
+
+
+def _depth_unit(content: dict[str, Any], *, where: object) -> float:
+    """World units per step of a depth file: `depth_unit_scale_factor`, a millimetre where nothing is said."""
+    unit = content.get("depth_unit_scale_factor", 1e-3)
+    if not isinstance(unit, int | float) or not 0 < unit < np.inf:
+        raise DatasetError("depth_unit_scale_factor is not positive", where=where, why=str(unit)[:80])
+    return float(unit)
 
 
 def _splits(content: Any, *, where: object) -> dict[str, str]:
@@ -68,9 +88,90 @@ def _splits(content: Any, *, where: object) -> dict[str, str]:
     if not isinstance(content, dict):
         raise DatasetError("holds no list of frames", where=where)
     listed = {split: content[f"{split}_filenames"] for split in SPLITS if f"{split}_filenames" in content}
+    if not all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in listed.values()):
+        raise DatasetError("lists of file names are no lists of names", where=where, why=", ".join(listed))
     frames = {frame["file_path"] for frame in opengl.frames_of(content, where=where)}
     for split, names in listed.items():
         stray = sorted(set(names) - frames)
         if stray:
             raise DatasetError(f"{split}_filenames lists what is not among the frames", where=where, why=", ".join(stray[:5]))
     return {name: split for split, names in listed.items() for name in names}
+
+
+def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None,
+         sizes: tuple[int, ...] = ()) -> str:  # fmt: skip
+    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+
+    For each N of `sizes`, `images_N` holds the images at 1/N of their size, where nerfstudio looks for them. Depth goes
+    along, in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits.
+
+    Returns:
+        One line on what the layout cannot hold; empty where it holds everything.
+    """
+    with files.atomic_folder(path) as folder:
+        placed = []
+        for view in scene.views:
+            placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
+            done()
+        views = [p.view for p in placed]
+        export.smaller(views, folder, sizes)
+        content = _global(scene, views)
+        depths = _depths(views, folder)
+        content["frames"] = [_frame(view, folder, depths.get(view.name), common="fl_x" in content) for view in views]
+        if scene.points is not None:
+            _write_ply(folder / "sparse.ply", scene.points)
+            content["ply_file_path"] = "sparse.ply"
+        files.write_json(folder / FILE, content)
+        for name, source in (extra or {}).items():
+            link(source, folder / name)
+        sidecar.write(folder, scene, {v.image.relative_to(folder).with_suffix("").as_posix(): v for v in views})
+    return export.limits(scene, placed, LAYOUT)
+
+
+def _global(scene: Scene, views: Sequence[View]) -> dict[str, Any]:
+    """What is true of all frames."""
+    reach = max(float(np.abs(scene.box).max()), 1e-9) * 0.33 + 0.5  # instant-ngp's own scale and offset
+    aabb = int(min(2 ** np.ceil(np.log2(max(2 * reach - 1, 1.0))), 128)) if scene.background == "white" else 16
+    names = {split: [f"images/{view.image.name}" for view in views if view.split == split] for split in SPLITS}
+    cameras = {view.camera for view in views}
+    common = _intrinsics(views[0].camera) if len(cameras) == 1 else {}
+    return {**common, "aabb_scale": aabb, "depth_unit_scale_factor": DEPTH_STEP,
+            "applied_transform": np.eye(4)[:3].tolist(), "orientation_override": "none",
+            **{f"{split}_filenames": listed for split, listed in names.items()}}  # fmt: skip
+
+
+def _intrinsics(camera: Camera) -> dict[str, Any]:
+    terms = {"k4": camera.k4} if camera.fisheye else {"p1": camera.p1, "p2": camera.p2}
+    return {"camera_model": opengl.FISHEYE if camera.fisheye else "OPENCV", "w": camera.width, "h": camera.height,
+            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
+            "k1": camera.k1, "k2": camera.k2, "k3": camera.k3, **terms}  # fmt: skip
+
+
+def _frame(view: View, folder: Path, depth: Path | None, *, common: bool) -> dict[str, Any]:
+    own = {} if common else _intrinsics(view.camera)
+    if view.mask is not None:
+        own["mask_path"] = view.mask.relative_to(folder).as_posix()
+    if depth is not None:
+        own["depth_file_path"] = depth.relative_to(folder).as_posix()
+    return {"file_path": f"images/{view.image.name}", **own, "transform_matrix": opengl.transform_matrix(view.world_from_camera)}
+
+
+def _depths(views: Sequence[View], folder: Path) -> dict[str, Path]:
+    """16-bit depth of every view by its name; empty where not all have it, or it does not fit."""
+    if not all("depth" in view.truth for view in views):
+        return {}
+    written = {}
+    for view in views:
+        counts = view.read_truth("depth") / DEPTH_STEP
+        if counts.max(initial=0) > 65535:
+            return {}
+        written[view.name] = folder / "depths" / f"{view.image.stem}.png"
+        images.write(written[view.name], np.nan_to_num(counts, posinf=0).round().clip(0, 65535).astype(np.uint16))
+    return written
+
+
+def _write_ply(path: Path, points: NDArray[np.float64]) -> None:
+    """Points as a binary PLY file."""
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    files.write_bytes(path, header.encode() + points.astype("<f4").tobytes())

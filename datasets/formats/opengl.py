@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import images, pose
+from datasets import files, images, pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_OPENGL
 from datasets.errors import DatasetError
@@ -14,6 +14,7 @@ from datasets.errors import DatasetError
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr", ".JPG", ".PNG")
 """What may be left off a `file_path`."""
 PINHOLES = frozenset({"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", ""})
+FISHEYE = "OPENCV_FISHEYE"
 DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 """nerfstudio's order in `distortion_params`."""
 
@@ -26,10 +27,14 @@ def frames_of(content: Any, *, where: object) -> list[dict[str, Any]]:
     return frames
 
 
-def image_path(folder: Path, file_path: str) -> Path | None:
-    """The existing image that a `file_path` means, with or without its suffix; None where there is none."""
+def image_path(folder: Path, file_path: str, *, where: object) -> Path | None:
+    """The existing image that a `file_path` means, with or without its suffix; None where there is none.
+
+    Raises:
+        DatasetError: the path is absolute or leaves the folder, also through a symbolic link.
+    """
     for suffix in SUFFIXES:
-        path = folder / (file_path + suffix)
+        path = files.inside(folder, file_path + suffix, where=where)
         if path.is_file():
             return path
     return None
@@ -58,13 +63,14 @@ def camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where
     """
     said = {**content, **frame}
     model = str(said.get("camera_model", "")).upper()
-    if model not in PINHOLES:
+    if model not in PINHOLES | {FISHEYE}:
         raise DatasetError(
             f"camera model {model} is not supported", where=where, remedy="undistort the images to a pinhole first"
         )
     if said.get("distortion_params") is not None:
         said |= dict(zip(DISTORTION_PARAMS, said["distortion_params"], strict=False))
-    if said.get("k4"):
+    fisheye = model == FISHEYE or bool(said.get("is_fisheye", False))
+    if said.get("k4") and not fisheye:
         raise DatasetError("distortion k4 is not supported", where=where, why=f"k4 = {said['k4']}",
                            remedy="undistort the images to a pinhole first")  # fmt: skip
     width, height = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else images.size(image)
@@ -74,7 +80,8 @@ def camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where
         raise DatasetError("no focal length", where=where, why="neither fl_x nor camera_angle_x is given")
     values = {"width": width, "height": height, "fx": fx or fy, "fy": fy,
               "cx": said.get("cx", width / 2), "cy": said.get("cy", height / 2)}  # fmt: skip
-    return Camera.from_json(values | {k: said.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")}, where=where)
+    terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    return Camera.from_json(values | {k: said.get(k, 0.0) for k in terms} | {"fisheye": fisheye}, where=where)
 
 
 def _focal(length: int, angle: float | None) -> float | None:

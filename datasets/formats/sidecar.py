@@ -27,7 +27,8 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
 
     files.write_json(folder / FILE, {
         "format": FORMAT, "version": VERSION, **facts(scene),
-        "views": {name: {"name": view.name, "split": view.split, "truth": {k: relative(p) for k, p in view.truth.items()}}
+        "views": {name: {"name": view.name, "split": view.split, "truth": {k: relative(p) for k, p in view.truth.items()},
+                         "depth_unit": view.depth_unit}
                   for name, view in views.items()},
     })  # fmt: skip
 
@@ -63,13 +64,24 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
 
 def read(folder: Path) -> dict[str, Any] | None:
     """The sidecar's content, or None where there is none."""
-    return files.read_json(folder / FILE, kind=FORMAT, version=VERSION) if (folder / FILE).is_file() else None
+    if not (folder / FILE).is_file():
+        return None
+    content = files.read_json(files.inside(folder, FILE), kind=FORMAT, version=VERSION)
+    if not isinstance(content.get("views"), dict):
+        raise DatasetError("holds no views by name", where=folder / FILE)
+    return content
+
+
+def name_of(content: dict[str, Any], name: str) -> str:
+    """What a view that the layout calls `name` was called in the scene that was exported."""
+    said = content["views"].get(name)
+    return str(said["name"]) if isinstance(said, dict) and "name" in said else name
 
 
 def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, notes: tuple[str, ...]) -> Scene:
     """The scene that was exported: views of the layout with the sidecar's names, splits, truth and facts."""
     where = folder / FILE
-    known = content.get("views", {})
+    known = content["views"]
 
     def restored(view: View) -> View:
         said = known.get(view.name)
@@ -79,8 +91,9 @@ def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, n
             truth = {key: files.inside(folder, path, where=where) for key, path in said["truth"].items()}
             if said["split"] not in SPLITS:
                 raise DatasetError(f"no split called {said['split']!r}", where=f"{where}, {view.name}")
-            return replace(view, name=said["name"], split=said["split"], truth=truth)
-        except (KeyError, TypeError, AttributeError) as error:
+            unit = float(said.get("depth_unit", view.depth_unit))
+            return replace(view, name=str(said["name"]), split=said["split"], truth=truth, depth_unit=unit)
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise DatasetError("view is not complete", where=f"{where}, {view.name}", why=str(error)) from None
 
     order: dict[str, int] = {name: index for index, name in enumerate(known)}

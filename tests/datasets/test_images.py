@@ -82,7 +82,7 @@ def test_a_header_that_promises_too_much_is_refused_before_decoding(tmp_path: Pa
 def test_our_own_limit_on_the_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images.write(tmp_path / "a.png", np.zeros((10, 20, 3)))
     monkeypatch.setattr(images, "MAX_PIXELS", 199)
-    with pytest.raises(DatasetError, match=r"too large \(its header says 20x10\)"):
+    with pytest.raises(DatasetError, match=r"too large \(its header says 20x10x3\)"):
         images.read(tmp_path / "a.png")
 
 

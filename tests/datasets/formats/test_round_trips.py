@@ -120,9 +120,13 @@ def test_blender_without_sidecar_still_has_cameras_splits_and_shiny_truth(
     ours = {f"{v.split}/{v.name}": v for v in scene.views}
     for view in again.views:
         assert abs(view.camera.fx - 90) < EXACT and view.camera.is_centred
-        assert sorted(view.truth) == (["alpha", "normals"] if ours[view.name].truth else [])
+        assert sorted(view.truth) == (["alpha", "depth", "normals"] if ours[view.name].truth else [])
         if view.truth:
             assert np.abs(view.read_truth("normals") - ours[view.name].read_truth("normals")).max() < 2 / 255
+            assert view.truth["depth"].name.endswith("_disp.tiff")
+            assert (
+                np.abs(view.read_truth("depth") - ours[view.name].read_truth("depth")).max() < 4e-5
+            )  # steps of (1 + t)^2 / 65535
 
 
 def test_llff_rows_follow_sorted_names_and_hold_out_without_sidecar(make_scene: Callable[..., Scene], tmp_path: Path) -> None:

@@ -1,0 +1,234 @@
+"""COLMAP's model files, text and binary, read with suspicion: every count and reference is checked before it is used.
+
+A model is three files, `cameras`, `images` and `points3D`; versions from 4 on add `rigs` and `frames`, from which the poses in
+`images` follow, so that these three say all. Writing goes through pycolmap.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import pose
+from datasets.errors import DatasetError
+
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}  # fmt: skip
+"""Name of each lens model by its number, and how many parameters it has."""
+NOWHERE = 2**64 - 1
+"""Point of a feature that belongs to none."""
+LONGEST_NAME = 4096
+
+
+@dataclass(frozen=True)
+class StoredCamera:
+    """One camera as stored."""
+
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredImage:
+    """One image as stored."""
+
+    name: str
+    camera_id: int
+    camera_from_world: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    """(k, 2) features, first pixel's centre at (0.5, 0.5)."""
+    points: NDArray[np.int64]
+    """(k,) row of each feature's point in `Model.points`; -1 for none."""
+
+
+@dataclass(eq=False)
+class Model:
+    """A whole model."""
+
+    cameras: dict[int, StoredCamera] = field(default_factory=dict)
+    images: list[StoredImage] = field(default_factory=list)
+    points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    colours: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+
+
+def read_model(cameras: Path, images: Path, points: Path) -> Model:
+    """Read the three files of a model, all binary or all text.
+
+    Raises:
+        DatasetError: a file is cut off, promises more than it holds, or refers to what is not there.
+    """
+    binary = cameras.suffix == ".bin"
+    model = Model()
+    model.cameras = dict(_cameras_binary(cameras) if binary else _cameras_text(cameras))
+    ids, model.points, model.colours = _points_binary(points) if binary else _points_text(points)
+    if len(np.unique(ids)) < len(ids):
+        raise DatasetError("point is listed twice", where=points)
+    order = np.argsort(ids)
+    for image_id, name, camera_id, quaternion_translation, pixels, point_ids in (
+        _images_binary(images) if binary else _images_text(images)
+    ):
+        where = f"{images}, image {image_id} ({name})"
+        if camera_id not in model.cameras:
+            raise DatasetError("camera is missing", where=where, why=f"there is no camera {camera_id} in {cameras.name}")
+        values = np.asarray(quaternion_translation, np.float64)
+        if not np.isfinite(values).all() or not np.linalg.norm(values[:4]) > 1e-9:
+            raise DatasetError("pose is not finite", where=where, remedy="drop the image")
+        matrix = pose.from_quaternion(values[:4], values[4:])
+        model.images.append(StoredImage(name, camera_id, matrix, pixels, _rows(point_ids, ids[order], order)))
+    return model
+
+
+def _rows(point_ids: NDArray[np.uint64], sorted_ids: NDArray[np.uint64], order: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(k,) row of each point id; -1 for those that are nowhere, or not among the points."""
+    if not len(sorted_ids):
+        return np.full(len(point_ids), -1)
+    place = np.minimum(np.searchsorted(sorted_ids, point_ids), len(sorted_ids) - 1)
+    return np.where(sorted_ids[place] == point_ids, order[place], -1)
+
+
+class _Cursor:
+    """A place in a binary file, which never reads beyond its end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.place = path, 0
+        self.data = path.read_bytes()
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        """The next values, little-endian, laid out as `struct` says."""
+        size = struct.calcsize("<" + layout)
+        self.need(size)
+        values = struct.unpack_from("<" + layout, self.data, self.place)
+        self.place += size
+        return values
+
+    def need(self, size: int) -> None:
+        """Raise where fewer than `size` bytes are left."""
+        if size > len(self.data) - self.place:
+            raise DatasetError("is cut off", where=self.path, remedy="copy it again",
+                               why=f"{size} bytes wanted at {self.place}, the file has {len(self.data)}")  # fmt: skip
+
+    def count(self, least: int, what: str) -> int:
+        """A number of records of at least `least` bytes each."""
+        (number,) = self.take("Q")
+        room = (len(self.data) - self.place) // least
+        if number > room:
+            raise DatasetError(f"promises more {what} than it holds", where=self.path, remedy="copy it again",
+                               why=f"{number} {what}, there is room for {room}")  # fmt: skip
+        return number
+
+    def text(self) -> str:
+        """Text up to the next zero byte."""
+        end = self.data.find(b"\0", self.place, self.place + LONGEST_NAME)
+        if end < 0:
+            raise DatasetError("name has no end", where=self.path, why=f"at byte {self.place}", remedy="copy it again")
+        found = self.data[self.place : end].decode("utf-8", "replace")
+        self.place = end + 1
+        return found
+
+
+def _cameras_binary(path: Path) -> Iterator[tuple[int, StoredCamera]]:
+    file = _Cursor(path)
+    for _ in range(file.count(24 + 3 * 8, "cameras")):
+        camera_id, number, width, height = file.take("IiQQ")
+        if number not in MODELS:
+            raise DatasetError(f"lens model number {number} is unknown", where=f"{path}, camera {camera_id}")
+        name, count = MODELS[number]
+        yield camera_id, StoredCamera(name, width, height, file.take(f"{count}d"))
+
+
+def _images_binary(path: Path) -> Iterator[tuple[int, str, int, tuple[float, ...], NDArray[Any], NDArray[Any]]]:
+    file = _Cursor(path)
+    feature = np.dtype([("pixel", "<f8", 2), ("point", "<u8")])
+    for _ in range(file.count(64 + 1 + 8, "images")):
+        image_id, *placed, camera_id = file.take("I7dI")
+        name = file.text()
+        count = file.count(feature.itemsize, "features")
+        features = np.frombuffer(file.data, feature, count, file.place)
+        file.place += count * feature.itemsize
+        yield image_id, name, camera_id, tuple(placed), features["pixel"].copy(), features["point"].copy()
+
+
+def _points_binary(path: Path) -> tuple[NDArray[np.uint64], NDArray[np.float64], NDArray[np.uint8]]:
+    file = _Cursor(path)
+    count = file.count(51, "points")
+    ids, points, colours = np.zeros(count, np.uint64), np.zeros((count, 3)), np.zeros((count, 3), np.uint8)
+    for row in range(count):
+        ids[row], *values, _ = file.take("Q3d3Bd")
+        points[row], colours[row] = values[:3], values[3:]
+        track = file.count(8, "sightings")
+        file.place += 8 * track
+    return ids, _finite(points, path), colours
+
+
+def _finite(points: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+    if not np.isfinite(points).all():
+        bad = int((~np.isfinite(points).all(1)).sum())
+        raise DatasetError("points are not finite", where=path, why=f"{bad} of {len(points)}", remedy="drop them")
+    return points
+
+
+def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
+    """(where, words) of each line that is no comment."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise DatasetError("is no text file", where=path, why=str(error)) from None
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.startswith("#") and (line.strip() or keep_empty):
+            yield f"{path}, line {number}", line.split()
+
+
+def _cameras_text(path: Path) -> Iterator[tuple[int, StoredCamera]]:
+    counts = dict(MODELS.values())
+    for where, words in _lines(path):
+        try:
+            camera_id, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+            parameters = tuple(float(word) for word in words[4:])
+        except (IndexError, ValueError, OverflowError) as error:
+            raise DatasetError("line is no camera", where=where, why=str(error)) from None
+        if counts.get(model) != len(parameters):
+            raise DatasetError(f"lens model {model[:40]} with {len(parameters)} parameters is unknown", where=where)
+        yield camera_id, StoredCamera(model, width, height, parameters)
+
+
+def _images_text(path: Path) -> Iterator[tuple[int, str, int, tuple[float, ...], NDArray[Any], NDArray[Any]]]:
+    lines = _lines(path, keep_empty=True)
+    for where, words in lines:
+        if not words:
+            continue
+        try:
+            image_id, camera_id = int(words[0]), int(words[8])
+            placed, name = tuple(float(word) for word in words[1:8]), " ".join(words[9:])
+            _, features = next(lines, ("", []))
+            pixels = np.array([features[0::3], features[1::3]], np.float64).T.reshape(-1, 2)
+            points = np.array([int(word) % 2**64 for word in features[2::3]], np.uint64)  # -1 is `NOWHERE`
+        except (IndexError, ValueError, OverflowError) as error:
+            raise DatasetError("lines are no image and its features", where=where, why=str(error)) from None
+        if len(points) != len(pixels) or not name:
+            raise DatasetError("lines are no image and its features", where=where, why=f"{len(features)} words, name {name!r}")
+        yield image_id, name, camera_id, placed, pixels, points
+
+
+def _points_text(path: Path) -> tuple[NDArray[np.uint64], NDArray[np.float64], NDArray[np.uint8]]:
+    ids, points, colours = [], [], []
+    for where, words in _lines(path):
+        try:
+            ids.append(np.uint64(int(words[0])))
+            points.append([float(word) for word in words[1:4]])
+            colours.append([np.uint8(int(word)) for word in words[4:7]])
+            complete = len(points[-1]) == 3 and len(colours[-1]) == 3
+        except (IndexError, ValueError, OverflowError) as error:
+            raise DatasetError("line is no point", where=where, why=str(error)) from None
+        if not complete:
+            raise DatasetError("line is no point", where=where, why=f"{len(words)} words")
+    array = np.array(points, np.float64).reshape(-1, 3)
+    return np.array(ids, np.uint64), _finite(array, path), np.array(colours, np.uint8).reshape(-1, 3)

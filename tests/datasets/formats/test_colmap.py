@@ -1,0 +1,109 @@
+"""COLMAP models against COLMAP itself."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.camera_model import Camera
+from datasets.errors import DatasetError
+from datasets.formats import colmap, koala, load_scene
+from datasets.formats.colmap_files import read_model
+from datasets.scene import Scene
+
+pycolmap = pytest.importorskip("pycolmap")
+
+
+def files_of(folder: Path) -> list[Path]:
+    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
+    return [folder / (name + suffix) for name in colmap.NEEDED]
+
+
+def errors_px(model: "pycolmap.Reconstruction") -> np.ndarray:
+    """Reprojection error of every observation, by COLMAP's own projection."""
+    found = []
+    for image in model.images.values():
+        for feature in image.points2D:
+            if feature.has_point3D():
+                found.append(np.linalg.norm(image.project_point(model.points3D[feature.point3D_id].xyz) - feature.xy))
+    return np.array(found)
+
+
+def test_reprojection_stays_through_koala_and_back(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    """The set's stated mean over 5,931 observations is 0.30 px."""
+    source = real_data("colmap_small") / "dense"
+    before = errors_px(pycolmap.Reconstruction(source / "sparse"))
+    koala.save(load_scene(source), tmp_path / "koala")
+    said = colmap.save(load_scene(tmp_path / "koala"), tmp_path / "colmap")
+    after = errors_px(pycolmap.Reconstruction(tmp_path / "colmap" / "sparse" / "0"))
+    assert len(before) == len(after) == 5931 and before.mean() == pytest.approx(0.30, abs=0.005)
+    assert np.abs(np.sort(before) - np.sort(after)).max() < 1e-6
+    assert "lens" not in said
+    points = load_scene(tmp_path / "colmap").points
+    assert points is not None and len(points) == 1443
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_pycolmap_opens_what_is_written(make_scene: Callable[..., Scene], tmp_path: Path, text: bool) -> None:
+    scene = make_scene(Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01))
+    colmap.save(scene, tmp_path / "out", text=text)
+    model = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0")
+    assert model.num_images() == 9 and model.num_cameras() == 1 and model.is_valid()
+    by_name = {view.name: view for view in scene.views}
+    point = np.array([0.01, -0.02, 0.03])
+    for image in model.images.values():
+        view = by_name[Path(image.name).stem]
+        expected = view.camera.project((point - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3])
+        assert np.abs(image.project_point(point) - expected).max() < 1e-9
+        assert (tmp_path / "out" / "images" / image.name).is_file()
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_our_reader_agrees_with_pycolmap_on_rigs(tmp_path: Path, text: bool) -> None:
+    """Two rigs of two cameras: the 4.x layout, where poses follow from rigs and frames."""
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig, options.num_points3D = 2, 2, 3, 40
+    made = pycolmap.synthesize_dataset(options)
+    (made.write_text if text else made.write_binary)(tmp_path)
+    assert any(path.stem == "rigs" for path in tmp_path.iterdir())  # the premise
+    model = read_model(*files_of(tmp_path))
+    ours = {image.name: image for image in model.images}
+    assert len(ours) == 12
+    for image in made.images.values():
+        mine = ours[image.name]
+        assert np.abs(mine.camera_from_world[:3] - image.cam_from_world().matrix()).max() < 1e-12
+        assert model.cameras[mine.camera_id].model == image.camera.model.name
+        assert np.allclose(model.cameras[mine.camera_id].parameters, image.camera.params)
+        seen = [(f.xy, made.points3D[f.point3D_id].xyz) for f in image.points2D if f.has_point3D()]
+        assert np.allclose(mine.pixels[mine.points >= 0], [xy for xy, _ in seen])
+        assert np.allclose(model.points[mine.points[mine.points >= 0]], [xyz for _, xyz in seen])
+
+
+@pytest.mark.parametrize(("name", "at", "value", "words"), [
+    ("cameras", 0, 2**40, "promises more cameras than it holds"),
+    ("images", 0, 2**63, "promises more images than it holds"),
+    ("points3D", 0, 2**62, "promises more points than it holds"),
+    ("points3D", 51, 2**61, "promises more sightings than it holds"),
+])  # fmt: skip
+def test_huge_counts_are_told_before_anything_is_reserved(
+    make_scene: Callable[..., Scene], tmp_path: Path, name: str, at: int, value: int, words: str
+) -> None:
+    from dataclasses import replace
+
+    scene = replace(make_scene(), points=np.random.default_rng(0).normal(size=(50, 3)))
+    colmap.save(scene, tmp_path / "out")
+    path = tmp_path / "out" / "sparse" / "0" / f"{name}.bin"
+    data = path.read_bytes()
+    path.write_bytes(data[:at] + value.to_bytes(8, "little") + data[at + 8 :])
+    with pytest.raises(DatasetError, match=words):
+        load_scene(tmp_path / "out")
+
+
+def test_masks_of_colmaps_naming(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    colmap.save(make_scene(mask=True), tmp_path / "out")
+    assert (tmp_path / "out" / "masks" / "000.png.png").is_file()
+    (tmp_path / "out" / "koala.json").unlink()
+    scene = load_scene(tmp_path / "out")
+    assert scene.background == "white" and scene.views[0].read().shape[-1] == 4
+    assert [view.name for view in scene.split("test")] == ["000", "008"]

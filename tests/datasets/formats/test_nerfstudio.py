@@ -1,0 +1,62 @@
+"""What nerfstudio's and instant-ngp's readers demand of a transforms.json, held against what is written."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import images
+from datasets.camera_model import Camera
+from datasets.conventions import OPENCV_FROM_OPENGL
+from datasets.errors import DatasetError
+from datasets.formats import load_scene, nerfstudio
+from datasets.scene import Scene
+
+
+@pytest.mark.parametrize("mask", [False, True])
+def test_their_rules_hold(make_scene: Callable[..., Scene], tmp_path: Path, mask: bool) -> None:
+    scene = make_scene(Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4), mask=mask)
+    scene = replace(scene, points=np.arange(12.0).reshape(4, 3))
+    nerfstudio.save(scene, tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "transforms.json").read_text())
+    frames = content["frames"]
+    assert [frame["file_path"] for frame in frames] == sorted(frame["file_path"] for frame in frames)
+    assert all((tmp_path / "out" / frame["file_path"]).is_file() for frame in frames)
+    for key in ("mask_path", "depth_file_path"):
+        assert len({key in frame for frame in frames}) == 1  # all or none
+    assert ("mask_path" in frames[0]) == mask
+    listed = {f"{split}_filenames": content[f"{split}_filenames"] for split in ("train", "val", "test")}
+    assert sorted(sum(listed.values(), [])) == [frame["file_path"] for frame in frames]  # each entry among the frames, once
+    assert content["camera_model"] == "OPENCV" and content["aabb_scale"] in [2**n for n in range(8)]
+    assert content["applied_transform"] == [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
+    first = scene.views[0].world_from_camera @ OPENCV_FROM_OPENGL
+    assert np.abs(np.array(frames[0]["transform_matrix"]) - first).max() < 1e-12
+    ply = (tmp_path / "out" / content["ply_file_path"]).read_bytes()
+    head, _, body = ply.partition(b"end_header\n")
+    assert b"element vertex 4" in head and np.array_equal(np.frombuffer(body, "<f4"), np.arange(12.0))
+
+
+def test_depth_goes_along_where_all_have_it(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = make_scene()
+    with_depth = scene.with_views(tuple(view for view in scene.views if view.truth))
+    nerfstudio.save(with_depth, tmp_path / "out")
+    frame = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"][0]
+    assert np.array_equal(np.unique(images.read_stored(tmp_path / "out" / frame["depth_file_path"])), [400])  # 0.4 in thousandths
+    (tmp_path / "out" / "koala.json").unlink()
+    assert load_scene(tmp_path / "out").views[0].read_truth("depth")[0, 0, 0] == pytest.approx(0.4, abs=1e-6)
+
+
+def test_depth_unit_of_the_file(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = make_scene()
+    nerfstudio.save(scene.with_views(tuple(view for view in scene.views if view.truth)), tmp_path / "out")
+    (tmp_path / "out" / "koala.json").unlink()
+    path = tmp_path / "out" / "transforms.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "depth_unit_scale_factor": 0.01}))
+    assert load_scene(tmp_path / "out").views[0].read_truth("depth")[0, 0, 0] == pytest.approx(4.0, abs=1e-5)
+    path.write_text(json.dumps({**content, "depth_unit_scale_factor": -1}))
+    with pytest.raises(DatasetError, match="depth_unit_scale_factor is not positive"):
+        load_scene(tmp_path / "out")
