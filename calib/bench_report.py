@@ -116,7 +116,7 @@ def _plot(path: Path, results: Sequence[Result]) -> None:
     for axis, kind in enumerate(("translation", "rotation")):
         _ratios(grid[2][axis], results, axis, kind)
     grid[2][2].axis("off")
-    grid[2][2].text(0, 0.5, describe(results).replace("; ", ";\n").replace("points of", "points of\n"), va="center")
+    grid[2][2].text(0, 0.5, describe(results).replace("; ", ";\n"), va="center")
     figure.savefig(path, dpi=100)
 
 
@@ -144,6 +144,9 @@ def _error_against_time(axes: Any, results: Sequence[Result], axis: int, unit: s
         axes.axhline(r.bound[axis], color="grey", linestyle=":", linewidth=1)
     axes.plot([], [], color="grey", linestyle=":", label="bound at each number of views")
     axes.set(xscale="log", yscale="log", xlabel="run time [ms]", ylabel=f"rms error [{unit}]")
+    for direction in (axes.xaxis, axes.yaxis):
+        direction.set_major_formatter("{x:g}")
+        direction.set_minor_formatter(lambda value, place: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
 
 
 def _ratios(axes: Any, results: Sequence[Result], axis: int, kind: str) -> None:

@@ -22,7 +22,7 @@ class Bundle:
     """The answer."""
 
     intrinsics: Array
-    """(9,) in the order of `projection.NAMES`."""
+    """(12,) in the order of `projection.NAMES`."""
     camera_from_board: Array
     """(views, 4, 4)."""
     residuals: Array
@@ -33,7 +33,7 @@ class Bundle:
 
 def fit(
     view: NDArray[np.int64], pixels: Array, points: Array, intrinsics: Array, camera_from_board: Array,
-    free: tuple[str, ...] = (), max_steps: int = 30,
+    free: tuple[str, ...] = (), fisheye: bool = False, max_steps: int = 30,
 ) -> Bundle:  # fmt: skip
     """Minimise the distance of seen and predicted corners.
 
@@ -41,23 +41,24 @@ def fit(
         view: (n,) view of each corner, ascending.
         pixels: (n, 2) [px].
         points: (n, 3) on the board [m].
-        intrinsics: (9,) to start from.
+        intrinsics: (12,) to start from.
         camera_from_board: (views, 4, 4) to start from.
         free: intrinsics to estimate; the others stay.
+        fisheye: whether the lens is a fisheye.
 
     Raises:
         CalibrationError: a board lies behind the camera at the start.
     """
     columns = [projection.NAMES.index(name) for name in free]
     damping = 1e-6
-    residuals, system = _linear(view, pixels, points, intrinsics, camera_from_board, columns)
+    residuals, system = _linear(view, pixels, points, intrinsics, camera_from_board, columns, fisheye)
     for _ in range(max_steps):
         try:
             step, view_steps = system.step(damping)
             moved = intrinsics.copy()
             moved[columns] += step
             turned = pose.from_rotation_vector(view_steps[:, 3:], view_steps[:, :3]) @ camera_from_board
-            following = _linear(view, pixels, points, moved, turned, columns)
+            following = _linear(view, pixels, points, moved, turned, columns, fisheye)
         except (np.linalg.LinAlgError, CalibrationError):
             damping *= 10
             continue
@@ -74,14 +75,20 @@ def fit(
 
 
 def _linear(
-    view: NDArray[np.int64], pixels: Array, points: Array, intrinsics: Array, camera_from_board: Array, columns: list[int]
+    view: NDArray[np.int64],
+    pixels: Array,
+    points: Array,
+    intrinsics: Array,
+    camera_from_board: Array,
+    columns: list[int],
+    fisheye: bool,
 ) -> tuple[Array, Eliminated]:
     """(n, 2) residuals and the linear problem about a state; poses are perturbed from the left."""
     turned = rotate(camera_from_board[view, :3, :3], points)
     in_camera = turned + camera_from_board[view, :3, 3]
     if not in_camera[:, 2].min() > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
-    predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics)
+    predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics, fisheye)
     residuals = pixels - predicted
     by_pose = np.concatenate([by_camera, -rows_cross(by_camera, in_camera)], -1)
     rows = np.concatenate([by_pose, by_intrinsics[..., columns], residuals[..., None]], -1)

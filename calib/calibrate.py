@@ -4,96 +4,157 @@ Hand-eye calibration goes: pose of the board in each view -> closed form (which 
 joint refinement -> covariance -> error on views that the refinement has not seen.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib import handeye, intrinsics, projection, refine, uncertainty, verify
-from calib.model import Accuracy, Session, State
+from calib import handeye, intrinsics, mistakes, outliers, projection, screening, uncertainty, verify
+from calib.errors import CalibrationError
+from calib.model import Accuracy, Known, Session, State
 from calib.refine import Refined
 from calib.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
+Array = NDArray[np.float64]
 STATED = Accuracy()
 """What a UR5e is taken to keep within, where nobody says otherwise."""
 
 
-def calibrate_intrinsics(session: TargetSession) -> Calibration:
-    """Intrinsics from the pictures alone. Raises what `calib.intrinsics.calibrate` raises."""
-    found = intrinsics.calibrate(session.observations, session.width, session.height)
+def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
+    """Intrinsics from the pictures alone; `lens` is a key of `intrinsics.LENSES`. Raises what `calib.intrinsics.calibrate` raises."""
+    found = intrinsics.calibrate(session.observations, session.width, session.height, lenses=intrinsics.LENSES[lens])
     residuals = {
-        "rms_px": found.rms_px, "held_out_px": found.held_out_px, "views_used": len(session.observations),
-        "views_unseen": list(session.unseen), "corners": sum(len(o.ids) for o in session.observations),
-        "coverage": found.coverage, "view_rms_px": found.view_rms_px,
+        "rms_px": found.rms_px, "held_out_px": found.held_out_px, "views_used": len(found.observations),
+        "views_unseen": list(session.unseen), "views_left_out": list(found.left_out), "why_left_out": found.left_out,
+        "corners": sum(len(o.ids) for o in found.observations), "coverage": found.coverage, "view_rms_px": found.view_rms_px,
+        "camera_correlation": correlation(found.lens.free, found.covariance),
     }  # fmt: skip
     return Calibration(found.camera, found.std, residuals=residuals, provenance={**session.provenance, "method": "intrinsics"})
 
 
-def calibrate_handeye(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED) -> Calibration:
-    """Hand-eye pose, board pose and intrinsics together.
+def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
+    """Names and (k, k) correlation matrix of estimated intrinsics, for the calibration file."""
+    std = np.sqrt(np.diag(covariance))
+    return {"names": list(names), "matrix": (covariance / np.outer(std, std)).round(6).tolist()}
+
+
+def calibrate_handeye(
+    session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
+) -> Calibration:
+    """Hand-eye pose, board pose and intrinsics together; with the camera beside the arm, its place there and the board's on the flange.
 
     Args:
-        given: intrinsics from another session; they enter with their standard deviations. From the same session they are
+        given: intrinsics from another session; they enter with their covariance. From the same session they are
             only the start, since its corners must not count twice.
         accuracy: of the arm, as stated.
+        lens: a key of `intrinsics.LENSES`.
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
         Misuse: `given` is for images of another size.
     """
-    intrinsics.check_enough(session.observations)
-    uncertainty.check_motion(session.base_from_flange)
-    camera, free, known, sigma_px = _start_camera(session, given)
-    boards = np.stack([intrinsics.camera_from_board(camera, o) for o in session.observations])
-    closed, keep = handeye.solve_robustly(session.base_from_flange, boards)
-    left_out = [o.name for o, kept in zip(session.observations, keep, strict=True) if not kept]
-    session = session.chosen(keep)
-    intrinsics.check_enough(session.observations)
-    uncertainty.check_motion(session.base_from_flange)
+    first = _first(session, given, lens)
+    boards = intrinsics.camera_from_boards(first.camera, first.session.observations)
+    closed, keep = _closed_form(first.session, boards)
+    disagree = {o.name: "arm and picture disagree grossly" for o in first.session.chosen(~keep).observations}
+    start = State(projection.vector(first.camera), closed.flange_from_camera, closed.base_from_board, np.zeros((keep.sum(), 6)))
+    fit = outliers.refine_without(first.session.chosen(keep), start, first.free, first.known, accuracy, sigma_px=first.sigma_px,
+                                  fisheye=first.camera.fisheye)  # fmt: skip
+    return _finished(fit, first, closed, {**first.left_out, **disagree, **fit.left_out}, accuracy, given is not None)
 
-    measured = session.measured(free, known, accuracy)
-    start = State(projection.vector(camera), closed.flange_from_camera, closed.base_from_board, np.zeros((keep.sum(), 6)))
-    refined = refine.refine(measured, start, sigma_px=sigma_px)
+
+def _closed_form(session: TargetSession, boards: Array) -> tuple[handeye.HandEye, NDArray[np.bool_]]:
+    """A start and the views that agree with it; refuses weak motion, and mistakes about the arm's poses."""
+    try:
+        uncertainty.check_motion(session.base_from_flange)
+        closed, keep = handeye.solve_robustly(session.mount_poses, boards)
+    except CalibrationError:
+        mistakes.explain(session.mount_poses, boards)
+        raise
+    mistakes.explain(session.mount_poses, boards)
+    return closed, keep
+
+
+@dataclass(frozen=True)
+class _First:
+    """What is known before the arm's poses are looked at."""
+
+    session: TargetSession
+    camera: Camera
+    free: tuple[str, ...]
+    """Intrinsics to estimate."""
+    known: Known | None
+    sigma_px: float
+    """Standard deviation of a corner per axis."""
+    left_out: dict[str, str]
+
+
+def _first(session: TargetSession, given: Calibration | None, lens: str) -> _First:
+    """Camera to start from, and the views whose corners make sense."""
+    if given is None:
+        found = intrinsics.calibrate(session.observations, session.width, session.height, lenses=intrinsics.LENSES[lens])
+        chosen = session.with_observations(found.observations)
+        return _First(chosen, found.camera, found.lens.free, None, found.sigma_px, found.left_out)
+    verify.check_size(session, given.camera)
+    intrinsics.check_enough(session.observations)
+    observations, left_out = screening.agreeing_with_plane(session.observations)
+    session = session.with_observations(observations)
+    intrinsics.check_enough(observations)
+    free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
+    same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
+    boards = intrinsics.camera_from_boards(given.camera, observations)
+    residuals = np.concatenate(
+        [intrinsics.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, observations, strict=True)]
+    )
+    sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
+    return _First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
+
+
+def _known(given: Calibration, free: tuple[str, ...]) -> Known:
+    """Intrinsics of another session with their covariance; independent where the file does not hold their correlation."""
+    std, stored = np.array([given.camera_std[name] for name in free]), given.residuals.get("camera_correlation", {})
+    among = np.eye(len(free))
+    if set(free) <= set(stored.get("names", ())):
+        rows = [stored["names"].index(name) for name in free]
+        among = np.asarray(stored["matrix"], np.float64)[np.ix_(rows, rows)]
+        values, vectors = np.linalg.eigh(among)  # rounded in the file: kept positive definite
+        among = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+    return Known(free, np.array([getattr(given.camera, name) for name in free]), among * np.outer(std, std))
+
+
+def _finished(
+    fit: outliers.Fit, first: _First, closed: handeye.HandEye, left_out: dict[str, str], accuracy: Accuracy, given: bool
+) -> Calibration:
+    """The calibration with its uncertainty, its errors on unseen views and where it came from."""
+    session, measured, refined = fit.session, fit.measured, fit.refined
     joint = uncertainty.covariance(measured, refined)
-    flange_from_camera, base_from_board = uncertainty.poses(measured, refined, joint)
-    deviations = np.sqrt(np.diag(joint))
+    camera_pose, board_pose = uncertainty.poses(measured, refined, joint)
+    names = ("base_from_camera", "flange_from_board") if session.eye_to_hand else ("flange_from_camera", "base_from_board")
     residuals = {
         "rms_px": refined.rms_px, **verify.held_out(measured, refined), "settled": refined.settled, "sigma_px": refined.sigmas.pixel,
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m, "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
-        "views_used": len(session.observations), "views_unseen": list(session.unseen), "views_left_out": left_out,
+        "views_used": len(session.observations), "views_unseen": list(session.unseen), "views_left_out": list(left_out), "why_left_out": left_out,
         "corners": int(refined.inliers.sum()), "corners_left_out": int((~refined.inliers).sum()),
         "coverage": intrinsics.coverage(session.observations, session.width, session.height),
-        "view_rms_px": _by_view(session, measured, refined),
-        "closed_form": _closed_form(closed, refined),
+        "view_rms_px": _by_view(session, measured, refined), "closed_form": _closed_form_facts(closed, refined),
     }  # fmt: skip
+    free = first.free
+    if free:
+        residuals["camera_correlation"] = correlation(free, joint[: len(free), : len(free)])
     provenance = {
-        **session.provenance, "method": "hand-eye", "closed_form": closed.method, "intrinsics_given": given is not None,
+        **session.provenance, "method": "hand-eye", "closed_form": closed.method, "intrinsics_given": given,
+        "eye_to_hand": session.eye_to_hand,
         "arm_accuracy_stated": {"translation_mm": 1e3 * accuracy.translation_m, "rotation_deg": float(np.rad2deg(accuracy.rotation_rad))},
     }  # fmt: skip
     return Calibration(
-        projection.with_vector(camera, refined.state.intrinsics).checked(where="estimated camera"),
-        dict(zip(free, map(float, deviations), strict=False)), flange_from_camera, base_from_board, residuals, provenance,
+        projection.with_vector(first.camera, refined.state.intrinsics).checked(where="estimated camera"),
+        dict(zip(free, map(float, np.sqrt(np.diag(joint))), strict=False)), residuals=residuals, provenance=provenance,
+        **dict(zip(names, (camera_pose, board_pose), strict=True)),
     )  # fmt: skip
-
-
-def _start_camera(
-    session: TargetSession, given: Calibration | None
-) -> tuple[Camera, tuple[str, ...], dict[str, tuple[float, float]], float]:
-    """Camera to start from, which intrinsics to estimate, what is known of them, and a corner's standard deviation [px]."""
-    if given is None:
-        found = intrinsics.calibrate(session.observations, session.width, session.height)
-        return found.camera, tuple(found.std), {}, found.rms_px / np.sqrt(2)
-    verify.check_size(session, given.camera)
-    free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
-    same = given.provenance.get("frames_sha256") == session.provenance.get("frames_sha256")
-    known = {} if same else {name: (getattr(given.camera, name), given.camera_std[name]) for name in free}
-    boards = [intrinsics.camera_from_board(given.camera, o) for o in session.observations]
-    residuals = np.concatenate(
-        [intrinsics.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, session.observations, strict=True)]
-    )
-    return given.camera, free, known, max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
 
 
 def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dict[str, float]:
@@ -105,7 +166,7 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
     }
 
 
-def _closed_form(closed: handeye.HandEye, refined: Refined) -> dict[str, Any]:
+def _closed_form_facts(closed: handeye.HandEye, refined: Refined) -> dict[str, Any]:
     """What the closed form said, and how far the refinement moved from it."""
     distance, angle = pose.difference(closed.flange_from_camera, refined.state.flange_from_camera)
     return {

@@ -139,7 +139,7 @@ def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
         "out": str(out), "camera": calibration.camera.to_json(), "camera_std": calibration.camera_std,
         "residuals": calibration.residuals, "notes": notes(calibration),
     }  # fmt: skip
-    for name in ("flange_from_camera", "base_from_board"):
+    for name in ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board"):
         value = getattr(calibration, name)
         if value is not None:
             result[name] = {

@@ -1,35 +1,60 @@
-"""Intrinsics from views of a flat target (Zhang 2000, through OpenCV), with as many coefficients as the views support.
+"""Intrinsics from views of a flat target (Zhang 2000), with as many coefficients as the views support.
 
-The distortion model is chosen by what it does for views that it has not seen: each candidate is fitted on some views,
-the others are judged with their pose alone left free. A coefficient stays only where it lowers that held-out error.
+OpenCV finds a start; then each candidate lens is fitted on some views by least squares, and the others are judged with their pose
+alone left free. Usual are k1 k2 p1 p2: more or fewer have to lower that held-out error. (With fewer as the rule, one session in
+twenty would leave out what it had too few views to prove, and state a centre several deviations off.) Corners and views that
+disagree grossly are left out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import projection
+from calib import bundle, projection, screening
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.targets import Observation
 from datasets import conventions, pose
 from datasets.camera_model import Camera
 
+Array = NDArray[np.float64]
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
-MODELS: tuple[tuple[str, ...], ...] = ((), ("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3"))
-"""Candidate sets of distortion coefficients, each contained in the next."""
 GAIN = 0.002
-"""Share by which a larger model must lower the held-out error to be kept: less is the luck of the draw."""
+"""Share by which another model must lower the held-out error to be taken: less is the luck of the draw."""
 MAX_FOCAL_STD = 0.03
 """Relative standard deviation of the focal length from which on it counts as not observed."""
 MIN_TILT_RAD = float(np.deg2rad(6))
 """Rms angle between the target's normals and their mean below which the views count as one direction."""
+OUTLIER = 6.0
+"""Distance of a corner from where it should be, in robust standard deviations, from which on it is left out."""
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
-_FIXED = {"k1": cv2.CALIB_FIX_K1, "k2": cv2.CALIB_FIX_K2, "p1": cv2.CALIB_ZERO_TANGENT_DIST, "k3": cv2.CALIB_FIX_K3}
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A distortion model: which coefficients are estimated."""
+
+    coefficients: tuple[str, ...]
+    fisheye: bool = False
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """All intrinsics that are estimated."""
+        return ("fx", "fy", "cx", "cy", *self.coefficients)
+
+
+BROWN = tuple(Lens(names) for names in ((), ("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3")))
+USUAL = BROWN[3]
+RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
+LENSES: dict[str, tuple[Lens, ...]] = {
+    "auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE,
+}  # fmt: skip
+"""Candidates by the name that a person asks for; each next one is kept where it predicts unseen views better."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +62,9 @@ class Intrinsics:
     """A camera estimated from views of a target."""
 
     camera: Camera
-    std: dict[str, float]
-    """Standard deviation of each estimated value [px for fx fy cx cy, else 1]."""
+    lens: Lens
+    covariance: Array
+    """(k, k) of the estimated values, in the order of `lens.free`."""
     rms_px: float
     """Root mean square distance between seen and predicted corner [px]."""
     held_out_px: float
@@ -47,17 +73,26 @@ class Intrinsics:
     """By name of the view [px]."""
     coverage: float
     """Share of the image, in cells of an 8 x 8 grid, in which a corner was seen."""
-    camera_from_board: NDArray[np.float64]
-    """(views, 4, 4)."""
+    camera_from_board: Array
+    """(views, 4, 4), in the order of `observations`."""
+    observations: tuple[Observation, ...]
+    """What took part."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Views that did not, and why."""
 
     @property
-    def distortion(self) -> tuple[str, ...]:
-        """Names of the distortion coefficients that were estimated."""
-        return tuple(name for name in self.std if name in projection.NAMES[4:])
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each estimated value [px for fx fy cx cy, else 1]."""
+        return dict(zip(self.lens.free, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of a corner per axis [px]."""
+        return max(self.rms_px / np.sqrt(2), 1e-4)
 
 
 def calibrate(
-    observations: Sequence[Observation], width: int, height: int, *, models: Sequence[tuple[str, ...]] = MODELS
+    observations: Sequence[Observation], width: int, height: int, *, lenses: Sequence[Lens] = LENSES["auto"]
 ) -> Intrinsics:
     """Estimate a camera from `observations` in images of `width` x `height` [px].
 
@@ -67,23 +102,44 @@ def calibrate(
         CalibrationError: no fit was found.
     """
     check_enough(observations)
-    errors = {model: _held_out(observations, width, height, model) for model in models}
-    chosen = models[0]
-    for model in models[1:]:
-        if errors[model] < (1 - GAIN) * errors[chosen]:
-            chosen = model
-    camera, std, poses = _fit(observations, width, height, chosen)
-    _check_directions(poses)
-    relative = max(std["fx"] / camera.fx, std["fy"] / camera.fy)
-    if relative > MAX_FOCAL_STD:
-        raise Unobservable("focal length is not observable", why=f"its standard deviation is {relative:.1%} of it",
+    observations, left_out = screening.agreeing_with_plane(observations)
+    check_enough(observations)
+    first, poses = _start(observations, width, height, lenses[0].fisheye)
+    observations, poses, more = _without_outliers(observations, first, poses, lenses)
+    check_enough(observations)
+    scores = {lens: _held_out(observations, first, poses, lens) for lens in lenses if _worth_a_try(lens, first, lenses)}
+    chosen = USUAL if USUAL in scores else next(iter(scores))
+    for lens in sorted(scores, key=lambda lens: len(lens.coefficients)):
+        if scores[lens] < (1 - GAIN) * scores[chosen]:
+            chosen = lens
+    return _finished(observations, first, poses, chosen, scores[chosen], {**left_out, **more})
+
+
+def _finished(
+    observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens, held_out_px: float, left_out: dict[str, str]
+) -> Intrinsics:
+    """The last fit, and the checks that it means something."""
+    camera, fitted = fit(observations, first, poses, lens)
+    _check_directions(fitted.camera_from_board)
+    freedom = fitted.residuals.size - 6 * len(observations) - len(lens.free)
+    variance = max(float((fitted.residuals**2).sum()) / max(freedom, 1), 1e-12)
+    scale = np.sqrt(np.maximum(np.diag(fitted.information), 1e-300))
+    covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
+    if not relative.max() <= MAX_FOCAL_STD:
+        raise Unobservable("focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it",
                            remedy=_TILT)  # fmt: skip
-    residuals = [reproject(camera, p, o) - o.pixels for p, o in zip(poses, observations, strict=True)]
-    return Intrinsics(
-        camera, std, _rms(residuals), errors[chosen],
-        {o.name: _rms([r]) for o, r in zip(observations, residuals, strict=True)},
-        coverage(observations, width, height), poses,
-    )  # fmt: skip
+    view = flat(observations)[0]
+    by_view = {o.name: _rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
+    return Intrinsics(camera, lens, covariance, _rms(fitted.residuals), held_out_px, by_view,
+                      coverage(observations, camera.width, camera.height), fitted.camera_from_board, tuple(observations),
+                      left_out)  # fmt: skip
+
+
+def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
+    """A fisheye is tried where it was asked for, or where the image reaches 35 degrees and more off the axis."""
+    reach = np.hypot(first.width, first.height) / 2 / min(first.fx, first.fy)
+    return not lens.fisheye or all(other.fisheye for other in lenses) or reach > np.tan(np.deg2rad(35))
 
 
 def check_enough(observations: Sequence[Observation]) -> None:
@@ -96,7 +152,7 @@ def check_enough(observations: Sequence[Observation]) -> None:
         )  # fmt: skip
 
 
-def _check_directions(camera_from_board: NDArray[np.float64]) -> None:
+def _check_directions(camera_from_board: Array) -> None:
     """Raise Unobservable where all of the (views, 4, 4) poses look at the target from one direction.
 
     Focal length and distance then trade freely, the fit goes astray and states a small deviation all the same.
@@ -110,26 +166,44 @@ def _check_directions(camera_from_board: NDArray[np.float64]) -> None:
         )
 
 
-def camera_from_board(camera: Camera, observation: Observation) -> NDArray[np.float64]:
-    """(4, 4) pose of a target in one view: the better of the two planar solutions, then least squares in pixels."""
-    matrix, pixels = _opencv_matrix(camera), conventions.opencv_from_pixels(observation.pixels)
-    points, distortion = np.ascontiguousarray(observation.points), camera.distortion
-    _, rotations, translations, _ = cv2.solvePnPGeneric(points, pixels, matrix, distortion, flags=cv2.SOLVEPNP_IPPE)
-    best, best_rms = None, np.inf
-    for rotation, translation in zip(rotations, translations, strict=True):
-        rotation, translation = cv2.solvePnPRefineLM(points, pixels, matrix, distortion, rotation, translation)
-        candidate = pose.from_rotation_vector(rotation.ravel(), translation.ravel())
-        rms = _rms([reproject(camera, candidate, observation) - observation.pixels]) if candidate[2, 3] > 0 else np.inf
-        if rms < best_rms:
-            best, best_rms = candidate, rms
-    if best is None:
+def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> Array:
+    """(views, 4, 4) poses of a target: in each view the better of the two planar solutions, then least squares in pixels.
+
+    Raises:
+        CalibrationError: a view allows no pose in front of the camera; the message names it.
+    """
+    found = [_planar_poses(camera, observation) for observation in observations]
+    fits = []
+    for choice in (0, -1):
+        starts = np.stack([poses[choice] for poses in found])
+        fits.append(bundle.fit(*flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
+    view = flat(observations)[0]
+    squares = [np.bincount(view, (f.residuals**2).sum(-1), len(observations)) for f in fits]
+    return np.where((squares[0] <= squares[1])[:, None, None], fits[0].camera_from_board, fits[1].camera_from_board)
+
+
+def camera_from_board(camera: Camera, observation: Observation) -> Array:
+    """(4, 4) pose of a target in one view; see `camera_from_boards`."""
+    return camera_from_boards(camera, [observation])[0]
+
+
+def _planar_poses(camera: Camera, observation: Observation) -> list[Array]:
+    """The one or two (4, 4) poses that a flat target can have (Collins & Bartoli 2014), in front of the camera, best first."""
+    points, ideal = (np.ascontiguousarray(a) for a in (observation.points, camera.directions(observation.pixels)[:, :2]))
+    try:
+        _, rotations, translations, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    except cv2.error:
+        rotations, translations = (), ()
+    poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
+    poses = [p for p in poses if np.isfinite(p).all() and (points @ p[2, :3] + p[2, 3]).min() > 0]
+    if not poses:
         raise CalibrationError(
             "pose of the target cannot be found", where=f"view {observation.name}", remedy="leave this view out"
         )
-    return best
+    return poses
 
 
-def reproject(camera: Camera, camera_from_board: NDArray[np.float64], observation: Observation) -> NDArray[np.float64]:
+def reproject(camera: Camera, camera_from_board: Array, observation: Observation) -> Array:
     """(n, 2) pixels where the corners of `observation` should be."""
     return camera.project(observation.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
 
@@ -141,25 +215,34 @@ def coverage(observations: Sequence[Observation], width: int, height: int) -> fl
     return len(np.unique(cells, axis=0)) / 64
 
 
-def _opencv_matrix(camera: Camera) -> NDArray[np.float64]:
-    matrix = camera.matrix
-    matrix[:2, 2] = conventions.opencv_from_pixels(matrix[:2, 2])
-    return matrix
+def flat(observations: Sequence[Observation]) -> tuple[NDArray[np.int64], Array, Array]:
+    """(n,) view, (n, 2) pixels and (n, 3) points of all corners in one list."""
+    view = np.repeat(np.arange(len(observations)), [len(o.ids) for o in observations])
+    return view, np.concatenate([o.pixels for o in observations]), np.concatenate([o.points for o in observations])
 
 
-def _rms(residuals: Sequence[NDArray[np.float64]]) -> float:
-    return float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=-1))))
+def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> tuple[Camera, bundle.Bundle]:
+    """Camera with the coefficients of `lens` and the poses of all views, from a start. Raises CalibrationError, Unobservable."""
+    start = projection.vector(first)
+    if first.fisheye != lens.fisheye or set(lens.coefficients) < {"k1", "k2", "p1", "p2"}:
+        start[4:] = 0.0
+        start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
+    fitted = bundle.fit(*flat(observations), start, poses, lens.free, lens.fisheye)
+    if not np.isfinite(fitted.residuals).all():
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+    if not fitted.intrinsics[:2].min() > 0:
+        raise Unobservable("focal length is not observable", why=f"the fit gives {fitted.intrinsics[0]:.3g} px", remedy=_TILT)
+    base = Camera(first.width, first.height, 1, 1, 0, 0, fisheye=lens.fisheye)
+    return projection.with_vector(base, fitted.intrinsics).checked(where="estimated camera"), fitted
 
 
-def _fit(
-    observations: Sequence[Observation], width: int, height: int, model: tuple[str, ...]
-) -> tuple[Camera, dict[str, float], NDArray[np.float64]]:
-    """Camera, standard deviations and (views, 4, 4) camera_from_board for one distortion model."""
+def _start(observations: Sequence[Observation], width: int, height: int, fisheye: bool) -> tuple[Camera, Array]:
+    """A camera with k1 k2 (of a fisheye, with none), and (views, 4, 4) poses of the target, by OpenCV."""
     points = [o.points.astype(np.float32) for o in observations]
     pixels = [conventions.opencv_from_pixels(o.pixels).astype(np.float32) for o in observations]
-    flags = sum(flag for name, flag in _FIXED.items() if name not in model)
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
-        rms, matrix, distortion, rotations, translations, std, _, _ = cv2.calibrateCameraExtended(
+        rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
             points, pixels, (width, height), None, None, flags=flags, criteria=_STOP
         )
     except cv2.error as error:
@@ -168,26 +251,55 @@ def _fit(
         ) from None
     if not np.isfinite(rms):
         raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-        raise Unobservable("focal length is not observable", why=f"the fit gives {matrix[0, 0]:.3g} px", remedy=_TILT)
     focal, centre = matrix[[0, 1], [0, 1]], conventions.pixels_from_opencv(matrix[:2, 2])
-    values = np.concatenate([focal, centre, distortion.ravel()[:5]])
-    camera = projection.with_vector(Camera(width, height, 1, 1, 0, 0), values).checked(where="estimated camera")
-    deviations = {name: float(std[i, 0]) for i, name in enumerate(projection.NAMES) if i < 4 or name in model}
+    if not focal.min() > 0:
+        raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=_TILT)
+    k1, k2 = (0.0, 0.0) if fisheye else map(float, distortion.ravel()[:2])
+    camera = Camera(width, height, *map(float, focal), *map(float, centre), k1, k2, fisheye=fisheye)
     poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
-    return camera, deviations, np.stack(poses)
+    return camera, np.stack(poses)
 
 
-def _held_out(observations: Sequence[Observation], width: int, height: int, model: tuple[str, ...]) -> float:
+def _without_outliers(
+    observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]
+) -> tuple[list[Observation], Array, dict[str, str]]:
+    """Observations without corners, and without views, that a first fit cannot explain; the poses of the rest; who went and why."""
+    middle = FISHEYE[0] if first.fisheye else USUAL
+    left_out: dict[str, str] = {}
+    observations = list(observations)
+    for _ in range(5):
+        _, fitted = fit(observations, first, poses, middle)
+        distance, view = np.linalg.norm(fitted.residuals, axis=1), flat(observations)[0]
+        by_view = np.array([np.median(distance[view == i]) for i in range(len(observations))])
+        typical = max(float(np.median(by_view)), 1e-3)
+        good = by_view <= max(5 * typical, 0.02)
+        limit = OUTLIER * typical / 1.1774  # the median length of a Gaussian in two dimensions is 1.1774 sigma
+        kept = [screening.some(o, distance[view == i] <= limit) for i, o in enumerate(observations)]
+        for i in np.flatnonzero(~good):
+            left_out[observations[i].name] = f"corners are {by_view[i]:.2g} px off, {typical:.2g} px elsewhere"
+        survivors = [i for i in range(len(kept)) if good[i] and len(kept[i].ids) >= screening.MIN_CORNERS]
+        changed = len(survivors) < len(kept) or any(len(a.ids) < len(b.ids) for a, b in zip(kept, observations, strict=True))
+        if not changed or len(survivors) < MIN_VIEWS:
+            break
+        observations, poses = [kept[i] for i in survivors], fitted.camera_from_board[survivors]
+    return observations, poses, left_out
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=-1))))
+
+
+def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> float:
     """Rms [px] over views that the fit has not seen, in up to four folds; infinite where a fit fails."""
     folds = min(4, len(observations) // 2)
-    residuals = []
+    residuals, fold_of = [], np.arange(len(observations)) % folds
     try:
         for fold in range(folds):
-            rest = [o for i, o in enumerate(observations) if i % folds != fold]
-            camera, _, _ = _fit(rest, width, height, model)
-            for observation in observations[fold::folds]:
-                residuals.append(reproject(camera, camera_from_board(camera, observation), observation) - observation.pixels)
-    except CalibrationError:
+            rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
+            camera, _ = fit(rest, first, poses[fold_of != fold], lens)
+            start = projection.vector(camera)
+            residuals.append(bundle.fit(*flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
+    except (CalibrationError, ArithmeticError):
         return np.inf
-    return _rms(residuals)
+    found = _rms(np.concatenate(residuals))
+    return found if np.isfinite(found) else np.inf

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import projection
 from calib.elimination import Eliminated, eliminate
 from calib.errors import CalibrationError
 from calib.model import Session, State, perturbed, predict
@@ -140,17 +139,9 @@ def _cost(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> fl
     distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
     cost = np.where(distance <= HUBER, distance**2, 2 * HUBER * distance - HUBER**2).sum()
     cost += ((state.corrections / sigmas.correction) ** 2).sum()
-    return float(cost + sum((_known(session, state, name)[1]) ** 2 for name in _known_names(session)))
-
-
-def _known_names(session: Session) -> list[str]:
-    return [name for name in session.free if name in session.known]
-
-
-def _known(session: Session, state: State, name: str) -> tuple[float, float]:
-    """Weight of what is known of an intrinsic, and how far the state is from it, in standard deviations."""
-    value, std = session.known[name]
-    return 1 / std, (value - state.intrinsics[projection.NAMES.index(name)]) / std
+    if session.known is not None:
+        cost += (session.known.off(state.intrinsics) ** 2).sum()
+    return float(cost)
 
 
 def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Eliminated:
@@ -160,11 +151,12 @@ def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> 
     rows = np.concatenate([linear.by_view, linear.by_global, linear.residuals[..., None]], -1) * root
     own = np.zeros((len(state.corrections), 6, 7))
     own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
-    names = _known_names(session)
-    known = np.zeros((len(names), linear.by_global.shape[-1] + 1))
-    for row, name in zip(known, names, strict=True):
-        row[session.free.index(name)], row[-1] = _known(session, state, name)
-    return eliminate(session.view, rows, own, known)
+    known = session.known
+    known_rows = np.zeros((0 if known is None else len(known.names), linear.by_global.shape[-1] + 1))
+    if known is not None:
+        known_rows[:, [session.free.index(name) for name in known.names]] = known.whitening
+        known_rows[:, -1] = known.off(state.intrinsics)
+    return eliminate(session.view, rows, own, known_rows)
 
 
 def _attempt(

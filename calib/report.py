@@ -15,6 +15,8 @@ def describe_calibration(calibration: Calibration) -> str:
     for title, value in (
         ("flange_from_camera", calibration.flange_from_camera),
         ("base_from_board", calibration.base_from_board),
+        ("base_from_camera", calibration.base_from_camera),
+        ("flange_from_board", calibration.flange_from_board),
     ):
         if value is not None:
             lines += _pose_lines(title, value)
@@ -42,8 +44,9 @@ def notes(calibration: Calibration) -> list[str]:
     residuals, found = calibration.residuals, []
     if residuals.get("views_unseen"):
         found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
-    if residuals.get("views_left_out"):
-        found.append(f"arm and picture disagree in view {', '.join(residuals['views_left_out'])}, left out")
+    reasons = residuals.get("why_left_out", {})
+    for name in residuals.get("views_left_out", ()):
+        found.append(f"view {name} is left out: {reasons.get(name, 'arm and picture disagree')}")
     if not residuals.get("settled", True):
         found.append("the refinement had not settled; look for views that do not fit")
     if residuals.get("coverage", 1.0) < 0.4:

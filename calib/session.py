@@ -1,18 +1,18 @@
 """From a recording to what calibration works on: corners per view, the arm's word per view, and where they came from."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import TargetError
-from calib.model import Accuracy, Session
+from calib.model import Accuracy, Known, Session
 from calib.targets import Board, Observation
-from datasets import files, images
+from datasets import files, images, pose
 from datasets.recording import FRAMES, MANIFEST, Recording
 
 
@@ -30,20 +30,31 @@ class TargetSession:
     unseen: tuple[str, ...] = ()
     """Views without a target."""
     provenance: dict[str, Any] = field(default_factory=dict)
+    eye_to_hand: bool = False
+    """Whether the camera stands beside the arm and the target is on the flange."""
 
-    def chosen(self, keep: NDArray[np.bool_]) -> "TargetSession":
+    @property
+    def mount_poses(self) -> NDArray[np.float64]:
+        """(views, 4, 4) of what carries the camera, from what carries the board: base_from_flange or, beside the arm, its inverse."""
+        return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
+
+    def chosen(self, keep: NDArray[np.bool_]) -> Self:
         """The same with the views of `keep` (views,) alone."""
         observations = tuple(o for o, kept in zip(self.observations, keep, strict=True) if kept)
-        return TargetSession(
-            self.board, self.width, self.height, observations, self.base_from_flange[keep], self.unseen, self.provenance
-        )
+        return replace(self, observations=observations, base_from_flange=self.base_from_flange[keep])
 
-    def measured(self, free: Sequence[str], known: dict[str, tuple[float, float]], accuracy: Accuracy) -> Session:
+    def with_observations(self, observations: Sequence[Observation]) -> Self:
+        """The same with `observations` instead, which may lack corners and views."""
+        names = [o.name for o in self.observations]
+        rows = [names.index(o.name) for o in observations]
+        return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows])
+
+    def measured(self, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False) -> Session:
         """All corners in one list, for the refinement."""
         counts = [len(o.ids) for o in self.observations]
         return Session(
             self.base_from_flange, np.repeat(np.arange(len(counts)), counts), np.concatenate([o.pixels for o in self.observations]),
-            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy,
+            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy, fisheye, self.eye_to_hand,
         )  # fmt: skip
 
 

@@ -44,13 +44,14 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     Raises:
         Misuse: the calibration has no hand-eye pose, or is for images of another size.
     """
-    if calibration.flange_from_camera is None:
+    mount = calibration.base_from_camera if session.eye_to_hand else calibration.flange_from_camera
+    if mount is None:
         raise Misuse("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     check_size(session, calibration.camera)
-    camera, flange_from_camera = calibration.camera, calibration.flange_from_camera.matrix
-    boards = np.stack([intrinsics.camera_from_board(camera, o) for o in session.observations])
-    board = handeye.assess(session.base_from_flange, boards, flange_from_camera, "given").base_from_board
-    measured = session.measured(projection.NAMES, {}, Accuracy())
+    camera, flange_from_camera = calibration.camera, mount.matrix
+    boards = intrinsics.camera_from_boards(camera, session.observations)
+    board = handeye.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
+    measured = session.measured(projection.NAMES, None, Accuracy(), camera.fisheye)
     state = fit_board(measured, State(projection.vector(camera), flange_from_camera, board, np.zeros((len(boards), 6))))
     residuals, millimetres = _errors(measured, state)
     by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}

@@ -27,8 +27,8 @@ def test_derivatives_agree_with_central_differences():
             2 * step
         )
         np.testing.assert_allclose(by_point[..., axis], numeric, rtol=1e-6, atol=1e-4)
-    for index in range(9):
-        move = step * np.eye(9)[index]
+    for index in range(12):
+        move = step * np.eye(12)[index]
         numeric = (projection.project(POINTS, intrinsics + move)[0] - projection.project(POINTS, intrinsics - move)[0]) / (
             2 * step
         )

@@ -14,7 +14,7 @@ FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 def disturbed(state, rng):
     """A start as far off as a closed form on a poor arm leaves it."""
     return replace(
-        state, intrinsics=state.intrinsics + np.array([3, -3, 4, -4, 0.01, 0, 0, 0, 0]),
+        state, intrinsics=state.intrinsics + np.array([3, -3, 4, -4, 0.01, 0, 0, 0, 0, 0, 0, 0]),
         flange_from_camera=model.perturbed(state.flange_from_camera, rng.normal(0, 1, 6) * np.repeat([3e-3, 0.01], 3)),
         base_from_board=model.perturbed(state.base_from_board, rng.normal(0, 1, 6) * np.repeat([3e-3, 0.01], 3)),
     )  # fmt: skip
@@ -58,8 +58,8 @@ def test_a_worse_arm_than_stated_is_noticed(simulate):
 
 def test_known_intrinsics_are_kept_to(simulate):
     ordinary = simulate(seed=6, views=12)
-    session = ordinary.session(free=("fx", "fy", "cx", "cy"), known={"fx": (900.0, 1e-6)})
-    start = replace(ordinary.state(), intrinsics=ordinary.state().intrinsics + 50 * np.eye(9)[0])
+    session = ordinary.session(free=("fx", "fy", "cx", "cy"), known=model.Known(("fx",), np.array([900.0]), np.array([[1e-12]])))
+    start = replace(ordinary.state(), intrinsics=ordinary.state().intrinsics + 50 * np.eye(12)[0])
     found = refine.refine(session, start, sigma_px=0.3)
     assert found.state.intrinsics[0] == pytest.approx(900.0, abs=1e-4)
     np.testing.assert_array_equal(found.state.intrinsics[4:], ordinary.state().intrinsics[4:])  # not free, not touched
