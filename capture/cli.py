@@ -5,11 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
+from capture.errors import SimulationError
 from datasets import console
 
 app = console.make_app("capture", "Take a robot and a camera along a trajectory, real or simulated, and leave a recording.")
 
 Trajectory = Annotated[Path, typer.Argument(metavar="TRAJECTORY.yaml", help="What to take; see configs/trajectories/.")]
+Recorded = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder that 'capture run' has left.")]
 Rig = Annotated[str, typer.Option(metavar="sim|RIG.yaml", help="The simulated rig, or the file that describes yours.")]
 
 
@@ -77,6 +79,128 @@ def plan_command(trajectory: Trajectory, rig: Rig = "sim", as_json: console.Json
     parts = ", ".join(f"{count} {split}" for split, count in counts.items())
     console.report({"name": session.name, "views": len(planned), "splits": counts, "seconds": round(seconds, 1)}, as_json=as_json,
                    text=f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s")  # fmt: skip
+
+
+@app.command("check")
+def check_command(
+    recording: Recorded,
+    discard: Annotated[bool, typer.Option("--discard", help="Take what is to be taken again out of the recording, so that "
+                                                            "'capture run --resume' takes it again.")] = False,
+    as_json: console.Json = False,
+) -> None:  # fmt: skip
+    """Verify a recording: hashes, counts, clocks, exposure, sharpness. Says what to take again; exit code 1 with findings."""
+    from capture import check
+    from datasets.recording import Recording
+
+    frames = len(Recording.open(recording).frames)
+    with console.progress("check", frames, "views") as shown:
+        findings = check.check(recording, done=lambda count, total: shown.advance())
+    again = check.to_take_again(findings)
+    gone = check.discard(recording, again) if discard else []
+    lines = [finding.line for finding in findings]
+    if again:
+        lines.append(f"take again: {', '.join(again)}")
+        lines.append(f"taken out: {', '.join(gone)}; the command that made the recording takes them again with --resume"
+                     if discard else "'capture check --discard' takes them out, then 'capture run --resume' takes them again")  # fmt: skip
+    found = {"recording": str(recording), "frames": frames, "findings": [vars(finding) for finding in findings],
+             "take_again": again, "discarded": gone}  # fmt: skip
+    console.report(found, as_json=as_json, text="\n".join(lines) or f"{recording}: {frames} views, nothing is wrong")
+    if findings:
+        raise typer.Exit(1)
+
+
+@app.command("replay")
+def replay_command(
+    recording: Recorded,
+    rig: Rig = "sim",
+    seed: Annotated[int | None, typer.Option(min=0, help="Simulation: of the arm's errors. Default: one more than that of the "
+                                                         "recording, the same arm on another day.")] = None,
+    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation: arm faster than real time.")] = 20.0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
+    as_json: console.Json = False,
+) -> None:  # fmt: skip
+    """Drive the joint path of a recording again, without the camera, and report how far each frame's pose is from it."""
+    from capture.replay import replay, summary
+    from capture.rigs import open_arm
+    from capture.trajectory import Trajectory
+    from datasets import files
+    from datasets.recording import Recording as Recordings
+
+    found = Recordings.open(recording)
+    if out is not None:
+        files.refuse_existing(out)
+    if seed is None:
+        seed = int(found.manifest.get("seed") or 0) + 1
+    trajectory = Trajectory.model_validate(found.trajectory)
+    with console.progress("replay", len(found.frames), "views") as shown:
+        with open_arm(rig, trajectory, seed=seed, time_scale=time_scale) as (robot, controller):
+            truth = None if controller is None else controller.true_base_from_flange
+            deviations = replay(found, robot, truth=truth, advance=lambda one: shown.advance())
+    content = {"recording": str(recording), **summary(deviations), "frames": [one.to_json() for one in deviations]}
+    if out is not None:
+        files.write_json(out, {"format": "koala-replay", "version": 1, **content})
+    lines = [f"view {one.frame}: {one.line}" for one in deviations]
+    console.report(content, as_json=as_json, text="\n".join([*lines, f"worst: {content['worst']}"]))
+
+
+@app.command("sim")
+def sim_command(
+    scene: Annotated[str, typer.Option(help="What stands before the simulated camera, for the rig file.")] = "gold_head",
+    out: Annotated[Path | None, typer.Option(metavar="RIG.yaml", help="Write a rig file: 'capture run --rig RIG.yaml' uses it.")] = None,
+    host: Annotated[str, typer.Option(help="Loopback address to listen on.")] = "127.0.0.1",
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Arm faster than real time.")] = 1.0,
+    as_json: console.Json = False,
+) -> None:  # fmt: skip
+    """Start a simulated UR5e controller by itself, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
+    import time
+
+    from capture.rigs import write_simulated_rig
+    from capture.sim.controller import SimulatedController
+    from capture.sim.scenes import check_name
+    from capture.sim.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
+
+    check_name(scene)
+    with SimulatedController.start(seed=seed, time_scale=time_scale, host=host) as controller:
+        if out is not None:
+            write_simulated_rig(out, controller, scene, seed)
+        ports = {"rtde": RTDE_PORT, "script": SCRIPT_PORT, "dashboard": DASHBOARD_PORT, "side_channel": controller.side_port}
+        hint = f"; rig file: {out}" if out is not None else ""
+        text = f"UR5e at {controller.host}: {', '.join(f'{name} {port}' for name, port in ports.items())}{hint}. Ctrl-C ends it"
+        console.report({"host": controller.host, "ports": ports, "scene": scene, "rig": out}, as_json=as_json, text=text)
+        try:
+            while controller.process.poll() is None:
+                time.sleep(0.2)
+        except KeyboardInterrupt:
+            return
+        raise SimulationError("the simulated controller has ended", why=controller.last_words(), remedy="start it again")
+
+
+@app.command("bench")
+def bench_command(
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for bench.json and settling.png.")],
+    frames: Annotated[int, typer.Option(min=3, help="For the loop's overhead.")] = 12,
+    exposure_us: Annotated[float, typer.Option(min=100, help="For the sharpness [us].")] = 20_000.0,
+    as_json: console.Json = False,
+) -> None:
+    """Measure on the simulated rig: sharpness against settling time, overhead of the loop, rate of states."""
+    from capture import bench
+    from datasets import files
+
+    files.refuse_existing(out)
+    with console.progress("bench", 1 + frames + len(bench.DELAYS_S), "steps") as shown:
+        rate = bench.state_rate()
+        shown.advance()
+        overheads = bench.loop_overhead(frames, advance=lambda name: shown.advance())
+        points = bench.settle_curve(exposure_us=exposure_us, advance=lambda name: shown.advance())
+    found = bench.summary(points, overheads, rate)
+    with files.atomic_folder(out) as folder:
+        files.write_json(folder / "bench.json", {"format": "koala-capture-bench", "version": 1, **found})
+        bench.plot_settling(points, folder / "settling.png")
+    rows = [f"  {1e3 * p.delay_s:5.0f} ms: sharpness {100 * p.sharpness:5.1f} %, camera {p.off_mm:.3f} mm off" for p in points]
+    console.report(found, as_json=as_json, text="\n".join([
+        f"states: {rate:.0f} Hz", f"overhead: median {found['overhead_ms']['median']:.1f} ms, worst {found['overhead_ms']['worst']:.1f} ms",
+        "exposed after the end of the motion:", *rows, f"{out}: bench.json, settling.png"]))  # fmt: skip
 
 
 def _duration(session: Any, planned: list[Any]) -> float:

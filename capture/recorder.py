@@ -1,29 +1,30 @@
 """Takes a rig along a trajectory and leaves a recording, frame by frame, so that it can be stopped and resumed anywhere."""
 
 import time
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from capture.errors import MotionError
 from capture.planning import Obstacles, PlannedView, connect, plan
+from capture.rig import Image
+from capture.rig_description import RigDescription
 from capture.rigs import Rig
-from capture.trajectory import Trajectory
-from datasets import files, images
+from capture.trajectory import Motion, Trajectory
+from capture.writer import Advance, Pixels, Writer
 from datasets.errors import Misuse
 from datasets.recording import IMAGES, TRUTH, Frame, Recording
-
-Advance = Callable[[str], None]
 
 
 def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False, planned: list[PlannedView] | None = None,
            advance: Advance = lambda name: None) -> Recording:  # fmt: skip
     """Take every view of `trajectory` that `out` does not hold yet.
 
-    Each frame counts once its image and its truth are on the disk and its line is written; a kill at any moment costs at
-    most the frame that was under way.
+    Pictures go to the disk while the arm moves on. Each frame counts once its image and its truth are on the disk and its
+    line is written; a kill at any moment costs at most the frames that were under way, and a fault of the rig costs none
+    that was exposed.
 
     Args:
         trajectory: what to take.
@@ -31,7 +32,7 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
         out: the recording. New or empty, unless `resume`.
         resume: go on with the recording in `out`, which must be of the same trajectory and rig.
         planned: the plan, where it has been made already.
-        advance: called with the name of each frame that is there, those of before too.
+        advance: called with the name of each frame that is there, those of before too; from any thread.
 
     Raises:
         Misuse: `out` holds something else than this session.
@@ -41,41 +42,70 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
     recording = _open(trajectory, rig, Path(out), resume)
     obstacles = Obstacles.of(trajectory, rig.flange_from_camera)
     taken = {frame.name for frame in recording.frames}
+    motion = trajectory.motion
     previous: str | None = None  # the view where the arm stands now
-    for index, view in enumerate(planned):
-        name = view.viewpoint.name
-        if name in taken:
-            advance(name)
-            continue
-        follows = index > 0 and previous == planned[index - 1].viewpoint.name
-        way = view.way if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
-        motion = trajectory.motion
-        for joints in way:
-            rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
-        arrived = time.monotonic()
-        previous = name
-        recording.append(_expose(recording, rig, index, view, arrived, motion.settle_time_s))
-        advance(name)
+    with Writer(recording, advance) as writer:
+        for index, view in enumerate(planned):
+            name = view.viewpoint.name
+            if name in taken:
+                advance(name)
+                continue
+            follows = index > 0 and previous == planned[index - 1].viewpoint.name
+            way = view.way if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
+            for joints in way:
+                rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+            arrived_ns = time.monotonic_ns()
+            previous = name
+            frame, pixels = _expose(recording, rig, index, view, arrived_ns, motion)
+            writer.put(frame, pixels)
     return recording
 
 
-def _expose(recording: Recording, rig: Rig, index: int, view: PlannedView, arrived: float, settle_time_s: float) -> Frame:
-    """Take the picture of one view from where the arm stands, and put it on the disk."""
+def _expose(
+    recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, motion: Motion
+) -> tuple[Frame, Pixels]:
+    """Take the picture of one view from where the arm stands; the frame still lacks the hash of its file."""
     name, split = view.viewpoint.name, view.viewpoint.split
     if rig.witness is not None:
         rig.witness.prepare(index)
     state = rig.robot.state()
-    settle_s = settle_time_s + time.monotonic() - arrived
     image = rig.camera.grab()
-    path = f"{IMAGES}/{name}.png"
-    images.write(recording.path / path, image.pixels)
+    if motion.settle_difference is not None:
+        image = _still(rig, image, motion, name)
+        state = rig.robot.state()
+    settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
     if rig.witness is not None:
         rig.witness.keep_truth(recording.path / TRUTH, name, split)
-    return Frame(
-        index=index, name=name, split=split, image=path, base_from_flange=state.base_from_flange, joints=state.joints,
-        robot_time_s=state.robot_time_s, host_time_ns=image.host_time_ns, device_ticks=image.device_ticks,
-        exposure_us=image.exposure_us, settle_s=settle_s, sha256=files.sha256(recording.path / path),
+    frame = Frame(
+        index=index, name=name, split=split, image=f"{IMAGES}/{name}.png", base_from_flange=state.base_from_flange,
+        joints=state.joints, robot_time_s=state.robot_time_s, host_time_ns=image.host_time_ns, device_ticks=image.device_ticks,
+        exposure_us=image.exposure_us, settle_s=settle_s, sha256="",
     )  # fmt: skip
+    return frame, image.pixels
+
+
+def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
+    """The first picture that shows the same as the one before it: nothing moves any more, whatever the encoders say.
+
+    Raises:
+        MotionError: that did not happen within the time that the arm has to settle.
+    """
+    deadline = time.monotonic() + motion.settle_timeout_s
+    while True:
+        before, image = image, rig.camera.grab()
+        difference = picture_difference(before.pixels, image.pixels)
+        if difference < (motion.settle_difference or 0.0):
+            return image
+        if time.monotonic() > deadline:
+            raise MotionError("the picture does not come to rest", where=f"view {name}",
+                              why=f"two in a row differ by {difference:.4f}, limit {motion.settle_difference:g}",
+                              remedy="look for what moves or flickers, or raise motion.settle_difference")  # fmt: skip
+
+
+def picture_difference(first: Pixels, second: Pixels) -> float:
+    """Root mean square of the difference of two pictures, as a share of white."""
+    white = float(np.iinfo(first.dtype).max)
+    return float(np.sqrt(np.mean((first.astype(np.float32) - second.astype(np.float32)) ** 2))) / white
 
 
 def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool) -> Recording:
@@ -83,11 +113,24 @@ def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool) -> Recordin
     if not resume or not out.exists():
         return Recording.create(out, manifest)
     recording = Recording.open(out)
-    for key in ("trajectory", "rig", "scene", "seed"):
-        if _comparable(recording.manifest.get(key)) != _comparable(manifest.get(key)):
+    kept = _identity(recording.manifest)
+    for key, value in _identity(_comparable(manifest)).items():
+        if kept[key] != value:
             raise Misuse(f"was taken with another {key.replace('_', ' ')}", where=out, why="a recording has one session",
                          remedy="resume with what it was started with, or choose another --out")  # fmt: skip
     return recording
+
+
+def _identity(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What must be the same when a recording goes on; where the controller is on the network, and defaults that did not
+    exist yet when it was begun, do not matter."""
+    description = RigDescription.model_validate({key: value for key, value in manifest["rig"].items() if key != "name"})
+    anywhere = description.robot.model_copy(update={"host": "anywhere"})
+    return {
+        "trajectory": Trajectory.model_validate(manifest["trajectory"]),
+        "rig": description.model_copy(update={"robot": anywhere, "simulation": None}),
+        "scene": manifest.get("scene"), "seed": manifest.get("seed"),
+    }  # fmt: skip
 
 
 def _manifest(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:

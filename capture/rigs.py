@@ -62,32 +62,57 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
         name: "sim", or the path of a rig file.
         trajectory: camera settings and motion.
         scene: what stands in front of the simulated camera.
-        seed: of everything random in the simulation.
-        time_scale: how much faster than real time the simulated arm is.
+        seed: of everything random in the simulation that is started here; one that runs already has its own.
+        time_scale: how much faster than real time the simulated arm is, where it is started here.
     """
     description = describe(name)
+    with _controller(name, description, seed, time_scale) as controller:
+        if controller is None:
+            from capture.cameras.basler import Basler
+
+            with Basler(trajectory.camera, serial=description.camera.serial) as camera:
+                with _arm(description, trajectory, None) as robot:
+                    yield Rig(robot, camera, description, name)
+            return
+        from capture.sim.camera import SimulatedCamera
+        from capture.sim.truth import RigTruth
+
+        seed = seed if description.simulation is None else description.simulation.seed
+        truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
+        with SimulatedCamera(trajectory, scene, truth, controller, seed) as simulated:
+            with _arm(description, trajectory, controller) as robot:
+                yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed})
+
+
+@contextmanager
+def open_arm(
+    name: str, trajectory: Trajectory, *, seed: int, time_scale: float
+) -> Iterator[tuple[Robot, "ControllerHandle | None"]]:
+    """Connect the arm alone; the second is the simulated controller, None for a real arm. Arguments as of `open_rig`."""
+    description = describe(name)
+    with _controller(name, description, seed, time_scale) as controller:
+        with _arm(description, trajectory, controller) as robot:
+            yield robot, controller
+
+
+@contextmanager
+def _controller(name: str, description: RigDescription, seed: int, time_scale: float) -> "Iterator[ControllerHandle | None]":
+    """The simulated controller of a rig, started here or found running; None for a real one."""
     if name == SIMULATED:
         from capture.sim.controller import SimulatedController
 
-        with SimulatedController.start(seed=seed, time_scale=time_scale) as controller:
-            with _simulated(name, description, controller, trajectory, scene, seed) as rig:
-                yield rig
-        return
-    if description.simulation is not None:
+        with SimulatedController.start(seed=seed, time_scale=time_scale) as started:
+            yield started
+    elif description.simulation is not None:
         from capture.sim.handle import ControllerHandle
 
-        running = ControllerHandle(description.robot.host, description.simulation.side_port)
-        with closing(running), _simulated(name, description, running, trajectory, scene, description.simulation.seed) as rig:
-            yield rig
-        return
-    from capture.cameras.basler import Basler
-
-    with Basler(trajectory.camera, serial=description.camera.serial) as camera:
-        with _arm(description.robot.host, description, trajectory) as robot:
-            yield Rig(robot, camera, description, name)
+        with closing(ControllerHandle(description.robot.host, description.simulation.side_port)) as running:
+            yield running
+    else:
+        yield None
 
 
-def _arm(host: str, description: RigDescription, trajectory: Trajectory, *, simulated: bool = False) -> Robot:
+def _arm(description: RigDescription, trajectory: Trajectory, controller: "ControllerHandle | None") -> Robot:
     from capture.robots.timing import Deadlines, Settling
     from capture.robots.ur import UR5e
     from capture.safety import Limits
@@ -95,23 +120,24 @@ def _arm(host: str, description: RigDescription, trajectory: Trajectory, *, simu
     motion, robot = trajectory.motion, description.robot
     limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
     settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
-    if not simulated:
-        return UR5e(host, limits=limits, settling=settling)
+    if controller is None:
+        return UR5e(robot.host, limits=limits, settling=settling)
     patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering takes all of the computer
-    return UR5e(host, limits=limits, settling=settling, deadlines=patient, frequency=125.0)
+    return UR5e(controller.host, limits=limits, settling=settling, deadlines=patient, frequency=125.0)
 
 
-@contextmanager
-def _simulated(
-    name: str, description: RigDescription, controller: "ControllerHandle", trajectory: Trajectory, scene: str, seed: int
-) -> Iterator[Rig]:
-    from capture.sim.camera import SimulatedCamera
-    from capture.sim.truth import RigTruth
+def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, seed: int) -> None:
+    """A rig file for a simulated controller that runs already; raises Misuse where the file exists."""
+    import yaml
 
-    truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
-    camera = SimulatedCamera(trajectory, scene, truth, controller, seed)
-    with camera, _arm(controller.host, description, trajectory, simulated=True) as robot:
-        yield Rig(robot, camera, description, name, camera, {"scene": scene, "seed": seed})
+    from datasets import files
+
+    files.refuse_existing(path)
+    content = {
+        "robot": {"host": controller.host},
+        "simulation": {"side_port": controller.side_port, "scene": scene, "seed": seed},
+    }
+    files.write_text(path, yaml.safe_dump(content, sort_keys=False))
 
 
 def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:

@@ -67,6 +67,9 @@ class Motion(Schema):
     acceleration: float = Field(1.2, gt=0, le=10, description="of the fastest joint [rad/s^2]")
     settle_speed: float = Field(0.001, gt=0, description="every joint slower than this counts as still [rad/s]")
     settle_time_s: float = Field(0.3, ge=0, le=60, description="how long it must have been still before the exposure [s]")
+    settle_difference: float | None = Field(
+        None, gt=0, lt=1, description="also wait until two pictures in a row differ by less, rms share of white; null: do not"
+    )
     settle_timeout_s: float = Field(5.0, gt=0, description="error where the arm is not still this long after the motion [s]")
 
 

@@ -14,8 +14,8 @@ import sys
 import time
 from typing import Any
 
-BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
-"""The client is asked this often in motion and for a while after it, and else [s]."""
+MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
+"""The client is asked this often in motion and for a while after it (or at its frequency), and else [s]."""
 KICK_S = 0.05
 VARIABLES = [
     "timestamp",
@@ -65,7 +65,7 @@ class _Client:
         }
 
 
-def _serve(client: _Client, link: socket.socket) -> None:
+def _serve(client: _Client, link: socket.socket, busy_period_s: float) -> None:
     """Loop until the link closes; then slow the arm down."""
     link.setblocking(False)
     buffer, kicked, stamp, busy_until = b"", 0.0, -1.0, 0.0
@@ -90,7 +90,7 @@ def _serve(client: _Client, link: socket.socket) -> None:
         if state["robot_time_s"] != stamp or not (state["connected"] and state["running"]):
             stamp = state["robot_time_s"]
             _say(link, {"state": state})
-        period = BUSY_PERIOD_S if begun < busy_until else IDLE_PERIOD_S
+        period = busy_period_s if begun < busy_until else IDLE_PERIOD_S
         select.select([link], [], [], max(0.0, period - (time.monotonic() - begun)))
     client.control.stopJ(2.0, True)
 
@@ -124,7 +124,7 @@ def main() -> None:
             _say(link, {"failed": str(error)})
         os._exit(1)
     with contextlib.suppress(OSError, KeyboardInterrupt):  # the parent has gone, or the whole group was interrupted
-        _serve(client, link)
+        _serve(client, link, min(MAX_BUSY_PERIOD_S, 1.0 / options["frequency"]))
     os._exit(0)
 
 

@@ -20,13 +20,14 @@ class Sample:
 
 
 class ChildLink:
-    """The running child: its newest state, its answers, and the means to end it."""
+    """The running child: its newest state, how many there were (`samples`), its answers, and the means to end it."""
 
     def __init__(self, process: "subprocess.Popen[bytes]", link: socket.socket, words: Any) -> None:
         self.process, self.link, self._words = process, link, words
         self._news = threading.Condition()
         self._sending = threading.Lock()
         self._sample: Sample | None = None
+        self.samples = 0
         self._answers: list[dict[str, Any]] = []
         self._number = 0
         self._closed = False
@@ -132,7 +133,7 @@ class ChildLink:
                 for line in lines:
                     message = json.loads(line)
                     if "state" in message:
-                        self._sample = Sample(message["state"], arrived)
+                        self._sample, self.samples = Sample(message["state"], arrived), self.samples + 1
                     else:
                         self._answers.append(message)
                 self._closed = not chunk

@@ -138,6 +138,11 @@ class UR5e:
             self.stop()
             raise
 
+    @property
+    def states_received(self) -> int:
+        """How many states have come since entering, each with another time stamp of the controller."""
+        return self._connected().samples
+
     def stop(self) -> None:
         """Bring the arm to rest: by the client where it answers, else by the dashboard. Any thread, any number of times."""
         self._stopped.set()

@@ -4,6 +4,7 @@ Time is the controller's own [s]; whoever steps the simulation says how late it 
 """
 
 import zlib
+from collections import deque
 from enum import IntEnum
 
 import numpy as np
@@ -17,10 +18,10 @@ SAFETY_DECELERATION = 10.0
 """Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
 RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
 """The joints swing after a stop, and the encoders see it: frequency, decay time, and amplitude [rad per rad/s^2]."""
-FLEXURE_HZ, FLEXURE_PER_ACCELERATION = 9.0, 6e-4
-"""Tubes, gears and bracket bend besides, which no encoder sees: frequency and amplitude [rad per rad/s^2]."""
-QUIET_S = 6 * RINGING_DECAY_S
-"""Both have died away this long after a stop [s]: a four-hundredth is left, and taken as nothing."""
+FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
+"""Tubes, gears and bracket bend besides, which no encoder sees; as above."""
+QUIET_S = 0.36
+"""Both have died away this long after a stop [s]: less than a hundredth is left, and taken as nothing."""
 
 
 class RobotMode(IntEnum):
@@ -60,6 +61,7 @@ class Arm:
         self.joint_limits = np.array([[-JOINT_LIMIT], [JOINT_LIMIT]]) * np.ones(6)
         self.reach_m = np.inf
         self._phase_s, self._phase_at, self._rate = 0.0, 0.0, 1.0  # of the profile, at which time, and how fast it runs
+        self.motions: deque[tuple[float, Profile]] = deque(maxlen=1000)
         self._visits: dict[int, int] = {}
         self._error: NDArray[np.float64] | None = None
 
@@ -84,19 +86,28 @@ class Arm:
     def actual(self, now: float) -> tuple[Joints, Joints]:
         """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
         angles, speeds, _ = self.target(now)
-        swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_PER_ACCELERATION)
+        swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION)
         return angles - swing, speeds - swing_speed
 
-    def _swing(self, now: float, frequency_hz: float, amplitude: float) -> tuple[Joints | float, Joints | float]:
+    def _swing(self, now: float, frequency_hz: float, decay_s: float, amplitude: float) -> tuple[Joints | float, Joints | float]:
         """(6,) damped oscillation after the end of a motion [rad], and its speed [rad/s]; 0 in motion and long after it."""
         since = (self.phase(now) - self.profile.duration) / self._rate
         if not 0 <= since < QUIET_S or self.profile.duration == 0:
             return 0.0, 0.0
         slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2] * self._rate**2
         omega = 2 * np.pi * frequency_hz
-        size = amplitude * slowing * np.exp(-since / RINGING_DECAY_S)
+        size = amplitude * slowing * np.exp(-since / decay_s)
         sine, cosine = np.sin(omega * since), np.cos(omega * since)
-        return size * sine, size * (omega * cosine - sine / RINGING_DECAY_S)
+        return size * sine, size * (omega * cosine - sine / decay_s)
+
+    def swings_for(self, profile: Profile, speed: float) -> float:
+        """How long after the end of a motion at full speed a joint is still faster than `speed` [rad/s], in seconds."""
+        slowing = np.abs(profile.at(profile.duration * (1 - 1e-6))[2]).max()
+        omega = 2 * np.pi * RINGING_HZ
+        since = np.arange(0.0, QUIET_S, 1e-4)
+        swing = np.exp(-since / RINGING_DECAY_S) * (omega * np.cos(omega * since) - np.sin(omega * since) / RINGING_DECAY_S)
+        fast = np.flatnonzero(np.abs(RINGING_PER_ACCELERATION * slowing * swing) >= speed)
+        return float(since[fast[-1]]) if len(fast) else 0.0
 
     def base_from_tcp(self, joints: Joints) -> NDArray[np.float64]:
         """(4, 4) as the controller reports it: calibrated links, active tool offset [m]."""
@@ -107,13 +118,14 @@ class Arm:
 
         The error of a visit changes with every stop, and is the same for the same visit.
         """
-        bent = self._swing(now, FLEXURE_HZ, FLEXURE_PER_ACCELERATION)[0]
+        bent = self._swing(now, FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION)[0]
         return forward(self.actual(now)[0] - bent, self.links) @ self._stopping_error()
 
     def begin(self, profile: Profile, now: float) -> None:
         """Start a motion from where the arm is."""
         self.profile, self._error = profile, None
         self._phase_s, self._phase_at = 0.0, now
+        self.motions.append((now, profile))
         self._rate = 1.0 if isinstance(profile, Stop) else self.speed_fraction
 
     def slide_speed(self, fraction: float, now: float) -> None:

@@ -101,7 +101,7 @@ class SimulatedCamera:
 
     def grab(self) -> Image:
         """See `capture.rig.Camera`; `device_ticks` are nanoseconds of the host's clock, as of a camera on USB."""
-        settings = self.trajectory.camera
+        settings, moment = self.trajectory.camera, time.monotonic_ns()
         poses = self._arm.exposed(settings.exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
         poses = poses[blur_moments(self.lens.camera, poses)]
         self._base_from_camera = poses[len(poses) // 2]
@@ -115,7 +115,7 @@ class SimulatedCamera:
         picture.unlink()
         if not np.array_equal(image.pixels, pixels):
             raise SimulationError("the emulated camera changed the picture", why="pixels differ from what it was fed")
-        return replace(image, device_ticks=time.monotonic_ns())
+        return replace(image, host_time_ns=moment, device_ticks=moment)
 
     def description(self) -> dict[str, Any]:
         """See `capture.rig.Camera`."""
@@ -129,12 +129,12 @@ class SimulatedCamera:
         """
         if split == "test":
             white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)
-            for channel, values in self.view.truth(self.lens, self._pose, self._seed).items():
+            for channel, values in self.view.truth(self.lens, self.base_from_camera, self._seed).items():
                 values = values / white if channel in LIGHT else values
                 images.write(folder / channel / f"{name}{SUFFIXES[channel]}", values)
         poses = folder / "poses.json"
         content = files.read_json(poses) if poses.exists() else self._session(folder)
-        content["base_from_camera"][name] = self._pose.tolist()
+        content["base_from_camera"][name] = self.base_from_camera.tolist()
         files.write_json(poses, content)
 
     def _session(self, folder: Path) -> dict[str, Any]:
@@ -158,7 +158,8 @@ class SimulatedCamera:
         return self._lens
 
     @property
-    def _pose(self) -> NDArray[np.float64]:
+    def base_from_camera(self) -> NDArray[np.float64]:
+        """(4, 4) where the camera truly was in the middle of the newest exposure [m]."""
         if self._base_from_camera is None:
             raise SimulationError("no picture has been taken yet")
         return self._base_from_camera

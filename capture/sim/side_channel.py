@@ -52,6 +52,12 @@ def _truth(server: Server, exposure_s: float = 0.0, count: int = 0) -> dict[str,
     }  # fmt: skip
 
 
+def _motions(server: Server, settle_speed: float = 0.001) -> dict[str, Any]:
+    """The latest motions: start in the controller's time, duration, and how long joints swing faster than that after it [s]."""
+    arm = server.arm
+    return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_speed)] for start, profile in arm.motions]}
+
+
 def _drop(server: Server) -> None:
     """Cut every RTDE connection."""
     for session in list(server.sessions):
@@ -90,6 +96,7 @@ def _speed_slider(server: Server, fraction: float) -> None:
 
 ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "truth": _truth,
+    "motions": _motions,
     "protective_stop": lambda server: server.arm.stop_for_safety(Safety.PROTECTIVE_STOP, server.now),
     "emergency_stop": lambda server: server.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, server.now),
     "stop_program": ControllerServer.stop_program,
