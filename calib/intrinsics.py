@@ -263,24 +263,28 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
 def _without_outliers(
     observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]
 ) -> tuple[list[Observation], Array, dict[str, str]]:
-    """Observations without corners, and without views, that a first fit cannot explain; the poses of the rest; who went and why."""
+    """Observations without corners, and without views, that a first fit cannot explain; the poses of the rest; who went and why.
+
+    Corners go first, by what is usual in their own view: a few wrong ones bend the whole view's fit, and the view is good without them.
+    """
     middle = FISHEYE[0] if first.fisheye else USUAL
     left_out: dict[str, str] = {}
     observations = list(observations)
-    for _ in range(5):
+    for _ in range(12):
         _, fitted = fit(observations, first, poses, middle)
         distance, view = np.linalg.norm(fitted.residuals, axis=1), flat(observations)[0]
         by_view = np.array([np.median(distance[view == i]) for i in range(len(observations))])
         typical = max(float(np.median(by_view)), 1e-3)
-        good = by_view <= max(5 * typical, 0.02)
-        limit = OUTLIER * typical / 1.1774  # the median length of a Gaussian in two dimensions is 1.1774 sigma
-        kept = [screening.some(o, distance[view == i] <= limit) for i, o in enumerate(observations)]
-        for i in np.flatnonzero(~good):
-            left_out[observations[i].name] = f"corners are {by_view[i]:.2g} px off, {typical:.2g} px elsewhere"
-        survivors = [i for i in range(len(kept)) if good[i] and len(kept[i].ids) >= screening.MIN_CORNERS]
-        changed = len(survivors) < len(kept) or any(len(a.ids) < len(b.ids) for a, b in zip(kept, observations, strict=True))
-        if not changed or len(survivors) < MIN_VIEWS:
-            break
+        limits = OUTLIER * np.maximum(by_view, typical) / 1.1774  # the median length of a Gaussian in two dimensions, in sigmas
+        kept = [screening.some(o, distance[view == i] <= limits[i]) for i, o in enumerate(observations)]
+        kept = [new if len(new.ids) >= screening.MIN_CORNERS else old for new, old in zip(kept, observations, strict=True)]
+        survivors = np.arange(len(kept))
+        if all(len(new.ids) == len(old.ids) for new, old in zip(kept, observations, strict=True)):
+            survivors = np.flatnonzero(by_view <= max(5 * typical, 0.02))
+            if len(survivors) in (len(kept), *range(MIN_VIEWS)):
+                break
+            for i in np.setdiff1d(np.arange(len(kept)), survivors):
+                left_out[observations[i].name] = f"corners are {by_view[i]:.2g} px off, {typical:.2g} px elsewhere"
         observations, poses = [kept[i] for i in survivors], fitted.camera_from_board[survivors]
     return observations, poses, left_out
 

@@ -92,7 +92,9 @@ def test_a_fisheye_is_recognised_by_what_it_predicts(simulate):
     found = intrinsics.calibrate(session.observations, 960, 600)
     assert found.camera.fisheye
     corner = np.array([[150.0, 120.0], [800.0, 480.0], [480.0, 300.0]])
-    np.testing.assert_allclose(FISHEYE.project(found.camera.directions(corner)), corner, atol=1.5)  # a direction of 3 mrad is the camera turned
+    np.testing.assert_allclose(
+        FISHEYE.project(found.camera.directions(corner)), corner, atol=1.5
+    )  # a direction of 3 mrad is the camera turned
     assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
 
 
