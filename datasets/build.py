@@ -25,8 +25,11 @@ NEAR_SHARE = 0.25
 """Near is this share of the depth at which a camera first meets the object's box: the table comes closer than the object."""
 
 
-def build(recording_path: Path, calibration_path: Path, out: Path, *, done: Callable[[], None] = lambda: None) -> Scene:
+def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tuple[int, ...] = (),
+          done: Callable[[], None] = lambda: None) -> Scene:  # fmt: skip
     """Write the Koala scene of a recording to `out`, all or nothing. `done` is called after each frame.
+
+    For each N of `sizes`, `images_N` holds the images at 1/N of their size.
 
     Raises:
         Misuse: a calibration session, a calibration without a hand-eye pose, or an `out` that holds something.
@@ -60,7 +63,7 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, done: Call
     }  # fmt: skip
     scene = Scene(Path(out).resolve().name, tuple(views), near, np.inf, box, "scene", metric=True, notes=tuple(notes),
                   provenance=provenance, bounds_from=evidence)  # fmt: skip
-    koala.save(scene, out, extra=extra_truth(recording.path))
+    koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
     return scene
 
 

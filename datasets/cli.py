@@ -6,22 +6,21 @@ from typing import Annotated, Any
 
 import typer
 
-from datasets import console
+from datasets import console, edit_commands
 from datasets.console import Json
+from datasets.edit_commands import Out, Root, SceneName
 
 app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
 
-Root = Annotated[Path | None, typer.Option(help="Folder in which scene names are looked up, before $KOALA_DATA.")]
-Out = Annotated[Path, typer.Option(help="Folder to write; must not exist.")]
 Sizes = Annotated[str, typer.Option(help="Write images_N too: 2,4,8 for a half, a quarter and an eighth of the size.")]
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Folder, or a name such as koala/gold_head.")]
 
 
 @app.command()
 def build(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
-    out: Annotated[Path, typer.Option(help="Folder of the new scene; must not exist.")],
+    out: Out,
+    sizes: Sizes = "",
     as_json: Json = False,
 ) -> None:
     """Make a posed scene from a recording and a calibration."""
@@ -30,7 +29,7 @@ def build(
     from datasets.recording import Recording
 
     with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
-        scene = build_scene(recording, calibration, out, done=shown.advance)
+        scene = build_scene(recording, calibration, out, sizes=_numbers(sizes), done=shown.advance)
     console.report({"scene": str(out), **summary(scene)}, as_json=as_json, text=f"{_text(summary(scene))}\nwritten to {out}")
 
 
@@ -112,6 +111,25 @@ def truth(
         **found
     )
     console.report(found, as_json=as_json, text=text)
+
+
+@app.command()
+def bench(
+    count: Annotated[int, typer.Option(help="Pictures to read.")] = 50,
+    suffix: Annotated[str, typer.Option(help="Their format: .png, .jpg, .tif or .exr.")] = ".png",
+    as_json: Json = False,
+) -> None:
+    """Time reading 1920x1080 pictures and making them four times smaller."""
+    from datasets.bench import read_and_shrink
+
+    found = read_and_shrink(count, suffix=suffix)
+    text = ("{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
+            "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s, {seconds_per_image:.3f} s each; "
+            "peak memory grew by {peak_growth_mb:.1f} MB after the first ten")  # fmt: skip
+    console.report(found, as_json=as_json, text=text.format(**found))
+
+
+edit_commands.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

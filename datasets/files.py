@@ -20,6 +20,8 @@ from datasets.errors import DatasetError, Misuse
 
 MAX_JSON_BYTES = 2**26
 """Larger JSON files are refused: one of ten thousand frames has a fifth of this."""
+LONGEST_NAME = 255
+"""Bytes of a file's name that file systems can hold."""
 
 
 @contextmanager
@@ -115,6 +117,8 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
         raise Misuse("no such file", where=path, remedy="check the path") from None
     except (IsADirectoryError, NotADirectoryError):
         raise Misuse("is not a file", where=path, remedy="check the path") from None
+    except OSError as error:
+        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error), remedy="copy it again") from None
     except (ValueError, RecursionError) as error:
         raise DatasetError("is not valid JSON", where=path, why=str(error), remedy="write it again") from None
     if kind is not None:
@@ -138,6 +142,8 @@ def inside(folder: Path, name: str, *, where: object = "") -> Path:
     try:
         root = Path(folder).resolve()
         path = (root / name).resolve()
+        if any(len(os.fsencode(part)) > LONGEST_NAME for part in path.parts):
+            raise ValueError("a name in it is too long")
         leaves = Path(name).is_absolute() or not path.is_relative_to(root)
     except (TypeError, ValueError, OSError, RuntimeError) as error:  # no text, a zero byte, too long, links in a circle
         raise DatasetError(f"path {str(name)[:80]!r} is not usable", where=where or folder, why=str(error)) from None

@@ -26,6 +26,7 @@ MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"
 DESCRIPTIVE = frozenset({"Make", "Model", "Software", "DateTime", "Artist", "Copyright", "ImageDescription", "ExposureTime",
                          "FNumber", "XResolution", "YResolution", "ResolutionUnit"})  # fmt: skip
 """Headers without a prefix that `metadata` keeps."""
+_STEPS = {"uint8": 255, "uint16": 65535}
 FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
 """Files that hold float as it is; the others get 8 bits."""
 
@@ -42,17 +43,18 @@ def read(path: Path) -> NDArray[np.float32]:
 
 def read_stored(path: Path) -> NDArray[np.generic]:
     """(height, width, channels) as stored: uint8, uint16 or float32. Raises as `read` does."""
-    kind = {255: "uint8", 65535: "uint16"}.get(steps(path), "float")
-    return _decoded(path, kind)
+    return _decoded(path, None)
 
 
-def _decoded(path: Path, kind: str) -> NDArray[Any]:
+def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
+    """The picture as numbers of a kind; None for the file's own."""
     source, orientation = _open(path)
+    stored = str(source.spec().format)
     try:
-        pixels = source.read_image(kind)
+        pixels = source.read_image(kind or (stored if stored in _STEPS else "float"))
         complaint = source.geterror()
-    except MemoryError:
-        pixels, complaint = None, "it does not fit into memory"
+    except (MemoryError, UnicodeDecodeError) as error:  # the second: the library quotes what it stumbled over
+        pixels, complaint = None, type(error).__name__
     finally:
         source.close()
     if pixels is None or complaint:
@@ -83,7 +85,7 @@ def steps(path: Path) -> int:
     source, _ = _open(path)
     kind = str(source.spec().format)
     source.close()
-    return {"uint8": 255, "uint16": 65535}.get(kind, 1)
+    return _STEPS.get(kind, 1)
 
 
 def metadata(path: Path) -> dict[str, str | int | float]:
@@ -92,7 +94,12 @@ def metadata(path: Path) -> dict[str, str | int | float]:
     The orientation is left out, since `read` has turned the picture by it. Raises as `read` does.
     """
     source, _ = _open(path)
-    found = {entry.name: entry.value for entry in source.spec().extra_attribs}
+    found: dict[str, Any] = {}
+    for entry in source.spec().extra_attribs:
+        try:
+            found[entry.name] = entry.value
+        except UnicodeDecodeError:  # a text in another coding; nothing depends on it
+            continue
     source.close()
     return {name: value for name, value in found.items()
             if isinstance(value, str | int | float) and name != "Orientation"
@@ -251,7 +258,11 @@ def _open(path: Path) -> tuple[Any, int]:
     wanted.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), wanted)
     if source is None:
-        raise DatasetError("image cannot be read", where=path, why=oiio.geterror() or "no header", remedy="copy it again")
+        try:
+            why = oiio.geterror() or "no header"
+        except UnicodeDecodeError:
+            why = "its header is damaged"
+        raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
     spec = source.spec()
     if not 0 < spec.width * spec.height <= MAX_PIXELS or not 0 < spec.nchannels <= 64 or spec.depth > 1:
         source.close()

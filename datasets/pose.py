@@ -12,6 +12,9 @@ from datasets.errors import DatasetError
 
 Matrix = NDArray[np.float64]
 
+FURTHEST = 1e12
+"""Positions further away than this [world unit] are mistakes: their squares and products would lose all digits."""
+
 
 def rigid(rotation: ArrayLike, translation: ArrayLike) -> Matrix:
     """(..., 4, 4) transforms from (..., 3, 3) rotation matrices and (..., 3) translations [m]."""
@@ -90,6 +93,10 @@ def checked(pose: ArrayLike, *, where: object, tolerance: float = 1e-3) -> Matri
         raise DatasetError("pose is not 4x4", where=where, why=f"shape {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise DatasetError("pose is not finite", where=where, why="it holds NaN or infinity", remedy="drop the frame")
+    if np.abs(matrix).max() > FURTHEST:
+        raise DatasetError(
+            "pose is out of all range", where=where, why=f"it holds {np.abs(matrix).max():.3g}", remedy="drop the frame"
+        )
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) < 0:
         raise DatasetError("pose is left-handed", where=where, why="its determinant is negative",

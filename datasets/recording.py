@@ -96,14 +96,14 @@ class Recording:
             raise Misuse(
                 "is not a recording", where=path, why=f"no {MANIFEST} in it", remedy="give a folder made by 'capture run'"
             )
-        manifest = files.read_json(path / MANIFEST, kind=FORMAT, version=VERSION)
-        lines = (path / FRAMES).read_text(encoding="utf-8").split("\n") if (path / FRAMES).is_file() else []
+        manifest = files.read_json(files.inside(path, MANIFEST), kind=FORMAT, version=VERSION)
+        lines = _lines(files.inside(path, FRAMES))
         frames = []
         for number, line in enumerate(lines[:-1], 1):  # what follows the last newline was never finished
             where = f"{path / FRAMES}, line {number}"
             try:
                 content = json.loads(line)
-            except json.JSONDecodeError as error:
+            except (ValueError, RecursionError) as error:
                 raise DatasetError("frame record is not valid JSON", where=where, why=str(error)) from None
             frame = Frame.from_json(content, where=where)
             files.inside(path, frame.image, where=where)
@@ -132,3 +132,13 @@ class Recording:
     def image_path(self, frame: Frame) -> Path:
         """Path of a frame's image."""
         return self.path / frame.image
+
+
+def _lines(path: Path) -> list[str]:
+    """Text of a file split at each newline; none where the file is not there yet."""
+    try:
+        return path.read_text(encoding="utf-8").split("\n") if path.exists() else []
+    except UnicodeDecodeError as error:
+        raise DatasetError("is not a text file", where=path, why=str(error)) from None
+    except OSError as error:
+        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error)) from None

@@ -15,6 +15,8 @@ from datasets.scene import Scene, View
 
 SAME_SHAPE = 0.02
 """Aspect ratios that differ by less are those of one image at two sizes, each rounded to pixels."""
+SHORTEST, LONGEST = 1e-3, 1e6
+"""Focal lengths per width of the image between which there are cameras: views of 180 degrees, and of a ten-thousandth."""
 CAMERAS_ALONE = "cameras alone"
 """`Scene.bounds_from` where nothing but where the cameras stand and look is known."""
 
@@ -53,6 +55,11 @@ class Gathering:
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
             raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images where it says")
+        without = [view.name for view in self.views if view.mask is None]
+        if 0 < len(without) < len(self.views):
+            self.complain(DatasetError("only some views have a mask", where=self.folder, remedy="give all of them one, or none",
+                                       why=f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}"))  # fmt: skip
+            self.views = [replace(view, mask=None) for view in self.views]
         names = [view.name for view in self.views]
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
@@ -90,6 +97,11 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
     Views with an alpha or a mask show an object before nothing ("white"): its box is the visual hull's. Otherwise the
     surroundings are seen ("scene"), and the box is where the cameras look.
     """
+    for view in views:
+        focal = np.array([view.camera.fx, view.camera.fy]) / view.camera.width
+        if not ((focal > SHORTEST) & (focal < LONGEST)).all():
+            raise DatasetError("focal length is out of all range", where=f"{gathering.folder}, view {view.name}",
+                               why=f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}")  # fmt: skip
     masked = views[0].mask is not None or images.channels(views[0].image) in (2, 4)
     train = tuple(view for view in views if view.split == "train") or views
     if masked:
@@ -106,6 +118,9 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
             evidence += "; near and far as stated"
             if bounds.focus(np.stack([view.world_from_camera for view in train]))[1] < bounds.PARALLEL:
                 box = bounds.frustum_box(train, near, far)
+    if not (np.isfinite(box).all() and 0 <= near < far):
+        raise DatasetError("no bounds fit these cameras", where=gathering.folder, why=f"near {near:.3g}, far {far:.3g}",
+                           remedy="check poses and intrinsics")  # fmt: skip
     name = gathering.folder.resolve().name
     return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes),
                  provenance=provenance, bounds_from=evidence)  # fmt: skip

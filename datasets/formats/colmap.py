@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets import bounds, files, pose
+from datasets import bounds, downscale, files, pose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError, Misuse
 from datasets.formats import assemble, export, sidecar
@@ -165,7 +165,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
             done()
         for name, source in (extra or {}).items():
             link(source, folder / name)
-        export.smaller([p.view for p in placed], folder, sizes)
+        downscale.folders([p.view for p in placed], folder, sizes, lambda view, source: source.name)
         _write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
     return export.limits(scene, placed, LAYOUT)

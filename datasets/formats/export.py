@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import downscale, images, undistort
+from datasets import images, undistort
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError
 from datasets.formats.koala import file_name, link
@@ -86,17 +86,6 @@ def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
     if scene.metric or any(view.truth for view in scene.views) or scene.background == "scene":
         lost.append("bounds, background, scale and truth: koala.json beside it keeps them")
     return f"{layout.title} cannot hold " + "; nor ".join(lost) if lost else ""
-
-
-def smaller(views: Sequence[View], folder: Path, sizes: Sequence[int]) -> None:
-    """For each N of `sizes`, `images_N/` (and `masks_N/`) below `folder` with each view's files at 1/N of their size."""
-    for size in sizes:
-        for view in views:
-            shrunk = downscale.camera(view.camera, size)
-            for source, name in ((view.image, "images"), (view.mask, "masks")):
-                if source is not None:
-                    downscale.write(source, folder / f"{name}_{size}" / source.name, shrunk.width, shrunk.height,
-                                colours=name == "images")  # fmt: skip
 
 
 def _kept(view: View, source: Path, target: Path) -> Path:

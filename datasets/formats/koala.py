@@ -54,9 +54,7 @@ def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, d
             done()
         for name, source in (extra or {}).items():
             link(source, folder / name)
-        for size in sizes:
-            for view in scene.views:
-                _shrink(view, folder, size)
+        downscale.folders(scene.views, folder, sizes, lambda view, source: f"{file_name(view)}{source.suffix}")
         if scene.points is not None:
             _save_points(scene.points, scene.sightings, folder / POINTS)
         files.write_json(folder / FILE, {"format": FORMAT, "version": VERSION, **sidecar.facts(scene), "views": views})
@@ -89,15 +87,6 @@ def _load_points(path: Path) -> tuple[NDArray[np.float64], Sightings | None]:
     if len(index) and not ((index >= 0).all() and (index < [len(points), len(names)]).all()):
         raise DatasetError("sightings are of points or views that are not there", where=path)
     return points, Sightings(names, index, pixels, colours)
-
-
-def _shrink(view: View, folder: Path, size: int) -> None:
-    """A view's image and mask at 1/`size`."""
-    small = downscale.camera(view.camera, size)
-    for source, home in ((view.image, "images"), (view.mask, "masks")):
-        if source is not None:
-            target = folder / f"{home}_{size}" / f"{file_name(view)}{source.suffix}"
-            downscale.write(source, target, small.width, small.height, colours=home == "images")
 
 
 def _saved_view(view: View, folder: Path) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import arrays, bounds, files, pose
+from datasets import arrays, bounds, downscale, files, pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF
 from datasets.errors import DatasetError, KoalaError, Misuse
@@ -99,7 +99,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
             np.save(temporary, np.stack(rows))
         for name, source in (extra or {}).items():
             link(source, folder / name)
-        export.smaller(ordered, folder, sizes)
+        downscale.folders(ordered, folder, sizes, lambda view, source: source.name)
         by_name = {view.image.stem: view for view in (p.view for p in placed)}
         sidecar.write(folder, scene, by_name)
     return export.limits(scene, placed, LAYOUT)

@@ -4,14 +4,13 @@ The world is that of the file: `applied_transform` and instant-ngp's `scale`, `o
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files, images
+from datasets import downscale, files, images
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError
 from datasets.formats import assemble, export, opengl, sidecar
@@ -46,9 +45,6 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
         except KoalaError as error:
             gathering.complain(error)
     views = gathering.finished(listed_in=FILE)
-    if len({view.mask is None for view in views}) > 1:
-        gathering.complain(DatasetError("only some frames have a mask_path", where=source, remedy="give all frames one, or none"))
-        views = tuple(replace(view, mask=None) for view in views)
     known = sidecar.read(folder)
     if known is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
@@ -114,7 +110,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
             placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
             done()
         views = [p.view for p in placed]
-        export.smaller(views, folder, sizes)
+        downscale.folders(views, folder, sizes, lambda view, source: source.name)
         content = _global(scene, views)
         depths = _depths(views, folder)
         content["frames"] = [_frame(view, folder, depths.get(view.name), common="fl_x" in content) for view in views]

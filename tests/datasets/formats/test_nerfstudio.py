@@ -29,7 +29,9 @@ def test_their_rules_hold(make_scene: Callable[..., Scene], tmp_path: Path, mask
         assert len({key in frame for frame in frames}) == 1  # all or none
     assert ("mask_path" in frames[0]) == mask
     listed = {f"{split}_filenames": content[f"{split}_filenames"] for split in ("train", "val", "test")}
-    assert sorted(sum(listed.values(), [])) == [frame["file_path"] for frame in frames]  # each entry among the frames, once
+    assert sorted(name for names in listed.values() for name in names) == [
+        frame["file_path"] for frame in frames
+    ]  # each entry among the frames, once
     assert content["camera_model"] == "OPENCV" and content["aabb_scale"] in [2**n for n in range(8)]
     assert content["applied_transform"] == [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     first = scene.views[0].world_from_camera @ OPENCV_FROM_OPENGL
