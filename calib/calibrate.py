@@ -4,13 +4,13 @@ Hand-eye calibration goes: pose of the board in each view -> closed form (which 
 joint refinement -> covariance -> error on views that the refinement has not seen.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import handeye, intrinsics, mistakes, outliers, projection, screening, uncertainty, verify
+from calib import flips, handeye, intrinsics, mistakes, outliers, projection, screening, uncertainty, verify
 from calib.errors import CalibrationError
 from calib.model import Accuracy, Known, Session, State
 from calib.refine import Refined
@@ -20,6 +20,8 @@ from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
+MIN_CORNERS_GIVEN = 20
+"""Corners in all, where the camera is known already: one tag in five views."""
 STATED = Accuracy()
 """What a UR5e is taken to keep within, where nobody says otherwise."""
 
@@ -57,14 +59,58 @@ def calibrate_handeye(
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
         Misuse: `given` is for images of another size.
     """
+    return _finished(solve(session, given, accuracy, lens), accuracy, given is not None)
+
+
+@dataclass(frozen=True)
+class First:
+    """What is known before the arm's poses are looked at."""
+
+    session: TargetSession
+    camera: Camera
+    free: tuple[str, ...]
+    """Intrinsics to estimate."""
+    known: Known | None
+    sigma_px: float
+    """Standard deviation of a corner per axis."""
+    left_out: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """All stages of a hand-eye calibration."""
+
+    first: First
+    boards: Array
+    """(views, 4, 4) camera_from_board of the views of `first`."""
+    closed: handeye.HandEye
+    keep: NDArray[np.bool_]
+    """(views,) which views of `first` the closed form agrees with."""
+    fit: outliers.Fit
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Views that did not take part in the end, and why."""
+        grossly = {o.name: "arm and picture disagree grossly" for o in self.first.session.chosen(~self.keep).observations}
+        return {**self.first.left_out, **grossly, **self.fit.left_out}
+
+    def start(self) -> State:
+        """Where the refinement of the kept views begins."""
+        return State(projection.vector(self.first.camera), self.closed.flange_from_camera, self.closed.base_from_board,
+                     np.zeros((int(self.keep.sum()), 6)))  # fmt: skip
+
+
+def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
+    """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
     first = _first(session, given, lens)
     boards = intrinsics.camera_from_boards(first.camera, first.session.observations)
+    chosen, boards = flips.resolve(first.session, boards)
+    first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
-    disagree = {o.name: "arm and picture disagree grossly" for o in first.session.chosen(~keep).observations}
     start = State(projection.vector(first.camera), closed.flange_from_camera, closed.base_from_board, np.zeros((keep.sum(), 6)))
     fit = outliers.refine_without(first.session.chosen(keep), start, first.free, first.known, accuracy, sigma_px=first.sigma_px,
                                   fisheye=first.camera.fisheye)  # fmt: skip
-    return _finished(fit, first, closed, {**first.left_out, **disagree, **fit.left_out}, accuracy, given is not None)
+    return Solution(first, boards, closed, keep, fit)
 
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[handeye.HandEye, NDArray[np.bool_]]:
@@ -79,31 +125,16 @@ def _closed_form(session: TargetSession, boards: Array) -> tuple[handeye.HandEye
     return closed, keep
 
 
-@dataclass(frozen=True)
-class _First:
-    """What is known before the arm's poses are looked at."""
-
-    session: TargetSession
-    camera: Camera
-    free: tuple[str, ...]
-    """Intrinsics to estimate."""
-    known: Known | None
-    sigma_px: float
-    """Standard deviation of a corner per axis."""
-    left_out: dict[str, str]
-
-
-def _first(session: TargetSession, given: Calibration | None, lens: str) -> _First:
+def _first(session: TargetSession, given: Calibration | None, lens: str) -> First:
     """Camera to start from, and the views whose corners make sense."""
     if given is None:
         found = intrinsics.calibrate(session.observations, session.width, session.height, lenses=intrinsics.LENSES[lens])
         chosen = session.with_observations(found.observations)
-        return _First(chosen, found.camera, found.lens.free, None, found.sigma_px, found.left_out)
+        return First(chosen, found.camera, found.lens.free, None, found.sigma_px, found.left_out)
     verify.check_size(session, given.camera)
-    intrinsics.check_enough(session.observations)
     observations, left_out = screening.agreeing_with_plane(session.observations)
     session = session.with_observations(observations)
-    intrinsics.check_enough(observations)
+    intrinsics.check_enough(observations, MIN_CORNERS_GIVEN)
     free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
     same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
     boards = intrinsics.camera_from_boards(given.camera, observations)
@@ -111,7 +142,7 @@ def _first(session: TargetSession, given: Calibration | None, lens: str) -> _Fir
         [intrinsics.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, observations, strict=True)]
     )
     sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
-    return _First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
+    return First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
 
 
 def _known(given: Calibration, free: tuple[str, ...]) -> Known:
@@ -126,10 +157,9 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
     return Known(free, np.array([getattr(given.camera, name) for name in free]), among * np.outer(std, std))
 
 
-def _finished(
-    fit: outliers.Fit, first: _First, closed: handeye.HandEye, left_out: dict[str, str], accuracy: Accuracy, given: bool
-) -> Calibration:
+def _finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration:
     """The calibration with its uncertainty, its errors on unseen views and where it came from."""
+    first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
     joint = uncertainty.covariance(measured, refined)
     camera_pose, board_pose = uncertainty.poses(measured, refined, joint)

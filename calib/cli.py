@@ -9,6 +9,7 @@ from datasets import console
 from datasets.console import Json
 
 if TYPE_CHECKING:
+    from calib.model import Accuracy
     from calib.session import TargetSession
     from datasets.calibration import Calibration
 
@@ -17,53 +18,81 @@ app = console.make_app("calib", "Calibrate the camera and its place on the arm f
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
 ]
+Import = Annotated[
+    Path | None, typer.Option("--import", help="How to read a folder of images and poses (YAML); default: import.yaml in it.")
+]
+Intrinsics = Annotated[
+    Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
+]
+ArmMm = Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
+ArmDeg = Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
+Lens = Annotated[str, typer.Option("--lens", help="auto, brown, rational or fisheye.")]
 Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSON).")]
 
 
 @app.command("intrinsics")
-def intrinsics_command(recording: RecordingPath, out: Out, json: Json = False) -> None:
+def intrinsics_command(
+    recording: RecordingPath, out: Out, description: Import = None, lens: Lens = "auto", json: Json = False
+) -> None:
     """Camera alone: focal lengths, centre, distortion."""
     from calib.calibrate import calibrate_intrinsics
 
     _check_out(out)
-    _finish(calibrate_intrinsics(_observe(recording)), out, json)
+    _check_lens(lens)
+    _finish(calibrate_intrinsics(_observe(recording, description)[0], lens), out, json)
 
 
 @app.command("handeye")
 def handeye_command(
     recording: RecordingPath,
     out: Out,
-    intrinsics: Annotated[
-        Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
-    ] = None,
-    arm_mm: Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")] = 0.05,
-    arm_deg: Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")] = 0.01,
+    intrinsics: Intrinsics = None,
+    arm_mm: ArmMm = 0.05,
+    arm_deg: ArmDeg = 0.01,
+    description: Import = None,
+    lens: Lens = "auto",
     json: Json = False,
 ) -> None:
     """Whole rig: camera, its place on the flange, the target's.
 
     Everything is estimated together, with its uncertainty, and checked on views left out of the fit.
     """
-    import math
-
     from calib.calibrate import calibrate_handeye
-    from calib.model import Accuracy
-    from datasets.calibration import Calibration
-    from datasets.errors import Misuse
 
-    for name, value in (("--arm-mm", arm_mm), ("--arm-deg", arm_deg)):
-        if not (math.isfinite(value) and value > 0):
-            raise Misuse("accuracy must be a positive number", where=name, why=f"{value:g} given")
+    accuracy = _accuracy(arm_mm, arm_deg)
     _check_out(out)
-    given = Calibration.load(intrinsics) if intrinsics is not None else None
-    accuracy = Accuracy(1e-3 * arm_mm, math.radians(arm_deg))
-    _finish(calibrate_handeye(_observe(recording), given, accuracy), out, json)
+    _check_lens(lens)
+    given = _load(intrinsics)
+    session, camera = _observe(recording, description)
+    _finish(calibrate_handeye(session, given or camera, accuracy, lens), out, json)
+
+
+@app.command("compare")
+def compare_command(
+    recording: RecordingPath,
+    intrinsics: Intrinsics = None,
+    arm_mm: ArmMm = 0.05,
+    arm_deg: ArmDeg = 0.01,
+    description: Import = None,
+    json: Json = False,
+) -> None:
+    """All hand-eye methods on one session.
+
+    With their error on views that they have not seen; prints a table (Markdown).
+    """
+    from calib import compare
+
+    accuracy, given = _accuracy(arm_mm, arm_deg), _load(intrinsics)
+    session, camera = _observe(recording, description)
+    rows = compare.compare(session, given or camera, accuracy)
+    console.report({"methods": [vars(row) for row in rows]}, as_json=json, text=compare.markdown(rows))
 
 
 @app.command("verify")
 def verify_command(
     recording: RecordingPath,
     calibration: Annotated[Path, typer.Option("--calibration", help="Calibration file made by 'calib handeye'.")],
+    description: Import = None,
     json: Json = False,
 ) -> None:
     """How well a calibration predicts a recording.
@@ -74,7 +103,7 @@ def verify_command(
     from calib.verify import verify
     from datasets.calibration import Calibration
 
-    result = verify(_observe(recording), Calibration.load(calibration))
+    result = verify(_observe(recording, description)[0], Calibration.load(calibration))
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
 
 
@@ -106,18 +135,75 @@ def bench_command(
     console.report({"out": str(out), **bench_report.summary(results)}, as_json=json, text=text)
 
 
-def _observe(recording: Path) -> "TargetSession":
-    """Find the target in every frame, with a progress bar."""
+@app.command("study")
+def study_command(
+    sessions: Annotated[int, typer.Option("--sessions", min=2, help="Simulated sessions of each kind.")] = 60,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
+    json: Json = False,
+) -> None:
+    """What makes a session good: board, tilts, distances, intrinsics of their own.
+
+    On the simulated Koala rig; prints a table (Markdown).
+    """
+    from calib import study
+
+    with console.progress("simulating", len(study.VARIANTS), "kinds of session") as bar:
+        outcomes = list(study.run(sessions, seed, done=lambda outcome: bar.advance()))
+    rows = [{"session": o.variant.name, "failures": o.failures, **dict(zip(("refinement", "park", "stated"), o.medians(), strict=True))}
+            for o in outcomes if len(o.refined)]  # fmt: skip
+    console.report({"sessions": sessions, "aim": study.AIM, "kinds": rows}, as_json=json, text=study.markdown(outcomes))
+
+
+def _observe(recording: Path, description: Path | None = None) -> "tuple[TargetSession, Calibration | None]":
+    """Find the target in every frame, with a progress bar; and the camera, where an imported session brings its own."""
+    from calib import importer
     from calib.session import observe_recording
+    from datasets.calibration import Calibration
+    from datasets.errors import Misuse
     from datasets.recording import Recording
 
-    with console.progress("finding the target", len(Recording.open(recording).frames), "views") as bar:
+    imported = importer.load_description(recording, description) if importer.describes(recording, description) else None
+    if imported is None and recording.is_dir() and not (recording / "manifest.json").is_file():
+        raise Misuse("is neither a recording nor a folder to import", where=recording, why="no manifest.json and no import.yaml in it",
+                     remedy="describe images and poses in a file, see docs/calibration.md, and give it as --import")  # fmt: skip
+    number = len(importer.matching(recording, imported.images)) if imported else len(Recording.open(recording).frames)
+    with console.progress("finding the target", number, "views") as bar:
 
         def seen(words: str) -> None:
             bar.note(words)
             bar.advance()
 
-        return observe_recording(recording, seen=seen)
+        if imported is None:
+            return observe_recording(recording, seen=seen), None
+        session = importer.import_session(recording, imported, seen=seen)
+        return session, Calibration(imported.camera.camera(), {}) if imported.camera else None
+
+
+def _accuracy(arm_mm: float, arm_deg: float) -> "Accuracy":
+    """The arm's accuracy as given on the command line. Raises Misuse where it cannot be."""
+    import math
+
+    from calib.model import Accuracy
+    from datasets.errors import Misuse
+
+    for name, value in (("--arm-mm", arm_mm), ("--arm-deg", arm_deg)):
+        if not (math.isfinite(value) and value > 0):
+            raise Misuse("accuracy must be a positive number", where=name, why=f"{value:g} given")
+    return Accuracy(1e-3 * arm_mm, math.radians(arm_deg))
+
+
+def _load(path: Path | None) -> "Calibration | None":
+    from datasets.calibration import Calibration
+
+    return Calibration.load(path) if path is not None else None
+
+
+def _check_lens(lens: str) -> None:
+    from calib.intrinsics import LENSES
+    from datasets.errors import Misuse, nearest
+
+    if lens not in LENSES:
+        raise Misuse(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))
 
 
 def _check_out(out: Path) -> None:

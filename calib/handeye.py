@@ -119,11 +119,11 @@ def solve_robustly(base_from_flange: Array, camera_from_board: Array) -> tuple[H
         CalibrationError: no method found an answer.
     """
     best = _consensus(base_from_flange, camera_from_board)
-    keep = _agreeing(best, np.argsort(_distance(best))[: _majority(len(base_from_flange))])
+    keep = _agreeing(best)
     for _ in range(4):
         answers = _answers(base_from_flange, camera_from_board, keep)
         best = min(answers, key=lambda answer: answer.score(keep))
-        agrees = _agreeing(best, np.flatnonzero(keep))
+        agrees = _agreeing(best)
         if agrees.sum() < 3 or (agrees == keep).all():
             break
         keep = agrees
@@ -172,8 +172,7 @@ def _distance(answer: HandEye) -> Array:
     return np.hypot(answer.translation_residual_m, 0.5 * answer.rotation_residual_rad)
 
 
-def _agreeing(answer: HandEye, trusted: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(views,) which are not far from the rest, by what is usual among the `trusted` ones."""
+def _agreeing(answer: HandEye) -> NDArray[np.bool_]:
+    """(views,) which are not far from the rest, by what is usual among all: with few views, the best of them are no measure."""
     distances, angles = answer.translation_residual_m, answer.rotation_residual_rad
-    usual, usual_angle = np.median(distances[trusted]), np.median(angles[trusted])
-    return (distances <= max(5 * usual, 2e-3)) & (angles <= max(5 * usual_angle, np.deg2rad(0.5)))
+    return (distances <= max(5 * np.median(distances), 2e-3)) & (angles <= max(5 * np.median(angles), np.deg2rad(0.5)))

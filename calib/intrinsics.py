@@ -142,12 +142,12 @@ def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
     return not lens.fisheye or all(other.fisheye for other in lenses) or reach > np.tan(np.deg2rad(35))
 
 
-def check_enough(observations: Sequence[Observation]) -> None:
+def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_CORNERS) -> None:
     """Raise TargetError where there are fewer views or corners than a calibration needs."""
     corners = sum(len(o.ids) for o in observations)
-    if len(observations) < MIN_VIEWS or corners < MIN_TOTAL_CORNERS:
+    if len(observations) < MIN_VIEWS or corners < least:
         raise TargetError(
-            "target is seen too little", why=f"{corners} corners in {len(observations)} views, at least {MIN_TOTAL_CORNERS} "
+            "target is seen too little", why=f"{corners} corners in {len(observations)} views, at least {least} "
             f"in {MIN_VIEWS} are needed", remedy="record more views with the whole target in the picture, sharp and evenly lit",
         )  # fmt: skip
 

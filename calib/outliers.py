@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import refine, uncertainty
-from calib.intrinsics import check_enough
+from calib.intrinsics import MIN_TOTAL_CORNERS, check_enough
 from calib.model import Accuracy, Known, Session, State
 from calib.refine import Refined
 from calib.session import TargetSession
@@ -45,7 +45,7 @@ def refine_without(
     """
     allowed, left_out = int(MAX_SHARE * len(session.observations)), {}
     while True:
-        check_enough(session.observations)
+        check_enough(session.observations, 0 if not free else MIN_TOTAL_CORNERS)
         uncertainty.check_motion(session.base_from_flange)
         measured = session.measured(free, known, accuracy, fisheye)
         refined = refine.refine(measured, start, sigma_px=sigma_px)

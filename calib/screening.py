@@ -33,7 +33,7 @@ def agreeing_with_plane(observations: Sequence[Observation]) -> tuple[list[Obser
         return list(observations), {}
     kept, left_out = [], {}
     for observation, good in zip(observations, agree, strict=True):
-        if good.sum() < max(MIN_CORNERS, MIN_SHARE * len(good)):
+        if good.sum() < max(min(MIN_CORNERS, len(good)), MIN_SHARE * len(good)):
             left_out[observation.name] = f"{(~good).sum()} of {len(good)} corners do not lie on a flat target"
         else:
             kept.append(some(observation, good))

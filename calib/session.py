@@ -71,11 +71,13 @@ def observe(
     *,
     provenance: dict[str, Any] | None = None,
     seen: Callable[[str], None] = lambda words: None,
+    eye_to_hand: bool = False,
 ) -> TargetSession:
     """Find the target in `views`: (name, image, (4, 4) base_from_flange) each.
 
     Args:
         seen: called after each view with a few words on it.
+        eye_to_hand: whether the camera stands beside the arm.
 
     Raises:
         TargetError: no view shows the target, or the images differ in size.
@@ -99,7 +101,9 @@ def observe(
     if size is None or not observations:
         raise TargetError("calibration target is not in any view", why=f"{len(views)} views searched for {describe(board)}",
                           remedy="check the board's description and the exposure")  # fmt: skip
-    return TargetSession(board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {})
+    return TargetSession(
+        board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {}, eye_to_hand
+    )
 
 
 def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:

@@ -16,6 +16,8 @@ from datasets.camera_model import Camera
 from datasets.errors import Misuse
 
 Array = NDArray[np.float64]
+FOLDS = 5
+"""Parts into which a session is divided to be predicted by the rest."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     board = handeye.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
     measured = session.measured(projection.NAMES, None, Accuracy(), camera.fisheye)
     state = fit_board(measured, State(projection.vector(camera), flange_from_camera, board, np.zeros((len(boards), 6))))
-    residuals, millimetres = _errors(measured, state)
+    residuals, millimetres = errors(measured, state)
     by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}
     return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), state.base_from_board)
 
@@ -65,7 +67,7 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
     will meet. None where a fold could not be fitted.
     """
     views = len(session.base_from_flange)
-    folds = min(5, views)
+    folds = min(FOLDS, views)
     pixels, millimetres = [], []
     for fold in range(folds):
         unseen = session.view % folds == fold
@@ -75,9 +77,13 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
         except CalibrationError:
             return {"held_out_px": None, "held_out_mm": None}
         rest = session.some(unseen & refined.inliers)
-        errors = _errors(rest, replace(fitted.state, corrections=np.zeros((views, 6))))
-        pixels.append(errors[0])
-        millimetres.append(errors[1])
+        if not len(rest.view):
+            continue
+        found = errors(rest, replace(fitted.state, corrections=np.zeros((views, 6))))
+        pixels.append(found[0])
+        millimetres.append(found[1])
+    if not pixels:
+        return {"held_out_px": None, "held_out_mm": None}
     return {"held_out_px": rms(np.concatenate(pixels)), "held_out_mm": rms(np.concatenate(millimetres))}
 
 
@@ -89,12 +95,12 @@ def check_size(session: TargetSession, camera: Camera) -> None:
                      remedy="calibrate with the camera setting of the recording")  # fmt: skip
 
 
-def rms(errors: Array) -> float:
+def rms(vectors: Array) -> float:
     """Root mean square length of (n, 2) vectors."""
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
-def _errors(session: Session, state: State) -> tuple[Array, Array]:
+def errors(session: Session, state: State) -> tuple[Array, Array]:
     """(n, 2) seen minus predicted [px], and the same at the corner's depth [mm]."""
     residuals = session.pixels - predict(session, state)[0]
     depth = camera_points(session, state)[:, 2:]

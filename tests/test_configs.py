@@ -22,6 +22,10 @@ def loader(folder: str) -> Callable[[Path], Any]:
         from capture.rig_description import load_rig
 
         return load_rig
+    if folder == "imports":
+        from calib.importer import load_description
+
+        return lambda path: load_description(path.parent, path)
     if folder == "models":
         from reconstruct.config import load_config
 
