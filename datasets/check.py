@@ -1,103 +1,51 @@
 """What is wrong with a scene: each finding says what, where, why and how to mend it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets import bounds, files, images
+from datasets.check_matches import check_matches
+from datasets.check_poses import check_poses
 from datasets.errors import KoalaError
+from datasets.findings import Finding, from_error
 from datasets.formats import load_scene
 from datasets.scene import Scene, View
 
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong ("error") or looks wrong ("warning")."""
-
-    level: str
-    what: str
-    where: str
-    why: str = ""
-    remedy: str = ""
-
-    @property
-    def line(self) -> str:
-        """All of it in one line."""
-        return f"{self.level}: {KoalaError(self.what, where=self.where, why=self.why, remedy=self.remedy)}"
+THUMBNAIL, ALIKE = 16, 0.4 / 255
+"""Pixels per side of a thumbnail, and the mean difference below which two pictures are one: noise averages to less."""
 
 
-def check(path: str | Path, *, done: Callable[[int, int], None] = lambda count, total: None, **options: object) -> list[Finding]:
+def check(path: str | Path, *, matches: bool = True, done: Callable[[int, int], None] = lambda count, total: None,
+          **options: object) -> list[Finding]:  # fmt: skip
     """Findings on a scene on disk, the worst first; an empty list means that nothing is wrong.
 
-    Every image, mask and truth map is decoded. `done` is called with the number of views checked and of all. `options`
-    are those of `load_scene`.
+    Every image, mask and truth map is decoded. With `matches`, features are matched between views and held against the
+    poses, which takes some seconds more. `done` is called with the number of views checked and of all. `options` are those
+    of `load_scene`.
     """
     problems: list[KoalaError] = []
     try:
         scene = load_scene(path, problems=problems, **options)  # type: ignore[arg-type]
     except KoalaError as error:
-        return [*map(_from_error, problems), _from_error(error)]
-    findings = [*map(_from_error, problems), *_splits(scene), *_poses(scene)]
+        return [*map(from_error, problems), from_error(error)]
+    findings = [*map(from_error, problems), *check_poses(scene)]
     findings += [Finding("warning", "note", scene.name, note) for note in scene.notes if "missing" in note]
     seen: dict[str, str] = {}
+    thumbnails: dict[str, NDArray[np.float32]] = {}
     for count, view in enumerate(scene.views, 1):
-        findings += _pictures(view) + _duplicate(view, seen)
+        findings += _pictures(view, thumbnails) + _duplicate(view, seen)
         done(count, len(scene.views))
+    findings += _near_duplicates(scene, thumbnails)
+    if matches:
+        findings += check_matches(scene)
     return sorted(findings, key=lambda finding: finding.level)
 
 
-def _from_error(error: KoalaError) -> Finding:
-    return Finding("error", error.what, error.where, error.why, error.remedy)
-
-
-def _splits(scene: Scene) -> list[Finding]:
-    present = {view.split for view in scene.views}
-    names = [view.name for view in scene.views]
-    found = [Finding("error" if split == "train" else "warning", f"there are no {split} views", scene.name,
-                     remedy="set the split of some views") for split in ("train", "test") if split not in present]  # fmt: skip
-    twice = sorted({name for name in names if names.count(name) > 1})
-    return found + [
-        Finding("error", "name is used twice", f"view {name}", remedy="give each view its own name") for name in twice
-    ]
-
-
-def _poses(scene: Scene) -> list[Finding]:
-    """Cameras that stand on one spot, look away from the box, or are far from all others."""
-    matrices = np.stack([view.world_from_camera for view in scene.views])
-    positions = matrices[:, :3, 3]
-    found = []
-    if len(scene.views) > 1 and np.ptp(positions, axis=0).max() < 1e-9:
-        found.append(Finding("error", "all cameras stand on one spot", scene.name, remedy="check the translations of the poses"))
-    distances = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    limit = 20 * max(float(np.median(distances)), 1e-12)
-    for view, distance in zip(scene.views, distances, strict=True):
-        where = f"view {view.name}"
-        if distance > limit:
-            why = f"{distance:.3g} from the middle of all cameras, half of them are within {np.median(distances):.3g}"
-            found.append(Finding("warning", "camera is far from all others", where, why, "check its pose and unit"))
-        if not _sees(view, scene.box):
-            found.append(Finding("warning", "camera looks away from the object's box", where,
-                                 f"box {scene.box.round(3).tolist()}", "check its pose, its axis convention and the box"))  # fmt: skip
-    return found
-
-
-def _sees(view: View, box: np.ndarray) -> bool:
-    """True where the picture can show a part of the box: a point of a grid in it is in front and within the picture."""
-    steps = np.linspace(0, 1, 5)
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = box[0] + grid * (box[1] - box[0])
-    local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-    local = local[local[:, 2] > 0]
-    if not len(local):
-        return False
-    pixels = view.camera.undistorted().project(local)
-    return bool(((pixels >= 0) & (pixels <= [view.camera.width, view.camera.height])).all(1).any())
-
-
-def _pictures(view: View) -> list[Finding]:
-    """Every file of one view decoded."""
+def _pictures(view: View, thumbnails: dict[str, NDArray[np.float32]]) -> list[Finding]:
+    """Every file of one view decoded; its thumbnail is put down under its name."""
     readers: list[tuple[Path, Callable[[], np.ndarray]]] = [(view.image, view.read)]
     readers += [(path, lambda key=key: view.read_truth(key)) for key, path in view.truth.items()]  # type: ignore[misc]
     found = []
@@ -105,8 +53,10 @@ def _pictures(view: View) -> list[Finding]:
         try:
             values = read()
         except KoalaError as error:
-            found.append(_from_error(error))
+            found.append(from_error(error))
             continue
+        if path is view.image and np.isfinite(values).all():
+            thumbnails[view.name] = images.resize(values[..., :3], THUMBNAIL, THUMBNAIL, srgb=False)
         if path is view.image and np.ptp(values[..., :3]) == 0:
             found.append(Finding("warning", "image has one colour only", str(path), remedy="check the exposure"))
         if not np.isfinite(values).all():
@@ -124,6 +74,30 @@ def _duplicate(view: View, seen: dict[str, str]) -> list[Finding]:
     return [
         Finding("warning", "image is the same as another's", f"view {view.name}", f"equal to view {first}", "remove one of them")
     ]
+
+
+def _near_duplicates(scene: Scene, thumbnails: dict[str, NDArray[np.float32]]) -> list[Finding]:
+    """Test views whose thumbnail is that of a training view, pixel by pixel, though their files differ."""
+    train = [view for view in scene.views if view.split == "train" and view.name in thumbnails]
+    if not train:
+        return []
+    stack = np.stack([thumbnails[view.name] for view in train])
+    found = []
+    for view in scene.views:
+        if view.split != "test" or view.name not in thumbnails or np.ptp(thumbnails[view.name]) < 0.02:
+            continue
+        differences = np.abs(stack - thumbnails[view.name]).mean((1, 2, 3))
+        nearest = int(np.argmin(differences))
+        twins = view.image.is_file() and train[nearest].image.is_file() and _same_bytes(view.image, train[nearest].image)
+        if differences[nearest] < ALIKE and not twins:
+            why = f"it differs from view {train[nearest].name} by {255 * differences[nearest]:.2f} of 255"
+            found.append(Finding("warning", "test picture is nearly a training picture", f"view {view.name}", why,
+                                 "take one of the two out, else figures flatter"))  # fmt: skip
+    return found
+
+
+def _same_bytes(one: Path, other: Path) -> bool:
+    return files.sha256(one) == files.sha256(other)
 
 
 def summary(scene: Scene) -> dict[str, object]:

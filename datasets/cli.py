@@ -49,7 +49,12 @@ def info(
 
 
 @app.command()
-def check(scene: SceneName, data_root: Root = None, as_json: Json = False) -> int:
+def check(
+    scene: SceneName,
+    quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
+    data_root: Root = None,
+    as_json: Json = False,
+) -> int:
     """Read everything in a scene and list what is wrong.
 
     Each finding is one line: what, where, why and how to mend it. Exit code 1 where there is an error."""
@@ -61,7 +66,7 @@ def check(scene: SceneName, data_root: Root = None, as_json: Json = False) -> in
             shown.total = total
             shown.advance(count - shown.done)
 
-        findings = check_scene(scene, data_root=data_root, done=advance)
+        findings = check_scene(scene, data_root=data_root, matches=not quick, done=advance)
     errors = sum(finding.level == "error" for finding in findings)
     verdict = f"{errors} errors, {len(findings) - errors} warnings" if findings else "nothing is wrong"
     text = "\n".join([*(finding.line for finding in findings), verdict])

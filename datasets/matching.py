@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import conventions
+from datasets import conventions, images
 from datasets.scene import View
 
 SIDE = 640
@@ -28,6 +28,8 @@ class Features:
     """(n, 3) rays in the camera's frame, z = 1."""
     descriptors: NDArray[np.float32]
     """(n, 128) unit vectors: the root of SIFT's, so that their product is Hellinger's affinity."""
+    light: NDArray[np.float32]
+    """(n,) linear light, mean of the channels, of the picture about each feature: 0..1."""
     pixel: float
     """Size of a pixel of the searched picture as a tangent: what an error of one pixel means."""
 
@@ -70,10 +72,13 @@ def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     keypoints, descriptors = cv2.SIFT_create(nfeatures=count, contrastThreshold=0.02).detectAndCompute(grey, mask)
     pixel = 1 / (view.camera.fx * width / view.camera.width)
     if descriptors is None:
-        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), pixel)
+        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32), pixel)
     pixels = conventions.pixels_from_opencv([point.pt for point in keypoints])
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    return Features(view.camera.scaled(width, height).directions(pixels), root.astype(np.float32), pixel)
+    light = cv2.GaussianBlur(images.linear_from_srgb(small[..., :3]).mean(-1), (0, 0), 2.0)
+    column, row = np.minimum(pixels.astype(int), [width - 1, height - 1]).T
+    directions = view.camera.scaled(width, height).directions(pixels)
+    return Features(directions, root.astype(np.float32), light[row, column], pixel)
 
 
 def match(first: Features, second: Features) -> NDArray[np.int64]:

@@ -59,6 +59,13 @@ def triangulate(matches: Matches, world_from_camera: NDArray[np.float64]) -> Clo
     return Cloud(points[enough], sightings, errors[good])
 
 
+def explained(
+    matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(k,) for each match of one of the pairs, whether its rays meet in front of both cameras, to within the tolerance."""
+    return _meets(matches, pair, world_from_camera)[0]
+
+
 def agreement(matches: Matches, world_from_camera: NDArray[np.float64]) -> float:
     """Share of matches that the poses can explain: rays that meet in front of both cameras, to within the tolerance."""
     agreed = sum(int(_meets(matches, pair, world_from_camera)[0].sum()) for pair in matches.pairs)

@@ -16,7 +16,7 @@ POSE = UncertainPose(
 
 
 def test_everything_comes_back(tmp_path: Path) -> None:
-    Calibration(CAMERA, {"fx": 0.1}, POSE, None, {"rms_px": 0.1}, {"method": "made up"}).save(tmp_path / "c.json")
+    Calibration(CAMERA, {"fx": 0.1}, POSE, residuals={"rms_px": 0.1}, provenance={"method": "made up"}).save(tmp_path / "c.json")
     again = Calibration.load(tmp_path / "c.json")
     assert again.camera == CAMERA and again.camera_std == {"fx": 0.1} and again.base_from_board is None
     assert again.flange_from_camera is not None

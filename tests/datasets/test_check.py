@@ -102,6 +102,16 @@ def test_a_folder_without_images(saved: Path) -> None:
     assert lines(saved) == [f"error: {saved}: scene has no images (cameras.json lists none); put the images where it says"]
 
 
+def test_a_test_picture_that_is_nearly_a_training_picture(saved: Path) -> None:
+    """Written again with noise of one grey level: other bytes, another pose, the same picture."""
+    picture = images.read(saved / "images" / "003.png")
+    noise = np.random.default_rng(0).normal(0, 1 / 255, picture.shape)
+    (saved / "images" / "004.png").unlink()
+    images.write(saved / "images" / "004.png", picture + noise)
+    found = lines(saved)
+    assert len(found) == 1 and "view 004: test picture is nearly a training picture (it differs from view 003 by 0." in found[0]
+
+
 def test_summary_counts(saved: Path) -> None:
     found = summary(load_scene(saved))
     assert found["views"] == {"train": 6, "val": 0, "test": 3} and found["truth"] == {"alpha": 3, "depth": 3, "normals": 3}
