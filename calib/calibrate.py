@@ -22,6 +22,7 @@ from datasets.camera_model import Camera
 Array = NDArray[np.float64]
 MIN_CORNERS_GIVEN = 20
 """Corners in all, where the camera is known already: one tag in five views."""
+MAX_DISTANCE_M = 1e7
 STATED = Accuracy()
 """What a UR5e is taken to keep within, where nobody says otherwise."""
 
@@ -102,6 +103,7 @@ class Solution:
 
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
+    _check_poses(session)
     first = _first(session, given, lens)
     boards = intrinsics.camera_from_boards(first.camera, first.session.observations)
     chosen, boards = flips.resolve(first.session, boards)
@@ -111,6 +113,14 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     fit = outliers.refine_without(first.session.chosen(keep), start, first.free, first.known, accuracy, sigma_px=first.sigma_px,
                                   fisheye=first.camera.fisheye)  # fmt: skip
     return Solution(first, boards, closed, keep, fit)
+
+
+def _check_poses(session: TargetSession) -> None:
+    """Raise CalibrationError where an arm's pose is no number, or further away than anything on Earth."""
+    for observation, base_from_flange in zip(session.observations, session.base_from_flange, strict=True):
+        if not (np.isfinite(base_from_flange).all() and np.abs(base_from_flange[:3, 3]).max() < MAX_DISTANCE_M):
+            raise CalibrationError("arm's pose is not credible", where=f"view {observation.name}",
+                                   why=f"its position is {base_from_flange[:3, 3].tolist()} m", remedy="leave this view out")  # fmt: skip
 
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[handeye.HandEye, NDArray[np.bool_]]:

@@ -84,7 +84,14 @@ def _closed_form(name: str, session: TargetSession, boards: Array, measured: Ses
     except KoalaError:
         return Judged(name, None, np.nan, np.nan, np.nan, np.nan, views)
     pixels, millimetres = (np.concatenate([e[i] for e in errors]) for i in (0, 1))
-    return Judged(name, answer.flange_from_camera, *_residual(mount, boards, answer.flange_from_camera), verify.rms(pixels), verify.rms(millimetres), views)
+    return Judged(
+        name,
+        answer.flange_from_camera,
+        *_residual(mount, boards, answer.flange_from_camera),
+        verify.rms(pixels),
+        verify.rms(millimetres),
+        views,
+    )
 
 
 def _residual(mount: Array, boards: Array, camera_pose: Array) -> tuple[float, float]:

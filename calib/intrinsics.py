@@ -107,12 +107,8 @@ def calibrate(
     first, poses = _start(observations, width, height, lenses[0].fisheye)
     observations, poses, more = _without_outliers(observations, first, poses, lenses)
     check_enough(observations)
-    scores = {lens: _held_out(observations, first, poses, lens) for lens in lenses if _worth_a_try(lens, first, lenses)}
-    chosen = USUAL if USUAL in scores else next(iter(scores))
-    for lens in sorted(scores, key=lambda lens: len(lens.coefficients)):
-        if scores[lens] < (1 - GAIN) * scores[chosen]:
-            chosen = lens
-    return _finished(observations, first, poses, chosen, scores[chosen], {**left_out, **more})
+    chosen, held_out_px = _choice(observations, first, poses, lenses)
+    return _finished(observations, first, poses, chosen, held_out_px, {**left_out, **more})
 
 
 def _finished(
@@ -134,6 +130,24 @@ def _finished(
     return Intrinsics(camera, lens, covariance, _rms(fitted.residuals), held_out_px, by_view,
                       coverage(observations, camera.width, camera.height), fitted.camera_from_board, tuple(observations),
                       left_out)  # fmt: skip
+
+
+def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
+    """The lens that predicts unseen views best, and its error [px]: from the usual one to more and to fewer coefficients, while it helps."""
+    chosen = USUAL if USUAL in lenses else lenses[0]
+    best = _held_out(observations, first, poses, chosen)
+    usual = lenses.index(chosen)
+    straight = [[lens for lens in part if not lens.fisheye] for part in (lenses[usual + 1 :], lenses[:usual][::-1])]
+    for ladder in (*straight, [lens for lens in lenses if lens.fisheye and lens != chosen]):
+        for lens in ladder:
+            if not _worth_a_try(lens, first, lenses):
+                break
+            error = _held_out(observations, first, poses, lens)
+            if error < (1 - GAIN) * best:
+                chosen, best = lens, error
+            elif not lens.fisheye:
+                break
+    return chosen, best
 
 
 def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
