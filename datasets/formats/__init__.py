@@ -116,18 +116,25 @@ def detect(folder: Path) -> str:
 
 
 def find(path: str | Path, data_root: Path | None = None) -> Path:
-    """The folder that `path` means: as it stands, else below `data_root`, else below $KOALA_DATA.
+    """The folder that `path` means: below `data_root`, else as it stands, else below $KOALA_DATA.
 
     Raises:
         Misuse: it is in none of them; the message lists where it was looked for.
     """
     path = Path(path).expanduser()
-    roots = [Path(root) for root in (data_root, os.environ.get("KOALA_DATA")) if root]
-    candidates = [path, *([] if path.is_absolute() else [root / path for root in roots])]
+    roots = [data_root, Path(), os.environ.get("KOALA_DATA")]
+    candidates = [path] if path.is_absolute() else [Path(root) / path for root in roots if root is not None and root != ""]
     for candidate in candidates:
         if candidate.is_dir():
             return candidate
     if path.is_file():
         raise Misuse("is a file, not a scene", where=path, remedy="give the folder that holds it")
     raise Misuse("no such scene", where=path, why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
-                 remedy="check the name, or set --data-root or KOALA_DATA")  # fmt: skip
+                 remedy=f"{_neighbours(path.name, candidates)}or set --data-root or KOALA_DATA")  # fmt: skip
+
+
+def _neighbours(name: str, candidates: Sequence[Path]) -> str:
+    """Advice that names the nearest folder beside those that were looked for."""
+    beside = {p.name for c in candidates if c.parent.is_dir() for p in c.parent.iterdir() if p.is_dir() and p.name[0] != "."}
+    close = nearest(name, beside)
+    return f"{close} " if beside and close.startswith("did") else "check the name, "

@@ -46,8 +46,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     Raises:
         DatasetError: the model lacks a file or uses a lens model that Koala lacks.
     """
-    place, model = _model(folder)
-    home = _images(folder, place, images_folder)
+    place, home = _place(folder, images_folder)
+    model = _model(folder, place)
     gathering = assemble.Gathering(folder, problems)
     pixels: dict[str, np.ndarray] = {}
     stored: dict[str, StoredImage] = {}
@@ -99,28 +99,27 @@ def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, n
     return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places), model.colours)
 
 
-def _model(folder: Path) -> tuple[Path, Model]:
-    """(folder of the model, the model)."""
+def _place(folder: Path, wanted: str | None) -> tuple[Path, Path]:
+    """(folder of the model, folder of its images): the first model that has images."""
     places = [folder / place for place in PLACES if any((folder / place / f"cameras{end}").is_file() for end in (".bin", ".txt"))]
     if not places:
         raise Misuse("holds no COLMAP model", where=folder, why=f"no cameras.bin in {', '.join(filter(None, PLACES))}")
-    place = places[0]
+    if wanted is not None:
+        return places[0], files.inside(folder, wanted)
+    for place in places:
+        for home in (folder / "images", place.parent / "images", *sorted(folder.glob("images_*"))):
+            if home.is_dir() and any(p.suffix.lower() in PICTURES for p in files.within(folder, home).rglob("*")):
+                return place, home
+    raise DatasetError("scene has no images", where=folder / "images", remedy="put the images there")
+
+
+def _model(folder: Path, place: Path) -> Model:
     suffix = ".bin" if (place / "cameras.bin").is_file() else ".txt"
     absent = [name + suffix for name in NEEDED if not (place / (name + suffix)).is_file()]
     if absent:
         raise DatasetError("COLMAP model is not complete", where=place, why=f"{', '.join(absent)} is missing",
                            remedy="copy the whole model")  # fmt: skip
-    return place, read_model(*(files.within(folder, place / (name + suffix)) for name in NEEDED))
-
-
-def _images(folder: Path, place: Path, wanted: str | None) -> Path:
-    if wanted is not None:
-        return files.inside(folder, wanted)
-    candidates = [folder / "images", place.parent / "images", *sorted(folder.glob("images_*"))]
-    for path in candidates:
-        if path.is_dir() and any(p.suffix.lower() in PICTURES for p in files.within(folder, path).rglob("*")):
-            return path
-    raise DatasetError("scene has no images", where=folder / "images", remedy="put the images there")
+    return read_model(*(files.within(folder, place / (name + suffix)) for name in NEEDED))
 
 
 def _mask(gathering: assemble.Gathering, home: Path, name: str, *, where: str) -> Path | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.formats import koala
+from datasets.formats import SIZED, WRITERS, koala
 from datasets.scene import Scene
 
 
@@ -53,6 +53,63 @@ def test_export_says_what_is_lost_and_never_overwrites(saved: Path, tmp_path: Pa
     assert run("check", tmp_path / "out").stdout == "nothing is wrong\n"
     again = run("export", saved, "--format", layout, "--out", tmp_path / "out")
     assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def in_process(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    """What a command prints as JSON, without a new interpreter."""
+    from datasets.cli import app
+
+    app([*map(str, arguments), "--json"], standalone_mode=False)
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("layout", [name for name in WRITERS if name != "koala"])
+def test_convert_reaches_every_layout_and_comes_back(
+    saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], layout: str
+) -> None:
+    sizes = ["--sizes", "2,4"] if layout in SIZED else []
+    assert in_process(capsys, "convert", saved, "--format", layout, "--out", tmp_path / "out", *sizes)["views"] == 9
+    source = layout.replace("-text", "").replace("mipnerf360", "colmap")
+    back = in_process(capsys, "convert", tmp_path / "out", "--from", source, "--format", "koala", "--out", tmp_path / "back")
+    assert back["views"] == 9 and back["limits"] == ""
+    assert bool(sizes) == (tmp_path / "out" / "images_4").is_dir() or layout == "mipnerf360"
+
+
+def test_scenes_from_scenes(saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def done(*arguments: object) -> dict:
+        return in_process(capsys, *arguments)
+
+    assert done("subset", saved, "--every", 2, "--out", tmp_path / "a")["views"] == {"train": 2, "val": 0, "test": 3}
+    assert done("subset", saved, "--splits", "train", "--out", tmp_path / "b")["views"] == {"train": 6, "val": 0, "test": 0}
+    assert done("split", saved, "--every", 3, "--out", tmp_path / "c")["views"] == {"train": 6, "val": 0, "test": 3}
+    assert done("merge", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "d")["views"] == {"train": 8, "val": 0, "test": 3}
+    assert done("downscale", saved, "--factor", 3, "--out", tmp_path / "e")["sizes"] == [[32, 24]]
+    assert done("undistort", saved, "--out", tmp_path / "f")["sizes"] == [[96, 72]]
+    box = ["--left", 8, "--top", 4, "--width", 50, "--height", 40]
+    assert done("crop", saved, *box, "--out", tmp_path / "g")["sizes"] == [[50, 40]]
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]  # nothing temporary is left
+    from datasets.errors import Misuse
+
+    for wrong in (("subset", saved, "--splits", "exam"), ("convert", saved, "--format", "koala", "--sizes", "2,x")):
+        with pytest.raises(Misuse):
+            done(*wrong, "--out", tmp_path / "h")
+
+
+def test_names_are_looked_up_in_the_data_root_first(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from datasets.errors import Misuse
+    from datasets.formats import find
+
+    for root in ("root", "here", "env"):
+        (tmp_path / root / "koala" / "x").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("KOALA_DATA", str(tmp_path / "env"))
+    assert find("koala/x", tmp_path / "root") == tmp_path / "root" / "koala" / "x"
+    assert find("koala/x").resolve() == tmp_path / "here" / "koala" / "x"
+    (tmp_path / "here" / "koala" / "x").rmdir()
+    assert find("koala/x") == tmp_path / "env" / "koala" / "x"
+    (tmp_path / "here" / "koala" / "gold_head").mkdir()
+    with pytest.raises(Misuse, match="did you mean 'gold_head'"):
+        find("koala/gold_hed")
 
 
 def test_check_fails_where_something_is_wrong(saved: Path) -> None:

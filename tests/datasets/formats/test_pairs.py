@@ -114,7 +114,7 @@ def assert_same(one: Scene, other: Scene) -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), list(product(WRITERS, WRITERS)))
-@settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(make=scenes())
 def test_there_and_back(first: str, second: str, make: Callable[[Path], Scene]) -> None:
     with tempfile.TemporaryDirectory() as name:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datasets.bounds import corners
-from datasets.errors import DatasetError
+from datasets.errors import DatasetError, Misuse
 from datasets.formats import load_scene
 from datasets.scene import Scene
 
@@ -95,6 +95,17 @@ def test_colmap_reprojects_its_own_points(real_data: Folder) -> None:
     inside = ((pixels > 0) & (pixels < [view.camera.width, view.camera.height])).all(1)
     assert inside.mean() > 0.9
     assert view.read().shape == (view.camera.height, view.camera.width, 3)
+
+
+def test_colmap_small_takes_the_model_that_has_images(real_data: Folder) -> None:
+    """`sparse/0` is of images that are not there; those of `dense/sparse` are."""
+    assert len(load_scene(real_data("colmap_small")).views) == 23
+
+
+@pytest.mark.parametrize("name", ["visp_franka_handeye", "franka_charuco_handeye"])
+def test_sets_that_are_no_scenes_say_so(real_data: Folder, name: str) -> None:
+    with pytest.raises(Misuse, match="holds no scene that Koala knows"):
+        load_scene(real_data(name))
 
 
 def test_dtu_scales_its_matrices_and_sees_its_object(real_data: Folder) -> None:
