@@ -60,7 +60,7 @@ def calibrate_handeye(
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
         Misuse: `given` is for images of another size.
     """
-    return _finished(solve(session, given, accuracy, lens), accuracy, given is not None)
+    return finished(solve(session, given, accuracy, lens), accuracy, given is not None)
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
     return Known(free, np.array([getattr(given.camera, name) for name in free]), among * np.outer(std, std))
 
 
-def _finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration:
+def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration:
     """The calibration with its uncertainty, its errors on unseen views and where it came from."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined

@@ -107,6 +107,94 @@ def verify_command(
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
 
 
+@app.command("report")
+def report_command(
+    recording: RecordingPath,
+    out: Annotated[Path, typer.Option("--out", help="HTML page to write.")],
+    intrinsics: Intrinsics = None,
+    arm_mm: ArmMm = 0.05,
+    arm_deg: ArmDeg = 0.01,
+    description: Import = None,
+    lens: Lens = "auto",
+    json: Json = False,
+) -> None:
+    """A page with figures of a calibration.
+
+    Residuals over the image, errors of each view, coverage, error ellipses. Calibrates as 'calib handeye' does.
+    """
+    from calib import calibrate, page
+
+    accuracy = _accuracy(arm_mm, arm_deg)
+    _check_out(out)
+    _check_lens(lens)
+    given = _load(intrinsics)
+    session, camera = _observe(recording, description)
+    solution = calibrate.solve(session, given or camera, accuracy, lens)
+    calibration = calibrate.finished(solution, accuracy, (given or camera) is not None)
+    page.write(out, calibration, solution)
+    console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
+
+
+@app.command("plan")
+def plan_command(
+    recording: RecordingPath,
+    out: Annotated[Path, typer.Option("--out", help="Trajectory file to write (YAML), for 'capture plan' and 'capture run'.")],
+    count: Annotated[int, typer.Option("--count", min=1, max=100, help="Number of views.")] = 5,
+    grow_mm: Annotated[
+        float, typer.Option("--grow-mm", min=0, help="How far beyond the recorded camera positions to go.")
+    ] = 50.0,
+    arm_mm: ArmMm = 0.05,
+    arm_deg: ArmDeg = 0.01,
+    json: Json = False,
+) -> None:
+    """The next views that tell most.
+
+    Within the box of the recorded camera positions; 'capture plan' judges whether the arm can take them.
+    """
+    from calib import advice, calibrate
+    from datasets.recording import Recording
+
+    accuracy = _accuracy(arm_mm, arm_deg)
+    _check_out(out)
+    solution = calibrate.solve(_observe(recording)[0], None, accuracy)
+    found = advice.advise(solution, count, grow_m=1e-3 * grow_mm)
+    advice.write_trajectory(out, found, Recording.open(recording).manifest)
+    (before_mm, before_deg), (after_mm, after_deg) = found.before, found.after[-1]
+    text = (f"hand-eye pose known to {before_mm:.4f} mm, {before_deg:.5f} deg now; {after_mm:.4f} mm, {after_deg:.5f} deg expected "
+            f"with {count} views more\nwritten to {out}")  # fmt: skip
+    console.report({"out": str(out), "before": found.before, "after": found.after}, as_json=json, text=text)
+
+
+@app.command("board")
+def board_command(
+    out: Annotated[Path, typer.Option("--out", help="File to write: .pdf or .svg.")],
+    kind: Annotated[str, typer.Option("--kind", help="charuco, chessboard or tags.")] = "charuco",
+    squares: Annotated[str, typer.Option("--squares", help="Squares along x and y.")] = "9x7",
+    square_mm: Annotated[float, typer.Option("--square-mm", help="Side of a square [mm].")] = 30.0,
+    marker_mm: Annotated[
+        float | None, typer.Option("--marker-mm", help="Side of a marker [mm]; default: 73 % of a square.")
+    ] = None,
+    dictionary: Annotated[str, typer.Option("--dictionary", help="OpenCV's name of the marker dictionary.")] = "DICT_5X5_100",
+    first_id: Annotated[int, typer.Option("--first-id", help="Number of the first tag.")] = 0,
+    json: Json = False,
+) -> None:
+    """A target to print, in true size."""
+    from calib import printing
+    from calib.targets import Board
+    from datasets.errors import Misuse
+
+    numbers = squares.lower().split("x")
+    if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
+        raise Misuse("squares are given as 9x7", where="--squares", why=f"{squares!r} given")
+    marker = 0.0 if kind == "chessboard" else round(0.73 * square_mm, 1) if marker_mm is None else marker_mm
+    board = Board.from_json({"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "square_length_m": 1e-3 * square_mm,
+                             "marker_length_m": 1e-3 * marker, "dictionary": dictionary, "first_id": first_id}, where="board")  # fmt: skip
+    printing.write(board, out)
+    width, height = printing.page_mm(board)
+    text = f"page of {width:.0f} x {height:.0f} mm; print without fitting to the page, and measure the bar\nwritten to {out}"
+    console.report({"out": str(out), "page_mm": [width, height], "board": board.to_json()}, as_json=json, text=text)
+
+
 @app.command("bench")
 def bench_command(
     out: Annotated[Path, typer.Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
