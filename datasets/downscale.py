@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ from datasets.camera_model import Camera
 from datasets.errors import DatasetError
 from datasets.scene import View
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def camera(full: Camera, factor: int) -> Camera:
@@ -27,7 +28,7 @@ def camera(full: Camera, factor: int) -> Camera:
     return full.scaled(max(round(full.width / factor), 1), max(round(full.height / factor), 1))
 
 
-def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDArray[np.generic]:
+def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDArray[Any]:
     """(height, width, channels) of an image file at another size, as deep as the file: uint8, uint16 or float32.
 
     Args:
@@ -38,7 +39,7 @@ def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDAr
     """
     stored = images.read_stored(path)
     if not colours:
-        top = 1.0 if stored.dtype == np.float32 else float(np.iinfo(stored.dtype).max)  # type: ignore[type-var]
+        top = 1.0 if stored.dtype == np.float32 else float(np.iinfo(stored.dtype).max)
         small = images.resize(stored.astype(np.float32) / np.float32(top), width, height, srgb=False)
     else:
         small = images.resize_light(images.linear_from_stored(stored), width, height)

@@ -45,6 +45,7 @@ def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, 
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
     masks = [_mask(view) for view in chosen]
     start = result = np.asarray(box, np.float64)
+    kept, radius = np.zeros((0, 3)), 0.0
     for _ in range(3):
         voxel = (result[1] - result[0]) / resolution
         axes = [result[0, k] + voxel[k] * (np.arange(resolution) + 0.5) for k in range(3)]

@@ -41,7 +41,7 @@ def read(path: Path) -> NDArray[np.float32]:
     return _decoded(path, "float")
 
 
-def read_stored(path: Path) -> NDArray[np.generic]:
+def read_stored(path: Path) -> NDArray[Any]:
     """(height, width, channels) as stored: uint8, uint16 or float32. Raises as `read` does."""
     return _decoded(path, None)
 
@@ -178,11 +178,11 @@ def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
     return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
 
 
-def linear_from_stored(stored: NDArray[np.generic]) -> NDArray[np.float32]:
+def linear_from_stored(stored: NDArray[Any]) -> NDArray[np.float32]:
     """Linear light of what `read_stored` gives, alpha (the second or fourth channel) as it is. Integers go through a table."""
     if stored.dtype == np.float32:
         return stored.astype(np.float32)
-    top = np.iinfo(stored.dtype).max  # type: ignore[type-var]
+    top = np.iinfo(stored.dtype).max
     steps_of_light = np.arange(top + 1, dtype=np.float32) / np.float32(top)
     light = linear_from_srgb(steps_of_light)[stored]
     if stored.shape[-1] in (2, 4):
@@ -218,7 +218,7 @@ def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray
     small = _area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
     small_alpha = small[..., -1:]
     straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
-    return np.concatenate([straight, small_alpha], axis=-1)
+    return np.concatenate([straight, small_alpha], axis=-1, dtype=np.float32)
 
 
 def _area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
@@ -226,7 +226,8 @@ def _area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArr
     if width <= old_width and height <= old_height and channels <= 4:
         import cv2
 
-        return cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, channels)
+        small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+        return np.asarray(small, np.float32).reshape(height, width, channels)
     rows = _overlaps(old_height, height) @ pixels.reshape(old_height, -1)
     turned = rows.reshape(height, old_width, channels).transpose(1, 0, 2).reshape(old_width, -1)
     columns = _overlaps(old_width, width) @ turned

@@ -69,7 +69,8 @@ def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
     grey = np.nan_to_num(255 * small[..., :3].mean(-1), nan=0.0).clip(0, 255).astype(np.uint8)
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
-    keypoints, descriptors = cv2.SIFT_create(nfeatures=count, contrastThreshold=0.02).detectAndCompute(grey, mask)
+    sift = cv2.SIFT.create(nfeatures=count, contrastThreshold=0.02)
+    keypoints, descriptors = sift.detectAndCompute(grey, mask)
     pixel = 1 / (view.camera.fx * width / view.camera.width)
     if descriptors is None:
         return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32), pixel)

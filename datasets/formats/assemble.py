@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets import bounds, files, images
 from datasets.camera_model import Camera
@@ -124,3 +125,11 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
     name = gathering.folder.resolve().name
     return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes),
                  provenance=provenance, bounds_from=evidence)  # fmt: skip
+
+
+def with_points(scene: Scene, points: NDArray[np.float64]) -> Scene:
+    """The scene with (n, 3) surface points, and box and near from them where no mask gave better ones."""
+    found = bounds.about_points(scene.views, points)
+    if scene.background == "white" or found is None:
+        return replace(scene, points=points)
+    return replace(scene, points=points, box=found[0], near=found[1], bounds_from=f"{len(points)} points of the model")

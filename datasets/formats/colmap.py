@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets import bounds, downscale, files, pose
+from datasets import downscale, files, pose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError, Misuse
 from datasets.formats import assemble, export, sidecar
@@ -78,16 +78,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
         return replace(scene, points=model.points, sightings=seen) if seen is not None else scene
     scene = assemble.scene(gathering, assemble.hold_out(views, hold_out),
                            provenance={"format": "colmap", "source": str(folder.absolute())})  # fmt: skip
-    return _with_points(replace(scene, points=model.points, sightings=seen)) if seen is not None else scene
-
-
-def _with_points(scene: Scene) -> Scene:
-    """The scene with box and near from its points, where no mask gave better ones."""
-    points = np.zeros((0, 3)) if scene.points is None else scene.points
-    found = bounds.about_points(scene.views, points)
-    if scene.background == "white" or found is None:
-        return scene
-    return replace(scene, box=found[0], near=found[1], bounds_from=f"{len(points)} points of the model")
+    return replace(assemble.with_points(scene, model.points), sightings=seen) if seen is not None else scene
 
 
 def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, np.ndarray]) -> Sightings:

@@ -88,8 +88,9 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         centre, radius = scene.box.mean(0), float(np.linalg.norm(scene.box[1] - scene.box[0])) / 2
         scale = pose.rigid(radius * np.eye(3), centre)
         matrices = {f"world_mat_{number}": _projection(p.view) for number, p in enumerate(placed)}
+        matrices |= {f"scale_mat_{number}": scale for number in range(len(placed))}
         with files.atomic_path(folder / CAMERAS[0]) as temporary:
-            np.savez(temporary, **matrices, **{f"scale_mat_{number}": scale for number in range(len(placed))})
+            np.savez(temporary, allow_pickle=False, **matrices)
         for name, source in (extra or {}).items():
             link(source, folder / name)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})

@@ -4,6 +4,7 @@ The world is that of the file: `applied_transform` and instant-ngp's `scale`, `o
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from datasets import downscale, files, images
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError
-from datasets.formats import assemble, export, opengl, sidecar
+from datasets.formats import assemble, export, opengl, ply, sidecar
 from datasets.formats.koala import file_name, link
 from datasets.scene import SPLITS, Scene, View
 
@@ -45,12 +46,21 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
         except KoalaError as error:
             gathering.complain(error)
     views = gathering.finished(listed_in=FILE)
+    points = _points(folder, content, where=source)
     known = sidecar.read(folder)
     if known is not None:
-        return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+        return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points)
     if not splits:
         views = assemble.hold_out(views, hold_out)
-    return assemble.scene(gathering, views, provenance={"format": "nerfstudio", "source": str(folder.absolute())})
+    scene = assemble.scene(gathering, views, provenance={"format": "nerfstudio", "source": str(folder.absolute())})
+    return scene if points is None else assemble.with_points(scene, points)
+
+
+def _points(folder: Path, content: dict[str, Any], *, where: object) -> NDArray[np.float64] | None:
+    """Surface points of `ply_file_path`, which are in the world of the frames."""
+    name = content.get("ply_file_path")
+    path = files.inside(folder, name, where=where) if name else None
+    return ply.read_points(path) if path is not None and path.is_file() else None
 
 
 def _gather(gathering: assemble.Gathering, content: dict[str, Any], frame: dict[str, Any],
@@ -115,7 +125,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         depths = _depths(views, folder)
         content["frames"] = [_frame(view, folder, depths.get(view.name), common="fl_x" in content) for view in views]
         if scene.points is not None:
-            _write_ply(folder / "sparse.ply", scene.points)
+            ply.write_points(folder / "sparse.ply", scene.points)
             content["ply_file_path"] = "sparse.ply"
         files.write_json(folder / FILE, content)
         for name, source in (extra or {}).items():
@@ -164,10 +174,3 @@ def _depths(views: Sequence[View], folder: Path) -> dict[str, Path]:
         written[view.name] = folder / "depths" / f"{view.image.stem}.png"
         images.write(written[view.name], np.nan_to_num(counts, posinf=0).round().clip(0, 65535).astype(np.uint16))
     return written
-
-
-def _write_ply(path: Path, points: NDArray[np.float64]) -> None:
-    """Points as a binary PLY file."""
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    header += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
-    files.write_bytes(path, header.encode() + points.astype("<f4").tobytes())

@@ -38,7 +38,9 @@ def test_their_rules_hold(make_scene: Callable[..., Scene], tmp_path: Path, mask
     assert np.abs(np.array(frames[0]["transform_matrix"]) - first).max() < 1e-12
     ply = (tmp_path / "out" / content["ply_file_path"]).read_bytes()
     head, _, body = ply.partition(b"end_header\n")
-    assert b"element vertex 4" in head and np.array_equal(np.frombuffer(body, "<f4"), np.arange(12.0))
+    again = load_scene(tmp_path / "out")
+    assert again.points is not None and np.array_equal(again.points, scene.points)
+    assert b"element vertex 4" in head and np.array_equal(np.frombuffer(body, "<f8"), np.arange(12.0))
 
 
 def test_depth_goes_along_where_all_have_it(make_scene: Callable[..., Scene], tmp_path: Path) -> None:

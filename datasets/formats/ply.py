@@ -1,0 +1,85 @@
+"""Points in PLY files: the vertices of ASCII and little-endian binary ones, read with suspicion."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import files
+from datasets.errors import DatasetError
+
+KINDS = {
+    "char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4", "float": "<f4", "double": "<f8",
+    "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4", "uint32": "<u4", "float32": "<f4", "float64": "<f8",
+}  # fmt: skip
+LONGEST_HEADER = 2**16
+
+
+def read_points(path: Path) -> NDArray[np.float64]:
+    """(n, 3) vertices.
+
+    Raises:
+        DatasetError: it is no such file, cut off, or a vertex is not finite.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error)) from None
+    end = data.find(b"end_header\n", 0, LONGEST_HEADER)
+    if not data.startswith(b"ply\n") or end < 0:
+        raise DatasetError("is not a PLY file", where=path, why="it has no header")
+    coding, count, properties = _header(data[:end].decode("ascii", "replace"), where=path)
+    body = data[end + len("end_header\n") :]
+    if coding == "ascii":
+        points = _from_text(body, count, properties, where=path)
+    else:
+        layout = np.dtype(properties)
+        if count * layout.itemsize > len(body):
+            raise DatasetError("is cut off", where=path, why=f"{count} vertices are promised, {len(body)} bytes are there")
+        vertices = np.frombuffer(body, layout, count)
+        points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    if not np.isfinite(points).all():
+        raise DatasetError("points are not finite", where=path)
+    return points
+
+
+def write_points(path: Path, points: NDArray[np.float64]) -> None:
+    """Write (n, 3) points as binary doubles, atomically."""
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    header += "".join(f"property double {axis}\n" for axis in "xyz") + "end_header\n"
+    files.write_bytes(path, header.encode() + points.astype("<f8").tobytes())
+
+
+def _header(text: str, *, where: Path) -> tuple[str, int, list[tuple[str, str]]]:
+    """(coding, number of vertices, their properties); vertices come first in all files of points."""
+    coding, count, properties, element = "", -1, [], ""
+    try:
+        for words in (line.split() for line in text.splitlines()[1:]):
+            if words[:1] == ["format"]:
+                coding = words[1]
+            elif words[:1] == ["element"]:
+                element = words[1]
+                count = int(words[2]) if element == "vertex" else count
+                if element != "vertex" and count < 0:
+                    raise DatasetError("vertices do not come first", where=where)
+            elif words[:1] == ["property"] and element == "vertex":
+                properties.append((words[2], KINDS[words[1]]))
+    except (IndexError, KeyError, ValueError) as error:
+        raise DatasetError("header cannot be read", where=where, why=str(error)) from None
+    names = [name for name, _ in properties]
+    known = coding in ("ascii", "binary_little_endian") and len(set(names)) == len(names)
+    if count < 0 or not known or not {"x", "y", "z"} <= set(names):
+        raise DatasetError("holds no points that can be read", where=where, why=f"format {coding}, {count} vertices with {names}")
+    return coding, count, properties
+
+
+def _from_text(body: bytes, count: int, properties: list[tuple[str, str]], *, where: Path) -> NDArray[np.float64]:
+    words = body.split()
+    width = len(properties)
+    if count * width > len(words):
+        raise DatasetError("is cut off", where=where, why=f"{count} vertices are promised, {len(words)} numbers are there")
+    try:
+        table = np.array(words[: count * width], np.float64).reshape(count, width)
+    except ValueError as error:
+        raise DatasetError("vertex is no number", where=where, why=str(error)) from None
+    return table[:, [[name for name, _ in properties].index(axis) for axis in "xyz"]]
