@@ -1,5 +1,6 @@
 """Takes a rig along a trajectory and leaves a recording, frame by frame, so that it can be stopped and resumed anywhere."""
 
+import shutil
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +16,7 @@ from capture.rigs import Rig
 from capture.trajectory import Motion, Trajectory
 from capture.writer import Advance, Pixels, Writer
 from datasets.errors import Misuse
-from datasets.recording import IMAGES, TRUTH, Frame, Recording
+from datasets.recording import IMAGES, MANIFEST, TRUTH, Frame, Recording
 
 
 def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False, planned: list[PlannedView] | None = None,
@@ -110,6 +111,8 @@ def picture_difference(first: Pixels, second: Pixels) -> float:
 
 def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool) -> Recording:
     manifest = _manifest(trajectory, rig)
+    if resume:
+        _sweep(out)
     if not resume or not out.exists():
         return Recording.create(out, manifest)
     recording = Recording.open(out)
@@ -119,6 +122,19 @@ def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool) -> Recordin
             raise Misuse(f"was taken with another {key.replace('_', ' ')}", where=out, why="a recording has one session",
                          remedy="resume with what it was started with, or choose another --out")  # fmt: skip
     return recording
+
+
+def _sweep(out: Path) -> None:
+    """Remove what a kill left half-written: files under a temporary name, and a folder without a manifest and pictures."""
+    if not out.is_dir():
+        return
+    names = {path.name for path in out.iterdir() if not path.name.startswith(".")}
+    if MANIFEST not in names and not names <= {IMAGES}:
+        return  # something else than a recording: `Recording.open` says so
+    for path in [path for path in out.rglob(".*.*") if path.is_file()]:
+        path.unlink()
+    if MANIFEST not in names and not any((out / IMAGES).glob("*")):
+        shutil.rmtree(out)
 
 
 def _identity(manifest: dict[str, Any]) -> dict[str, Any]:

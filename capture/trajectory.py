@@ -53,6 +53,10 @@ class CameraSettings(Schema):
 
     exposure_us: float = Field(10_000.0, gt=0, description="exposure time [us]")
     gain_db: float = Field(0.0, ge=0, description="gain [dB]")
+    pixel_format: Literal["rgb8", "bayer8", "bayer12"] = Field(
+        "rgb8", description="what the camera sends: its own colours, or raw photosites of 8 or 12 bits, of which colours are made "
+        "here. Images are sRGB; 12 bits are kept as 16-bit files",
+    )  # fmt: skip
     binning: int = Field(1, ge=1, le=16, description="sensor pixels per image pixel, along both axes")
     width: int = Field(1920, ge=16, description="image width after binning [px]")
     height: int = Field(1080, ge=16, description="image height after binning [px]")

@@ -7,8 +7,8 @@ import os
 import time
 from typing import Any, Self
 
-import numpy as np
-
+from capture.cameras.genicam_lock import release_abandoned
+from capture.cameras.pixels import choose_format, colours
 from capture.errors import CaptureError, RigConnectionError
 from capture.rig import Image
 from capture.trajectory import CameraSettings
@@ -20,8 +20,10 @@ READY_MS = 2000
 """How long the camera may take to accept a trigger [ms]."""
 TRANSFER_MS = 3000
 """How long an image may take beyond its exposure time [ms]."""
-RGB8 = ("RGB8", "RGB8Packed")
-"""Eight-bit colour: what USB cameras call it, and GigE cameras and the emulation."""
+AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
+"""What must not change by itself from picture to picture; set to Off where it exists."""
+SRGB = (("BslColorSpace", "sRgb"), ("BslColorSpaceMode", "sRGB"), ("GammaSelector", "sRGB"))
+"""How cameras that make colours themselves are told to encode them as sRGB: setting and value, by model."""
 
 
 class Basler:
@@ -45,6 +47,7 @@ class Basler:
     def __enter__(self) -> Self:
         if self.emulated:
             os.environ["PYLON_CAMEMU"] = "1"  # pylon reads it when it is imported
+        release_abandoned()
         from pypylon import pylon
 
         self._pylon = pylon
@@ -136,10 +139,14 @@ class Basler:
 
     def _configure(self) -> None:
         camera, wanted = self._camera, self.settings
-        for automatic in ("ExposureAuto", "GainAuto", "BalanceWhiteAuto"):
+        for automatic in AUTOMATICS:
             if _has(camera, automatic):
                 self._set(automatic, "Off")
-        self._set("PixelFormat", next((name for name in RGB8 if name in camera.PixelFormat.Symbolics), RGB8[0]))
+        self._set("PixelFormat", choose_format(wanted.pixel_format, camera.PixelFormat.Symbolics, where=self._name()))
+        for name, value in SRGB if wanted.pixel_format == "rgb8" else ():  # raw formats stay linear and are encoded here
+            if _has(camera, name) and value in getattr(camera, name).Symbolics:
+                self._set(name, value)
+                break
         if wanted.binning > 1 or _has(camera, "BinningHorizontal"):
             self._set("BinningHorizontal", wanted.binning)
             self._set("BinningVertical", wanted.binning)
@@ -198,7 +205,7 @@ class Basler:
         try:
             if not result.GrabSucceeded():
                 return None, result.GetErrorDescription() or f"error {result.GetErrorCode()}"
-            pixels = np.array(result.Array, copy=True)
+            pixels = colours(result.Array, camera.PixelFormat.Value)
             return Image(pixels, float(self._exposure.Value), self._gain_db(), int(result.TimeStamp), host_time_ns), ""
         finally:
             result.Release()

@@ -58,6 +58,8 @@ def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArr
 class SimulatedCamera:
     """A Basler whose light is computed; does what `capture.rig.Camera` says.
 
+    The emulation takes files of 8 bits: raw photosites of 12 bits have the steps of 8 in the simulation.
+
     Args:
         trajectory: its camera settings, and what stands where.
         scene: a name of `capture.sim.scenes.SCENES`.
@@ -107,13 +109,13 @@ class SimulatedCamera:
         self._base_from_camera = poses[len(poses) // 2]
         light = self.view.radiance(self.lens, poses, self._seed)
         pixels = Sensor().expose(light, exposure_us=settings.exposure_us, gain_db=settings.gain_db, binning=settings.binning,
-                                 rng=np.random.default_rng([self.seed, self._frame, 3]))  # fmt: skip
+                                 rng=np.random.default_rng([self.seed, self._frame, 3]), raw=settings.pixel_format != "rgb8")  # fmt: skip
         picture = Path(self._folder.name) / f"{self._frame}.png"
         images.write(picture, pixels)
         self._driver.feed(str(picture))
         image = self._driver.grab()
         picture.unlink()
-        if not np.array_equal(image.pixels, pixels):
+        if settings.pixel_format == "rgb8" and not np.array_equal(image.pixels, pixels):
             raise SimulationError("the emulated camera changed the picture", why="pixels differ from what it was fed")
         return replace(image, host_time_ns=moment, device_ticks=moment)
 

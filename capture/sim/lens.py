@@ -88,15 +88,17 @@ class Sensor:
     reference_us: float = 10000.0
 
     def expose(
-        self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator
+        self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator, raw: bool = False
     ) -> NDArray[np.uint8]:
-        """(height, width, 3) sRGB bytes of linear light; binned photosites average, so noise falls by `binning`."""
+        """(height, width, 3) sRGB bytes of linear light, or linear ones with `raw`; binned photosites average, so noise
+        falls by `binning`."""
         sites = binning**2
         share = radiance / self.saturation * (exposure_us / self.reference_us)
         electrons = np.minimum(np.maximum(share, 0), 1.0) * self.full_well * sites
         noisy = rng.poisson(electrons) + rng.normal(0.0, self.read_noise * binning, electrons.shape)
         amplified = noisy / (self.full_well * sites) * 10 ** (gain_db / 20)
-        return to_uint8(srgb_from_linear(np.clip(amplified, 0.0, 1.0)))
+        shares = np.clip(amplified, 0.0, 1.0)
+        return to_uint8(shares if raw else srgb_from_linear(shares))
 
     def white(self, exposure_us: float, gain_db: float) -> float:
         """Radiance that becomes white: what a picture has lost by clipping lies above it."""

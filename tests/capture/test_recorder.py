@@ -59,7 +59,7 @@ class StandInCamera:
         if self.taken == self.stop_at:
             raise KeyboardInterrupt
         self.taken += 1
-        return Image(np.full((6, 8, 3), self.taken, np.uint8), 2000.0, 0.0, self.taken, time.monotonic_ns())
+        return Image(np.full((6, 8, 3), self.taken % 256, np.uint8), 2000.0, 0.0, self.taken, time.monotonic_ns())
 
     def description(self) -> dict[str, Any]:
         return {"model": "stand-in", "region": {"width": 8, "height": 6, "offset_x": 0, "offset_y": 0, "binning": 1}}
@@ -179,6 +179,51 @@ def test_another_session_does_not_go_on_here(trajectory, rig, views, tmp_path):
     other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.witness, {"scene": "gold_head", "seed": 1})
     with pytest.raises(Misuse, match="another seed"):
         record(trajectory, other, tmp_path / "rec", resume=True, planned=views)
+
+
+def test_what_a_kill_left_half_written_is_swept_away(trajectory, rig, views, tmp_path):
+    out = tmp_path / "rec"
+    (out / "images").mkdir(parents=True)
+    (out / ".manifest.x1y2.json").write_text("{")  # killed before the manifest was there
+    record(trajectory, rig, out, resume=True, planned=views[:1])
+    (out / "images" / ".001.x1y2.png").write_bytes(b"half")
+    record(trajectory, rig, out, resume=True, planned=views[:2])
+    assert len(Recording.open(out).frames) == 2 and not [path for path in out.rglob(".*")]
+
+
+def test_a_folder_that_is_no_recording_is_not_touched(trajectory, rig, views, tmp_path):
+    (tmp_path / "rec").mkdir()
+    (tmp_path / "rec" / ".secret.txt").write_text("mine")
+    (tmp_path / "rec" / "thesis.txt").write_text("mine")
+    with pytest.raises(Misuse, match="is not a recording"):
+        record(trajectory, rig, tmp_path / "rec", resume=True, planned=views)
+    assert (tmp_path / "rec" / ".secret.txt").exists()
+
+
+def test_another_address_is_the_same_rig(trajectory, rig, views, tmp_path):
+    record(trajectory, rig, tmp_path / "rec", planned=views[:1])
+    moved = rig.description.model_copy(update={"robot": rig.description.robot.model_copy(update={"host": "10.0.0.7"})})
+    there = Rig(rig.robot, rig.camera, moved, "copy.yaml", rig.witness, rig.extra)
+    assert len(record(trajectory, there, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
+    slower = moved.model_copy(update={"robot": moved.robot.model_copy(update={"max_joint_speed": 0.9})})
+    with pytest.raises(Misuse, match="another rig"):
+        record(
+            trajectory,
+            Rig(rig.robot, rig.camera, slower, "", rig.witness, rig.extra),
+            tmp_path / "rec",
+            resume=True,
+            planned=views,
+        )
+
+
+def test_waits_for_two_equal_pictures_where_asked(trajectory, rig, views, tmp_path):
+    """The stand-in's pictures get brighter by one level each: two never differ by less than 1/255."""
+    waiting = trajectory.motion.model_copy(update={"settle_difference": 0.01, "settle_timeout_s": 0.2})
+    record(trajectory.model_copy(update={"motion": waiting}), rig, tmp_path / "rec", planned=views[:2])
+    assert rig.camera.taken == 4  # each view's second picture is equal enough to its first
+    never = trajectory.model_copy(update={"motion": waiting.model_copy(update={"settle_difference": 0.001})})
+    with pytest.raises(MotionError, match=r"view 000: the picture does not come to rest .*0\.0039, limit 0\.001"):
+        record(never, rig, tmp_path / "other", planned=views[:2])
 
 
 def test_resume_without_a_recording_starts_one(trajectory, rig, views, tmp_path):

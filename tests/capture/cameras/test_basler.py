@@ -29,6 +29,40 @@ def test_delivers_the_fed_picture_unchanged(picture):
     assert second.host_time_ns > first.host_time_ns
 
 
+@pytest.mark.parametrize(("name", "kind"), [("bayer8", np.uint8), ("bayer12", np.uint16)])
+def test_raw_formats_become_colours(tmp_path, name, kind):
+    """The emulation makes photosites of the picture's values as they are, so these are the linear ones."""
+    linear = np.zeros((48, 64, 3), np.uint8)
+    linear[:, :32], linear[:, 32:] = (200, 100, 40), (10, 240, 90)
+    images.write(tmp_path / "fed.png", linear)
+    with Basler(SMALL.model_copy(update={"pixel_format": name}), emulated=True) as camera:
+        camera.feed(str(tmp_path / "fed.png"))
+        pixels = camera.grab().pixels
+        described = camera.description()
+    assert described["pixel_format"].startswith("Bayer") and pixels.dtype == kind
+    wanted = images.srgb_from_linear(linear / 255)
+    inside = np.r_[4:28, 36:60]
+    np.testing.assert_allclose(pixels[4:-4, inside] / np.iinfo(kind).max, wanted[4:-4, inside], atol=0.006)
+
+
+def test_region_is_that_part_of_the_sensor():
+    with Basler(SMALL.model_copy(update={"offset_x": 16, "offset_y": 8}), emulated=True) as camera:
+        assert camera.region == Region(64, 48, 16, 8, 4)
+        assert camera.grab().pixels.shape == (48, 64, 3)
+
+
+def test_automatics_are_off_whatever_they_were_before():
+    from pypylon import pylon
+
+    other = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateFirstDevice())
+    other.Open()
+    other.ExposureAuto.Value, other.GainAuto.Value = "Continuous", "Continuous"
+    other.Close()
+    with Basler(SMALL, emulated=True) as camera:
+        state = camera.description()["state"]
+        assert (state["ExposureAuto"], state["GainAuto"]) == ("Off", "Off") and len(state) > 20
+
+
 def test_damaged_images_are_taken_again(picture):
     path, pixels = picture
     with Basler(SMALL, emulated=True) as camera:

@@ -1,0 +1,44 @@
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from capture.cameras.genicam_lock import FOLDER, release_abandoned
+
+
+def semaphore(folder, name, value):
+    path = folder / f"sem.{name}GenICam_XML"
+    path.write_bytes(value.to_bytes(4, "little") + bytes(28))
+    return path
+
+
+def test_only_a_lock_that_stays_locked_is_removed(tmp_path):
+    abandoned, free, busy = semaphore(tmp_path, "a", 0), semaphore(tmp_path, "b", 1), semaphore(tmp_path, "c", 0)
+    other = tmp_path / "sem.other"
+    other.write_bytes(bytes(32))
+    threading.Timer(0.1, semaphore, [tmp_path, "c", 1]).start()
+    assert release_abandoned(tmp_path, patience_s=0.5) == [abandoned.name]
+    assert not abandoned.exists() and free.exists() and busy.exists() and other.exists()
+
+
+def test_it_takes_no_time_where_nothing_is_locked(tmp_path):
+    semaphore(tmp_path, "b", 1)
+    begun = time.monotonic()
+    assert release_abandoned(tmp_path) == [] == release_abandoned(tmp_path / "nowhere")
+    assert time.monotonic() - begun < 0.5
+
+
+def test_a_real_semaphore_of_a_killed_program(tmp_path):
+    """The premise: glibc keeps the value in the first four bytes. Made, taken and abandoned by another process."""
+    if not FOLDER.is_dir():
+        pytest.skip("no /dev/shm: this system keeps named semaphores elsewhere")
+    name = f"koala{time.time_ns()}GenICam_XML"
+    code = (
+        "import ctypes, os, sys\nlib = ctypes.CDLL(None)\nlib.sem_open.restype = ctypes.c_void_p\n"
+        f"s = lib.sem_open(b'/{name}', os.O_CREAT, 0o600, 1)\nassert lib.sem_trywait(ctypes.c_void_p(s)) == 0\nos.kill(os.getpid(), 9)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
+    assert f"sem.{name}" in release_abandoned(patience_s=0.3)
+    assert not (FOLDER / f"sem.{name}").exists()

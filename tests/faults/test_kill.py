@@ -1,0 +1,95 @@
+"""Kill -9 at random moments of a run: after `--resume` the recording equals an undisturbed one."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import files
+from datasets.recording import Recording
+
+TRAJECTORY = """\
+format: koala-trajectory
+version: 1
+name: killed
+views:
+  - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], count: COUNT, roll_deg: [0, 90, 180, 270]}
+target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
+board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
+camera: {exposure_us: 10000, binning: 4, width: 96, height: 64}
+"""
+
+
+def command(trajectory: Path, out: Path) -> list[str]:
+    return [sys.executable, "-m", "capture.cli", "run", str(trajectory), "--out", str(out), "--resume"]
+
+
+def run_whole(trajectory: Path, out: Path) -> tuple[float, float]:
+    """Seconds until the first frame was there, and until the end."""
+    begun, first = time.monotonic(), 0.0
+    with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None:
+            if not first and (out / "frames.jsonl").exists():
+                first = time.monotonic() - begun
+            time.sleep(0.02)
+        assert process.returncode == 0, process.stderr.read()
+    return first, time.monotonic() - begun
+
+
+def kill_after(trajectory: Path, out: Path, seconds: float) -> bool:
+    """Start a run and kill it without warning; whether it was still at work then."""
+    with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            os.kill(process.pid, signal.SIGKILL)
+            return True
+        return False
+
+
+def check_equal(killed: Path, whole: Path) -> None:
+    """Same frames, each once, from the same places, with the same pictures; nothing lies about."""
+    ours, theirs = Recording.open(killed), Recording.open(whole)
+    assert sorted(frame.name for frame in ours.frames) == [frame.name for frame in theirs.frames]
+    assert not list(killed.rglob(".*"))
+    by_name = {frame.name: frame for frame in ours.frames}
+    truths = [files.read_json(path / "truth" / "poses.json")["base_from_camera"] for path in (killed, whole)]
+    assert sorted(truths[0]) == sorted(truths[1])
+    for frame in theirs.frames:
+        same = by_name[frame.name]
+        assert same.sha256 == files.sha256(ours.image_path(same)) == frame.sha256  # the very same picture
+        np.testing.assert_allclose(same.base_from_flange, frame.base_from_flange, atol=1e-6)
+        np.testing.assert_array_equal(truths[0][frame.name], truths[1][frame.name])
+
+
+def test_one_kill(tmp_path: Path) -> None:
+    trajectory = tmp_path / "killed.yaml"
+    trajectory.write_text(TRAJECTORY.replace("COUNT", "5"))
+    first, took = run_whole(trajectory, tmp_path / "whole")
+    assert kill_after(trajectory, tmp_path / "killed", (first + took) / 2)
+    run_whole(trajectory, tmp_path / "killed")
+    check_equal(tmp_path / "killed", tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_twenty_kills_in_a_row_in_one_recording(tmp_path: Path) -> None:
+    trajectory = tmp_path / "killed.yaml"
+    trajectory.write_text(TRAJECTORY.replace("COUNT", "60"))
+    first, took = run_whole(trajectory, tmp_path / "whole")
+    window = 5 * (took - first) / 60  # of five views
+    rng, killed, before = random.Random(0), 0, []
+    while killed < 20:
+        count = len(Recording.open(tmp_path / "killed").frames) if (tmp_path / "killed" / "manifest.json").exists() else 0
+        assert count < 60, "it was finished before it was killed often enough: let it take more views"
+        killed += kill_after(trajectory, tmp_path / "killed", rng.uniform(0.7 * first, first + window))
+        before.append(count)
+    assert len(set(before)) > 5  # the premise: kills struck while frames were being taken
+    run_whole(trajectory, tmp_path / "killed")
+    check_equal(tmp_path / "killed", tmp_path / "whole")
