@@ -12,6 +12,7 @@ from datasets.edit_commands import Out, Root, SceneName
 
 app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
 
+Images = Annotated[str | None, typer.Option(help="Folder of images to use where there are several sizes: images_4.")]
 Sizes = Annotated[str, typer.Option(help="Write images_N too: 2,4,8 for a half, a quarter and an eighth of the size.")]
 
 
@@ -36,6 +37,7 @@ def build(
 @app.command()
 def info(
     scene: SceneName,
+    images: Images = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure bounds in the pictures where nothing states them.")] = False,
     data_root: Root = None,
     as_json: Json = False,
@@ -44,13 +46,14 @@ def info(
     from datasets.check import summary
     from datasets.formats import load_scene
 
-    found = summary(load_scene(scene, data_root=data_root, measure=measure))
+    found = summary(load_scene(scene, data_root=data_root, images=images, measure=measure))
     console.report(found, as_json=as_json, text=_text(found))
 
 
 @app.command()
 def check(
     scene: SceneName,
+    images: Images = None,
     quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
     data_root: Root = None,
     as_json: Json = False,
@@ -66,7 +69,7 @@ def check(
             shown.total = total
             shown.advance(count - shown.done)
 
-        findings = check_scene(scene, data_root=data_root, matches=not quick, done=advance)
+        findings = check_scene(scene, data_root=data_root, images=images, matches=not quick, done=advance)
     errors = sum(finding.level == "error" for finding in findings)
     verdict = f"{errors} errors, {len(findings) - errors} warnings" if findings else "nothing is wrong"
     text = "\n".join([*(finding.line for finding in findings), verdict])
@@ -81,6 +84,7 @@ def export(
     format: Annotated[str, typer.Option(help="koala, blender, nerfstudio, llff, dtu, colmap, colmap-text or mipnerf360.")],
     out: Out,
     source: Annotated[str | None, typer.Option("--from", help="Layout of SCENE, where it has several.")] = None,
+    images: Images = None,
     sizes: Sizes = "",
     data_root: Root = None,
     as_json: Json = False,
@@ -91,7 +95,7 @@ def export(
     from datasets.formats import find, load_scene, save_scene
 
     refuse_existing(out)
-    loaded = load_scene(scene, data_root=data_root, format=source)
+    loaded = load_scene(scene, data_root=data_root, format=source, images=images)
     with console.progress("exporting", len(loaded.views), "views") as shown:
         limits = save_scene(loaded, out, format, sizes=_numbers(sizes), extra=extra_truth(find(scene, data_root)),
                             done=shown.advance)  # fmt: skip

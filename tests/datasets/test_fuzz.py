@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 SECONDS, BYTES = 2.0, 500 * 2**20
-ALL, SHARE = 2000, 13
+ALL, SHARE = 2000, 19
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory and opened files are watched through Linux")
 @pytest.mark.parametrize("step", [pytest.param(SHARE, id="some"), pytest.param(1, id="all", marks=[pytest.mark.slow])])
 @pytest.mark.timeout(1800)
 def test_corrupted_inputs_are_refused(tmp_path: Path, step: int) -> None:
-    program = Path(__file__).with_name("fuzzing.py")
+    program = Path(__file__).with_name("fuzz") / "program.py"
     done = subprocess.run([sys.executable, str(program), str(tmp_path), "0", str(ALL), str(step)], capture_output=True, text=True,
                           env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)  # fmt: skip
     results = [json.loads(line) for line in done.stdout.splitlines()]

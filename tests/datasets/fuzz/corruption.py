@@ -1,22 +1,11 @@
-"""Corrupted inputs, each from its number alone, and what becomes of them; run as a program by `test_fuzz.py`.
+"""Ways to corrupt a sound input, each from its number alone."""
 
-    python fuzzing.py FOLDER FIRST LAST STEP
-
-makes a small sound input of every kind in FOLDER, corrupts a copy of one of them for every number of the range, reads it
-completely, and prints one JSON object per number. A crash of the interpreter ends the output, so nothing can hide.
-"""
-
-import ctypes
-import ctypes.util
 import json
 import os
 import pickle
 import random
-import resource
 import shutil
 import struct
-import sys
-import time
 import zipfile
 import zlib
 from pathlib import Path
@@ -24,70 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets import images, pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.errors import KoalaError
-from datasets.formats import load_scene, save_scene
-from datasets.recording import Frame, Recording
-from datasets.scene import Scene, Sightings, View
-
-LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "colmap-text")
 PICTURES = (".png", ".jpg", ".tif", ".exr")
-WATCHED = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "pickle.find_class", "ctypes.dlopen")
-events: list[str] = []
-
-
-def sound_inputs(folder: Path) -> dict[str, Path]:
-    """One small input of each kind."""
-    generator = np.random.default_rng(0)
-    camera = Camera(24, 18, 30.0, 30.0, 12.0, 9.0)
-    views = []
-    for index, suffix in enumerate(PICTURES):
-        matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0))
-        path, mask, depth = (folder / "source" / f"{index}{end}" for end in (suffix, "_mask.png", "_depth.exr"))
-        images.write(path, generator.random((18, 24, 3)).astype(np.float32))
-        images.write(mask, np.uint8(255 * (generator.random((18, 24)) > 0.3)))
-        images.write(depth, np.full((18, 24, 1), 1.0, np.float32))
-        views.append(View(f"{index}", camera, matrix, ("train", "test")[index % 2], path, mask, {"depth": depth}))
-    index = np.array([[0, 0], [0, 1], [1, 2], [2, 3]])
-    seen = Sightings(tuple(v.name for v in views), index, np.full((4, 2), 5.0), np.zeros((3, 3), np.uint8))
-    scene = Scene("fuzzed", tuple(views), 0.1, np.inf, np.array([[-1.0, -1, -1], [1, 1, 1]]), "white",
-                  points=generator.normal(size=(3, 3)), sightings=seen)  # fmt: skip
-    found = {}
-    for layout in LAYOUTS:
-        save_scene(scene, folder / layout, layout)
-        found[layout] = folder / layout
-        if layout not in ("koala", "blender"):
-            shutil.copytree(folder / layout, folder / f"{layout}-bare")
-            (folder / f"{layout}-bare" / "koala.json").unlink()
-            found[f"{layout}-bare"] = folder / f"{layout}-bare"
-    recording = Recording.create(folder / "recording", {"trajectory": {}})
-    for number in range(3):
-        recording.append(
-            Frame(number, f"{number}", "train", f"images/{number}.png", np.eye(4), np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
-        )
-    found["recording"] = folder / "recording"
-    (folder / "calibration").mkdir()
-    Calibration(camera, {}, UncertainPose(np.eye(4), np.eye(6))).save(folder / "calibration" / "calibration.json")
-    found["calibration"] = folder / "calibration"
-    return found
-
-
-def read_all(kind: str, folder: Path) -> None:
-    """Read everything that an input holds."""
-    if kind == "recording":
-        assert Recording.open(folder).frames is not None
-    elif kind == "calibration":
-        Calibration.load(folder / "calibration.json")
-    else:
-        scene = load_scene(folder, format=kind.removesuffix("-bare").removesuffix("-text"))
-        for view in scene.views:
-            assert view.read().shape[:2] == (view.camera.height, view.camera.width)
-            for channel in view.truth:
-                view.read_truth(channel)
-        assert np.isfinite(scene.box).all() and scene.near < scene.far
-        assert all(np.isfinite(view.world_from_camera).all() for view in scene.views)
 
 
 class Corruption:
@@ -401,92 +327,3 @@ WAYS: tuple[str, ...] = (
     "truncate", "cut_table", "flip", "huge_number", "traverse_json", "traverse_table", "link_out", "link_round", "bomb", "bad_value",
     "bad_value", "nan_everywhere", "drop_key", "deep", "digits", "pickled", "zip_bomb", "huge_shape", "words", "garbage", "folder_for_file",
 )  # fmt: skip
-
-
-class Watch:
-    """Tells of every file below a folder that anybody opens, C++ libraries included (inotify)."""
-
-    def __init__(self, folder: Path) -> None:
-        self.library = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True)
-        self.descriptor = self.library.inotify_init1(os.O_NONBLOCK)
-        self.folder = folder
-        self.refresh()
-
-    def refresh(self) -> None:
-        """Watch all folders below, also new ones; what happened so far is forgotten."""
-        for path in (self.folder, *(p for p in self.folder.rglob("*") if p.is_dir())):
-            self.library.inotify_add_watch(self.descriptor, os.fsencode(path), 0x20)  # IN_OPEN
-        self.opened()
-
-    def opened(self) -> list[str]:
-        """Names of files that were opened since the last call; listing a folder is no opening of a file."""
-        names = []
-        try:
-            data = os.read(self.descriptor, 2**20)
-        except BlockingIOError:
-            return names
-        at = 0
-        while at < len(data):
-            _, mask, _, length = struct.unpack_from("iIII", data, at)
-            name = data[at + 16 : at + 16 + length].rstrip(b"\0").decode()
-            at += 16 + length
-            if name and not mask & 0x40000000:  # IN_ISDIR
-                names.append(name)
-        return names
-
-
-def peak_bytes() -> int:
-    """Most resident memory since `forget_peak`."""
-    return next(
-        int(line.split()[1]) * 1024 for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")
-    )
-
-
-def forget_peak() -> int:
-    """Start anew; returns the memory in use."""
-    Path("/proc/self/clear_refs").write_text("5")
-    return peak_bytes()
-
-
-def attempt(number: int, sources: dict[str, Path], work: Path, watch: Watch) -> dict[str, Any]:
-    """Corrupt the input of one number and read it."""
-    source = random.Random(number)
-    for _ in range(1000):
-        kind, way = source.choice(sorted(sources)), source.choice(WAYS)
-        folder = work / "scenes" / "input"
-        shutil.rmtree(folder.parent, ignore_errors=True)
-        shutil.copytree(sources[kind], folder)
-        must_fail = getattr(Corruption(folder, watch.folder, number), way)()
-        if must_fail is not None:
-            break
-    watch.refresh()
-    events.clear()
-    before, start = forget_peak(), time.process_time()
-    outcome, message = "read", ""
-    try:
-        read_all(kind, folder)
-    except KoalaError as error:
-        outcome, message = "refused", str(error)
-    except BaseException as error:
-        outcome, message = "escaped", f"{type(error).__name__}: {error}"
-    return {"number": number, "kind": kind, "way": way, "must_fail": bool(must_fail), "outcome": outcome, "message": message[:400],
-            "lines": len(message.splitlines()), "seconds": time.process_time() - start, "bytes": peak_bytes() - before,
-            "opened": watch.opened(), "events": [*events, *(["trap"] if (watch.folder / "sprung").exists() else [])]}  # fmt: skip
-
-
-def main(folder: Path, numbers: range) -> None:
-    sources = sound_inputs(folder / "sound")
-    outside = folder / "work" / "outside"
-    outside.mkdir(parents=True)
-    shutil.copy(folder / "sound" / "source" / "0.png", outside / "secret.png")
-    for kind, path in sources.items():
-        read_all(kind, path)  # the premise; and all modules are loaded now
-    resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))  # the machine is not to suffer where a limit is missed
-    sys.addaudithook(lambda event, arguments: events.append(event) if event in WATCHED else None)
-    watch = Watch(outside)
-    for number in numbers:
-        print(json.dumps(attempt(number, sources, folder / "work", watch)), flush=True)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), range(*map(int, sys.argv[2:5])))
