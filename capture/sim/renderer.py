@@ -15,12 +15,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.scenes import Gold, Item, Matt, Stage
+from capture.sim.materials import Glass, Material, Metal, Plastic
+from capture.sim.scenes import Item, Stage
 from datasets.camera_model import Camera
 
 FAST, SURE = "llvm_ad_rgb", "scalar_rgb"
 MAX_DEPTH = 3
 """Edges of a light path: camera - object - table - light."""
+CLEAR_DEPTH = 8
+"""The same where there is glass: in, about, out again, and on."""
 SAMPLER = "multijitter"
 """Correlated stratification: at 16 samples per pixel 4 dB less noise than independent ones, for the same time."""
 MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -68,9 +71,11 @@ class Renderer:
         to_base = mi.ScalarTransform4f(BASE_FROM_ROOM)
         surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": to_base}
         self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **shapes})
-        self._light = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH})
+        depth = CLEAR_DEPTH if stage.transparent else MAX_DEPTH
+        self._light = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth})
         self._first = mi.load_dict({"type": "aov", "aovs": "normal:sh_normal,place:position,shape:shape_index"})
-        self._object_index = [shape.id() for shape in self._scene.shapes()].index("item000") + 1  # 0 is a miss
+        identities = [shape.id() for shape in self._scene.shapes()]
+        self._object_indices = [identities.index(f"item{part:03d}") + 1 for part in range(stage.parts)]  # 0 is a miss
 
     def radiance(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, samples: int, seed: int) -> NDArray[np.float32]:
         """(h, w, 3) linear light that reaches a pinhole, from `samples` paths per pixel. Its pixels are square and its
@@ -88,7 +93,9 @@ class Renderer:
         leaked = np.sum(normals * away, axis=-1) > 0.3 * np.linalg.norm(away, axis=-1)  # slipped between two triangles
         hit = (np.linalg.norm(normals, axis=-1) > 0.5) & ~leaked
         depth = away @ base_from_camera[:3, 2]
-        return Surfaces(hit, hit & (np.rint(index) == self._object_index), normals, np.where(hit, depth, 0).astype(np.float32))
+        return Surfaces(
+            hit, hit & np.isin(np.rint(index), self._object_indices), normals, np.where(hit, depth, 0).astype(np.float32)
+        )
 
 
 def _sensor(pinhole: Camera, base_from_camera: NDArray[np.float64], sampler: str) -> Any:
@@ -123,9 +130,15 @@ def _shape(item: Item) -> Any:
     return mesh
 
 
-def _material(material: Matt | Gold) -> dict[str, Any]:
-    if isinstance(material, Gold):
-        return {"type": "roughconductor", "material": "Au", "distribution": "ggx", "alpha": material.roughness}
+def _material(material: Material) -> dict[str, Any]:
+    if isinstance(material, Metal):
+        return {"type": "roughconductor", "material": material.name, "distribution": "ggx", "alpha": material.roughness}
+    if isinstance(material, Glass):
+        return {"type": "dielectric", "int_ior": material.refraction, "ext_ior": 1.0}
+    if isinstance(material, Plastic):
+        body = {"type": "rgb", "value": list(material.colour)}
+        coated = {"type": "roughplastic", "distribution": "ggx", "alpha": material.roughness, "diffuse_reflectance": body}
+        return {"type": "twosided", "inner": coated}
     if material.reflectance.ndim == 1:
         colour: dict[str, Any] = {"type": "rgb", "value": material.reflectance.tolist()}
     else:

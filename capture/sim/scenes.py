@@ -10,30 +10,18 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from capture.errors import SimulationError
-from capture.sim import textures
+from capture.sim import objects, textures
+from capture.sim.materials import Glass, Material, Matt, Metal
 from datasets.errors import Misuse, nearest
 
 SCENES = {
     "gold_head": "a life-like head of rough gold on a plinth",
-    "shiny_ball": "a sphere of polished gold",
+    "shiny_ball": "a mirror ball among coloured blocks",
+    "lidar_guts": "the inside of a lidar: machined metal, circuit boards, a lens",
+    "crystal_capture": "clear crystals on a stone",
     "charuco_board": "the calibration board",
 }
 TABLE_SIZE = 1.8
-
-
-@dataclass(frozen=True)
-class Matt:
-    """A surface that scatters light evenly: one colour (3,), or a texture (h, w, 3), in linear light."""
-
-    reflectance: NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Gold:
-    """Rough gold."""
-
-    roughness: float
-    """Microfacet alpha: 0.05 is polished, 0.3 brushed."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +30,7 @@ class Item:
 
     name: str
     mesh: trimesh.Trimesh
-    material: Matt | Gold
+    material: Material
     uv: NDArray[np.float32] | None = None
     """(vertices, 2) texture coordinates, for a texture."""
     smooth: bool = False
@@ -51,12 +39,24 @@ class Item:
 
 @dataclass(frozen=True)
 class Stage:
-    """All that light can meet: the first item is the object that the capture is about."""
+    """All that light can meet: the first items are the object that the capture is about."""
 
     name: str
     items: tuple[Item, ...]
     room: NDArray[np.float32]
     """(h, 2h, 3) radiance of the surroundings, see `textures.room`."""
+    parts: int = 1
+    """How many items are the object."""
+
+    @property
+    def transparent(self) -> bool:
+        """Whether light passes through anything."""
+        return any(isinstance(item.material, Glass) for item in self.items)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The object in the base frame [m]."""
+        meshes = [item.mesh for item in self.items[: self.parts]]
+        return meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
 
 
 def check_name(name: str) -> str:
@@ -70,36 +70,47 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
     """The stage of a scene, its object in the middle of the object volume's floor.
 
     Args:
-        name: "gold_head" or "shiny_ball".
+        name: of `SCENES`, "charuco_board" aside.
         centre: (3,) middle of the object volume in the base frame [m].
         size: (3,) its edges [m].
         seed: of the textures.
     """
     rng = np.random.default_rng([seed, 11])
     centre, size = np.asarray(centre, np.float64), np.asarray(size, np.float64)
-    thing = Item(name, _object_mesh(name, centre, size), Gold(0.12 if name == "gold_head" else 0.06), smooth=True)
-    return Stage(name, (thing, _table(centre, rng), *_props(centre, size, rng)), textures.room(rng))
+    parts = _parts(name, np.random.default_rng([seed, 12]))
+    _place([mesh for _, mesh, _, _ in parts], centre, size)
+    things = [Item(part, mesh, material, smooth=smooth) for part, mesh, material, smooth in parts]
+    return Stage(name, (*things, _table(centre, rng), *_props(centre, size, rng)), textures.room(rng), len(things))
 
 
-def _object_mesh(name: str, centre: NDArray[np.float64], size: NDArray[np.float64]) -> trimesh.Trimesh:
-    """Mesh in the base frame, standing in the middle of the volume's floor; made smaller where the volume is too small."""
+def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
+    """Meshes of the object [m], a material each, around the origin."""
     if name == "gold_head":
         from capture.sim.head import head_mesh
 
         mesh = head_mesh().copy()
-        turned = trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1])  # faces the robot
-    elif name == "shiny_ball":
-        mesh, turned = trimesh.creation.icosphere(subdivisions=6, radius=0.1), np.eye(4)
-    else:
-        raise SimulationError(f"scene '{name}' has no object", remedy="use gold_head or shiny_ball for an object trajectory")
-    mesh.apply_transform(turned)
-    lower, upper = mesh.bounds
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))  # faces the robot
+        return [("gold_head", mesh, Metal("Au", 0.12), True)]
+    if name == "shiny_ball":
+        return objects.shiny_ball()
+    if name == "lidar_guts":
+        return objects.lidar_guts(rng)
+    if name == "crystal_capture":
+        return objects.crystal_capture(rng)
+    known = ", ".join(other for other in SCENES if other != "charuco_board")
+    raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {known}")
+
+
+def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDArray[np.float64]) -> None:
+    """Stand the object in the middle of the volume's floor, in the base frame; smaller where the volume is too small."""
+    lower = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
+    upper = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
     scale = min(1.0, float(np.min(size / (upper - lower))))
     middle, floor = (lower + upper) / 2, centre[2] - size[2] / 2
-    mesh.apply_translation([-middle[0], -middle[1], -lower[2]])
-    mesh.apply_scale(scale)
-    mesh.apply_translation([centre[0], centre[1], floor])
-    return mesh
+    for mesh in meshes:
+        mesh.apply_translation([-middle[0], -middle[1], -lower[2]])
+        mesh.apply_scale(scale)
+        mesh.apply_translation([centre[0], centre[1], floor])
 
 
 def _table(centre: NDArray[np.float64], rng: np.random.Generator) -> Item:

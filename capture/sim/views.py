@@ -72,7 +72,7 @@ class ObjectView:
 
     def mesh(self) -> Any:
         """See `View`."""
-        return self.stage.items[0].mesh
+        return self.stage.mesh()
 
 
 @dataclass

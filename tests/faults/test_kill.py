@@ -30,8 +30,8 @@ def command(trajectory: Path, out: Path) -> list[str]:
     return [sys.executable, "-m", "capture.cli", "run", str(trajectory), "--out", str(out), "--resume"]
 
 
-def run_whole(trajectory: Path, out: Path) -> tuple[float, float]:
-    """Seconds until the first frame was there, and until the end."""
+def run_whole(trajectory: Path, out: Path) -> float:
+    """Seconds until the first frame was there, of a run to the end."""
     begun, first = time.monotonic(), 0.0
     with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
@@ -39,12 +39,21 @@ def run_whole(trajectory: Path, out: Path) -> tuple[float, float]:
                 first = time.monotonic() - begun
             time.sleep(0.02)
         assert process.returncode == 0, process.stderr.read()
-    return first, time.monotonic() - begun
+    return first
 
 
-def kill_after(trajectory: Path, out: Path, seconds: float) -> bool:
-    """Start a run and kill it without warning; whether it was still at work then."""
+def count_frames(out: Path) -> int:
+    path = out / "frames.jsonl"
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def kill_during(trajectory: Path, out: Path, more: int, seconds: float) -> bool:
+    """Start a run and kill it without warning, so many seconds after it has taken so many more frames; whether it was
+    still at work then."""
+    wanted = count_frames(out) + more
     with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        while count_frames(out) < wanted and process.poll() is None:
+            time.sleep(0.01)
         try:
             process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -71,8 +80,8 @@ def check_equal(killed: Path, whole: Path) -> None:
 def test_one_kill(tmp_path: Path) -> None:
     trajectory = tmp_path / "killed.yaml"
     trajectory.write_text(TRAJECTORY.replace("COUNT", "5"))
-    first, took = run_whole(trajectory, tmp_path / "whole")
-    assert kill_after(trajectory, tmp_path / "killed", (first + took) / 2)
+    run_whole(trajectory, tmp_path / "whole")
+    assert kill_during(trajectory, tmp_path / "killed", 2, 0.1)
     run_whole(trajectory, tmp_path / "killed")
     check_equal(tmp_path / "killed", tmp_path / "whole")
 
@@ -81,15 +90,14 @@ def test_one_kill(tmp_path: Path) -> None:
 @pytest.mark.timeout(1800)
 def test_twenty_kills_in_a_row_in_one_recording(tmp_path: Path) -> None:
     trajectory = tmp_path / "killed.yaml"
-    trajectory.write_text(TRAJECTORY.replace("COUNT", "60"))
-    first, took = run_whole(trajectory, tmp_path / "whole")
-    window = 5 * (took - first) / 60  # of five views
-    rng, killed, before = random.Random(0), 0, []
-    while killed < 20:
-        count = len(Recording.open(tmp_path / "killed").frames) if (tmp_path / "killed" / "manifest.json").exists() else 0
-        assert count < 60, "it was finished before it was killed often enough: let it take more views"
-        killed += kill_after(trajectory, tmp_path / "killed", rng.uniform(0.7 * first, first + window))
-        before.append(count)
-    assert len(set(before)) > 5  # the premise: kills struck while frames were being taken
+    trajectory.write_text(TRAJECTORY.replace("COUNT", "80"))
+    first = run_whole(trajectory, tmp_path / "whole")
+    rng, before = random.Random(0), []
+    while len(before) < 20:
+        more = rng.randrange(4)
+        wait_s = rng.uniform(0.0, 0.4) if more else rng.uniform(0.0, first)  # amid the frames, or while it starts
+        assert kill_during(trajectory, tmp_path / "killed", more, wait_s), "it was finished before it was killed often enough"
+        before.append(count_frames(tmp_path / "killed"))
+    assert len(set(before)) > 10  # the premise: kills struck while frames were being taken
     run_whole(trajectory, tmp_path / "killed")
     check_equal(tmp_path / "killed", tmp_path / "whole")

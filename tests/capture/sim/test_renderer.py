@@ -3,8 +3,9 @@ import pytest
 import trimesh
 
 from capture.sim.lens import Lens
+from capture.sim.materials import Glass, Matt, Metal, Plastic
 from capture.sim.renderer import SURE, Renderer, variant
-from capture.sim.scenes import Gold, Item, Matt, Stage
+from capture.sim.scenes import Item, Stage
 from datasets import pose
 from datasets.camera_model import Camera
 
@@ -71,7 +72,7 @@ def test_black_scatters_nothing_and_gold_is_yellow():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1).apply_translation([0.45, 0, 0.1])
     gold, black = (
         Renderer(Stage("ball", (Item("ball", ball, material),), room), using=SURE).radiance(camera, view, samples=64, seed=0)
-        for material in (Gold(0.1), Matt(np.zeros(3, np.float32)))
+        for material in (Metal("Au", 0.1), Matt(np.zeros(3, np.float32)))
     )
     assert black[3:5, 3:5].max() == 0
     red, green, blue = gold[3:5, 3:5].mean((0, 1))
@@ -100,3 +101,29 @@ def test_variant_falls_back_where_the_trial_dies(monkeypatch):
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: killed)
     assert variant() == SURE
     variant.cache_clear()
+
+
+def test_glass_lets_light_through_and_plastic_keeps_its_colour():
+    room = np.ones((8, 16, 3), np.float32)
+    camera, view = Camera(8, 8, 40.0, 40.0, 4.0, 4.0), pose.look_at((0.1, 0, 0.1), (0.45, 0, 0.1))
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1).apply_translation([0.45, 0, 0.1])
+    glass, green = (
+        Renderer(Stage("ball", (Item("ball", ball, material, smooth=True),), room), using=SURE).radiance(
+            camera, view, samples=64, seed=0
+        )
+        for material in (Glass(1.5), Plastic((0.02, 0.3, 0.05), 0.2))
+    )
+    assert glass[3:5, 3:5].mean() > 0.95  # nothing is lost in clear glass, whichever way it goes
+    red, light, blue = green[3:5, 3:5].mean((0, 1))
+    assert light > 2 * max(red, blue) and red > 0.03  # the coat mirrors 4 % of all colours
+
+
+def test_all_parts_of_an_object_are_the_object():
+    room = np.ones((8, 16, 3), np.float32)
+    balls = [trimesh.creation.icosphere(3, 0.03).apply_translation([0.45, y, 0.1]) for y in (-0.06, 0.06, 0.2)]
+    items = tuple(Item(f"ball {i}", ball, Metal("Al", 0.1), smooth=True) for i, ball in enumerate(balls))
+    camera, view = Camera(60, 20, 60.0, 60.0, 30.0, 10.0), pose.look_at((0.1, 0, 0.1), (0.45, 0, 0.1))
+    seen = Renderer(Stage("balls", items, room, parts=2), using=SURE).surfaces(camera, view, seed=0)
+    middles = [round(30 - 60 * y / 0.35) for y in (-0.06, 0.06, 0.2)]  # the camera's x is -y of the base
+    shown = [bool(seen.is_object[10, min(max(column, 0), 59)]) for column in middles]
+    assert shown[:2] == [True, True] and not shown[2]

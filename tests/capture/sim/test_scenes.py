@@ -2,17 +2,21 @@ import numpy as np
 import pytest
 
 from capture.sim import textures
-from capture.sim.scenes import SCENES, Gold, check_name, stage
+from capture.sim.materials import Glass, Metal
+from capture.sim.scenes import SCENES, check_name, stage
 from datasets.errors import KoalaError, Misuse
 
 CENTRE, SIZE = np.array([0.45, 0.02, 0.15]), np.array([0.26, 0.26, 0.30])
 
 
-@pytest.mark.parametrize("name", ["gold_head", "shiny_ball"])
-def test_object_stands_on_the_table_inside_its_volume(name):
-    thing = stage(name, centre=CENTRE, size=SIZE, seed=0).items[0]
-    lower, upper = thing.mesh.bounds
-    assert isinstance(thing.material, Gold)
+@pytest.mark.parametrize(
+    ("name", "material"), [("gold_head", "Au"), ("shiny_ball", "Ag"), ("lidar_guts", "Al"), ("crystal_capture", "")]
+)
+def test_object_stands_on_the_table_inside_its_volume(name, material):
+    found = stage(name, centre=CENTRE, size=SIZE, seed=0)
+    lower, upper = found.mesh().bounds
+    metals = [item.material.name for item in found.items[: found.parts] if isinstance(item.material, Metal)]
+    assert metals[:1] == [material][: bool(material)]
     assert lower[2] == pytest.approx(0.0, abs=1e-9)
     assert (lower > CENTRE - SIZE / 2 - 1e-9).all() and (upper < CENTRE + SIZE / 2 + 1e-9).all()
     np.testing.assert_allclose((lower + upper)[:2] / 2, CENTRE[:2], atol=1e-9)
@@ -25,7 +29,7 @@ def test_object_is_made_smaller_for_a_small_volume():
 
 def test_nothing_else_is_in_the_object_volume():
     for seed in range(5):
-        for item in stage("shiny_ball", centre=CENTRE, size=SIZE, seed=seed).items[2:]:
+        for item in stage("shiny_ball", centre=CENTRE, size=SIZE, seed=seed).items[2:]:  # all but ball and table
             away = np.abs(item.mesh.vertices[:, :2] - CENTRE[:2]) - SIZE[:2] / 2
             assert (away.max(1) > 0).all(), item.name
 
@@ -34,6 +38,18 @@ def test_same_seed_same_laboratory():
     first, again, other = (stage("shiny_ball", centre=CENTRE, size=SIZE, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(first.room, again.room) and not np.array_equal(first.room, other.room)
     assert np.array_equal(first.items[1].material.reflectance, again.items[1].material.reflectance)
+
+
+@pytest.mark.parametrize("name", ["lidar_guts", "crystal_capture"])
+def test_made_of_many_parts_that_follow_the_seed(name):
+    first, again, other = (stage(name, centre=CENTRE, size=SIZE, seed=seed) for seed in (1, 1, 2))
+    assert first.parts >= 2 and first.transparent and isinstance(first.items[first.parts - 1].material, Glass)
+    vertices = [found.mesh().vertices for found in (first, again, other)]
+    assert np.array_equal(vertices[0], vertices[1])
+    assert vertices[0].shape != vertices[2].shape or not np.allclose(vertices[0], vertices[2])
+    for item in first.items[: first.parts]:
+        if isinstance(item.material, Glass):
+            assert item.mesh.is_watertight and item.mesh.volume > 0, item.name  # light must find the way out again
 
 
 def test_unknown_scene_names_the_nearest():

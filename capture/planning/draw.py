@@ -1,0 +1,126 @@
+"""Drawings of a plan: a picture for a report, and a page to turn around with the mouse that needs nothing but a browser."""
+
+import json
+from importlib.resources import files as package_files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.planning.obstacles import RADII, Obstacles, segments
+from capture.planning.plan import PlannedView
+from datasets import files
+
+COLOURS = {"train": "#1f77b4", "test": "#d62728", "calibration": "#2ca02c"}
+"""Of the views by split."""
+FRUSTUM_M = 0.05
+"""Length of the pyramid that stands for a camera."""
+STEPS = 24
+"""Points of the camera's way from each view to the next."""
+
+
+def _cameras(planned: list[PlannedView], flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 4, 4) camera poses at the planned joint angles [m]."""
+    from capture.kinematics import forward
+
+    return np.stack([forward(view.joints) @ flange_from_camera for view in planned])
+
+
+def _ways(planned: list[PlannedView]) -> list[NDArray[np.float64]]:
+    """(STEPS, 6) joint angles from each view to the next, all corners included."""
+    ways, before = [], planned[0].joints
+    for view in planned[1:]:
+        corners = np.array([before, *view.way])
+        length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1))])
+        share = np.linspace(0.0, max(length[-1], 1e-9), STEPS)
+        ways.append(np.stack([np.interp(share, length, corners[:, joint]) for joint in range(6)], axis=-1))
+        before = view.joints
+    return ways
+
+
+def _pyramid(base_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(8, 2, 3) edges of a small viewing pyramid [m]."""
+    half = 0.6 * FRUSTUM_M
+    corners = np.array([[-half, -half * 0.6, FRUSTUM_M], [half, -half * 0.6, FRUSTUM_M],
+                        [half, half * 0.6, FRUSTUM_M], [-half, half * 0.6, FRUSTUM_M]])  # fmt: skip
+    tip = np.zeros(3)
+    edges = [(tip, corner) for corner in corners] + [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
+    return np.array(edges) @ base_from_camera[:3, :3].T + base_from_camera[:3, 3]
+
+
+def _box_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(12, 2, 3) edges of the upright box between (2, 3) corners [m]."""
+    places = np.array([[corners[a, 0], corners[b, 1], corners[c, 2]] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
+    pairs = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
+    return np.array([(places[a], places[b]) for a, b in pairs])
+
+
+def plot(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
+    """Write a PNG: views and ways from the side and from above, and the joint angles along the session."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    cameras, ways = _cameras(planned, obstacles.flange_from_camera), _ways(planned)
+    figure, panels = pyplot.subplots(1, 3, figsize=(15, 5), layout="constrained")
+    arm = segments(planned[0].joints, obstacles.flange_from_camera)
+    for panel, (across, up), name in zip(panels, ((0, 2), (0, 1)), ("side: x, z [m]", "from above: x, y [m]"), strict=False):
+        for way in ways:
+            track = _camera_track(way, obstacles)
+            panel.plot(track[:, across], track[:, up], color="0.8", linewidth=0.8, zorder=1)
+        for ends, radius in zip(arm, RADII, strict=True):
+            panel.plot(ends[:, across], ends[:, up], color="0.4", linewidth=60 * radius, alpha=0.35, solid_capstyle="round")
+        if obstacles.object_corners is not None:
+            for edge in _box_edges(obstacles.object_corners):
+                panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1)
+        for view, pose in zip(planned, cameras, strict=True):
+            ahead = pose[:3, 3] + FRUSTUM_M * pose[:3, 2]
+            colour = COLOURS.get(view.viewpoint.split, "black")
+            panel.plot([pose[across, 3], ahead[across]], [pose[up, 3], ahead[up]], color=colour, linewidth=1.5)
+            panel.plot(pose[across, 3], pose[up, 3], ".", color=colour)
+        panel.set(xlabel=name, aspect="equal")
+        if up == 2 and obstacles.table_z is not None:
+            panel.axhline(obstacles.table_z, color="sienna")
+    angles = np.degrees(np.stack([view.joints for view in planned]))
+    panels[2].plot(angles, marker=".", label=[f"joint {joint}" for joint in range(1, 7)])
+    panels[2].set(xlabel="view", ylabel="angle [degrees]")
+    panels[2].legend(ncols=2, fontsize="small")
+    figure.suptitle(title)
+    with files.atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=100)
+    pyplot.close(figure)
+
+
+def _camera_track(way: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:
+    from capture.kinematics import forward
+
+    return (forward(way) @ obstacles.flange_from_camera)[:, :3, 3]
+
+
+def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
+    """Write one HTML file that shows arm, views and ways in three dimensions; it loads nothing from anywhere."""
+    template = (package_files("capture") / "planning" / "plan.html").read_text(encoding="utf-8")
+    content = json.dumps(_scene(planned, obstacles, title), separators=(",", ":")).replace("</", "<\\/")
+    files.write_text(path, template.replace("/*SCENE*/null", content))
+
+
+def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict[str, Any]:
+    """What the page draws, lengths in metres to a tenth of a millimetre."""
+    cameras = _cameras(planned, obstacles.flange_from_camera)
+    start = np.repeat(planned[0].joints[None], STEPS, axis=0)
+    views = []
+    for view, way, pose in zip(planned, [start, *_ways(planned)], cameras, strict=True):
+        views.append({
+            "name": view.viewpoint.name, "split": view.viewpoint.split, "colour": COLOURS.get(view.viewpoint.split, "#000000"),
+            "joints_deg": np.degrees(view.joints).round(1).tolist(), "edges": _pyramid(pose).round(4).tolist(),
+            "arm": segments(way, obstacles.flange_from_camera).round(4).tolist(), "track": _camera_track(way, obstacles).round(4).tolist(),
+            "room_mm": round(1e3 * float(obstacles.margin(way).min()), 1),
+        })  # fmt: skip
+    box = obstacles.object_corners
+    return {
+        "title": title, "radii": RADII.tolist(), "views": views, "table_z": obstacles.table_z,
+        "box": [] if box is None else _box_edges(box).round(4).tolist(),
+        "centre": (cameras[:, :3, 3].mean(0) if box is None else box.mean(0)).round(4).tolist(),
+    }  # fmt: skip
