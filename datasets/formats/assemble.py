@@ -32,6 +32,8 @@ class Gathering:
     views: list[View] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    rescaled: list[str] = field(default_factory=list)
+    """For each view whose image has another size than its camera, both sizes."""
 
     def complain(self, error: KoalaError) -> None:
         """Keep an error for later, or raise it."""
@@ -43,6 +45,13 @@ class Gathering:
         """`path`, which begins with the folder; raises DatasetError where it leaves it, also through a symbolic link."""
         return files.within(self.folder, path, where=where)
 
+    def fitted(self, camera: Camera, picture: Path, *, where: object) -> Camera:
+        """`fitted` of this module, keeping in mind pictures of another size than their camera."""
+        found = fitted(camera, picture, where=where)
+        if (found.width, found.height) != (camera.width, camera.height):
+            self.rescaled.append(f"{camera.width}x{camera.height} for an image of {found.width}x{found.height}")
+        return found
+
     def finished(self, *, listed_in: str) -> tuple[View, ...]:
         """The views, once there are any, with a note that names the missing images.
 
@@ -53,6 +62,10 @@ class Gathering:
             total = len(self.missing) + len(self.views)
             self.notes.append(f"{len(self.missing)} of {total} images listed in {listed_in} are missing "
                               f"and left out: {', '.join(self.missing)}")  # fmt: skip
+        if self.rescaled:
+            several = " and others" if len(set(self.rescaled)) > 1 else ""
+            self.notes.append(f"intrinsics of {len(self.rescaled)} of {len(self.views)} views are scaled to their images: "
+                              f"the file says {self.rescaled[0]}{several}")  # fmt: skip
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
             raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images where it says")

@@ -53,7 +53,7 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
             if image is None:
                 gathering.missing.append(frame["file_path"])
                 continue
-            camera = assemble.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
+            camera = gathering.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
             truth = {key: image.with_name(image.stem + end) for key, ends in TRUTH.items() for end in reversed(ends)
                      if image.with_name(image.stem + end).is_file()}  # fmt: skip
             truth = {key: gathering.file(path, where=where) for key, path in truth.items()}

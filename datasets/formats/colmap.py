@@ -59,7 +59,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
                 gathering.missing.append(image.name)
                 continue
             full = _camera(model.cameras[image.camera_id], where=where)
-            camera = assemble.fitted(full, picture, where=where)
+            camera = gathering.fitted(full, picture, where=where)
             matrix = pose.inverse(pose.checked(image.camera_from_world, where=where))
             mask = _mask(gathering, home, image.name, where=where)
             name = Path(image.name).with_suffix("").as_posix()

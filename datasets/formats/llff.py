@@ -51,16 +51,12 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
         try:
             where = f"{folder / FILE}, row {number} ({picture.name})"
-            matrix, camera = _posed(row, gathering.file(picture, where=where), where=where)
+            matrix, camera = _posed(gathering, row, gathering.file(picture, where=where), where=where)
             mask = gathering.file(mask, where=where) if mask else None
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
         except KoalaError as error:
             gathering.complain(error)
-    stated = f"{rows[0, 9]:.0f}x{rows[0, 4]:.0f}"
     views = gathering.finished(listed_in=chosen)
-    actual = f"{views[0].camera.width}x{views[0].camera.height}"
-    if stated != actual:
-        gathering.notes.append(f"{FILE} is for images of {stated}, {chosen} holds {actual}: intrinsics are scaled")
     if (folder / "sparse" / "0").is_dir() and not (folder / "sparse" / "0" / "images.bin").is_file():
         gathering.notes.append("sparse/0 has no images.bin: its COLMAP model is not used")
     known = sidecar.read(folder)
@@ -138,12 +134,14 @@ def _masks(folder: Path, chosen: str, pictures: list[Path]) -> list[Path | None]
     return list(masks)
 
 
-def _posed(row: NDArray[np.float64], picture: Path, *, where: str) -> tuple[NDArray[np.float64], Camera]:
+def _posed(
+    gathering: assemble.Gathering, row: NDArray[np.float64], picture: Path, *, where: str
+) -> tuple[NDArray[np.float64], Camera]:
     """World from camera in our axes, and intrinsics scaled to the picture as it is."""
     matrix = row[:15].reshape(3, 5)
     if not np.isfinite(matrix[:, 4]).all() or not (matrix[:, 4] > 0).all():
         raise DatasetError("height, width and focal length are not positive", where=where, why=str(matrix[:, 4]))
     height, width, focal = (float(value) for value in matrix[:, 4])
     full = Camera(round(width), round(height), focal, focal, width / 2, height / 2)
-    camera = assemble.fitted(full, picture, where=where)
+    camera = gathering.fitted(full, picture, where=where)
     return pose.checked(pose.checked(matrix[:, :4], where=where) @ OPENCV_FROM_LLFF, where=where), camera

@@ -72,7 +72,7 @@ def _gather(gathering: assemble.Gathering, content: dict[str, Any], frame: dict[
     if image is None:
         gathering.missing.append(file_path)
         return
-    camera = assemble.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
+    camera = gathering.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
     mask = files.inside(folder, frame["mask_path"], where=where) if frame.get("mask_path") else None
     truth = {"depth": files.inside(folder, frame["depth_file_path"], where=where)} if frame.get("depth_file_path") else {}
     name = PurePosixPath(listed).with_suffix("").as_posix().removeprefix("./")
