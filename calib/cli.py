@@ -165,6 +165,35 @@ def plan_command(
     console.report({"out": str(out), "before": found.before, "after": found.after}, as_json=json, text=text)
 
 
+@app.command("refine")
+def refine_command(
+    scene: Annotated[
+        Path, typer.Argument(metavar="SCENE", help="Scene made by 'datasets build', or any other that Koala reads.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Scene to write where the poses become better.")],
+    arm_mm: ArmMm = 0.05,
+    arm_deg: ArmDeg = 0.01,
+    enough_px: Annotated[float, typer.Option("--enough-px", min=0, help="Poses that explain the pictures so well stay.")] = 0.5,
+    json: Json = False,
+) -> None:
+    """Move a scene's poses to what its pictures say.
+
+    The arm's poses are priors; moved poses are used only where points that were set aside fit better.
+    """
+    from calib import sfm
+    from datasets.files import refuse_existing
+    from datasets.formats import koala, load_scene
+
+    accuracy = _accuracy(arm_mm, arm_deg)
+    refuse_existing(out)
+    found = sfm.refine_scene(load_scene(scene), prior=accuracy, enough_px=enough_px)
+    if found.used:
+        koala.save(found.scene, out)
+    text = f"{found.reason}\n" + (f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}" if found.used
+                                  else "the poses stay; nothing is written")  # fmt: skip
+    console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
+
+
 @app.command("board")
 def board_command(
     out: Annotated[Path, typer.Option("--out", help="File to write: .pdf or .svg.")],

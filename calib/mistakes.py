@@ -18,6 +18,8 @@ BETTER = 5.0
 """Undoing a mistake must make the views agree so many times better."""
 POOR = 0.02
 """Median disagreement of the views, in units of the distance that they cover, below which nothing is suspected."""
+FITS = 0.05
+"""The same, below which undoing a mistake counts as an explanation: arms have been seen that scatter by a fiftieth."""
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -73,7 +75,7 @@ def recognise(base_from_flange: Array, camera_from_board: Array) -> str:
             scores["; and ".join(w for w in (words, length_words) if w)] = _disagreement(scaled, camera_from_board)
     # the simplest first: a combination must be better still
     best = min(scores, key=lambda words: scores[words] * (1 + words.count("; and ")))
-    return best if scores[best] * BETTER < given and scores[best] < POOR else ""
+    return best if scores[best] * BETTER < given and scores[best] < FITS else ""
 
 
 def _disagreement(base_from_flange: Array, camera_from_board: Array) -> float:

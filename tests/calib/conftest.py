@@ -92,12 +92,15 @@ def _board_picture(board, per_square):
     """(height, width) print of a board, 0..1, without a margin; drawn here, square by square."""
     rows, columns = np.arange(board.squares_y * per_square) // per_square, np.arange(board.squares_x * per_square) // per_square
     picture = ((rows[:, None] + columns) % 2).astype(np.float32)
-    if board.type == "charuco":
+    if board.type == "tags":
+        picture[:] = 1.0
+    if board.type != "chessboard":
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
         side = round(per_square * board.marker_length_m / board.square_length_m)
         assert side == pytest.approx(per_square * board.marker_length_m / board.square_length_m), "the print must be exact"
-        squares = [(row, column) for row in range(board.squares_y) for column in range(board.squares_x) if (row + column) % 2]
-        for number, (row, column) in enumerate(squares):
+        squares = [(row, column) for row in range(board.squares_y) for column in range(board.squares_x)]
+        squares = squares if board.type == "tags" else [(row, column) for row, column in squares if (row + column) % 2]
+        for number, (row, column) in enumerate(squares, board.first_id):
             y, x = (per_square * place + (per_square - side) // 2 for place in (row, column))
             picture[y : y + side, x : x + side] = dictionary.generateImageMarker(number, side, borderBits=1) / 255
     return picture

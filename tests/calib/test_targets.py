@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -18,6 +19,41 @@ def placed(board, tilt, roll, distance):
         np.array([board.squares_x, board.squares_y, 0]) * board.square_length_m / 2
     )
     return rotation
+
+
+def test_corners_of_tags_are_where_they_were_put(photograph):
+    for dictionary in ("DICT_APRILTAG_36h11", "DICT_5X5_100"):
+        board = Board("tags", 4, 3, 0.05, 0.04, dictionary, first_id=7)
+        for roll in (0.1, 2.0, 3.2):
+            camera_from_board = placed(board, [0.35, -0.3, 0], roll, 0.42)
+            found = board.detect(photograph(board, CAMERA, camera_from_board, rng=np.random.default_rng(1)), "view")
+            assert found is not None and len(found.ids) == 48
+            truth = CAMERA.project(found.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
+            errors = found.pixels - truth
+            # outer corners of tags are found by their gradients alone: a third of a pixel, and towards the dark side
+            assert np.sqrt((errors**2).sum(1).mean()) < 0.6 and np.abs(errors.mean(0)).max() < 0.1
+
+
+def test_one_tag_is_a_target():
+    single = Board("tags", 1, 1, 0.048, 0.048, "DICT_APRILTAG_36h11", first_id=10)
+    assert single.points.shape == (4, 3) and np.abs(single.points).max() == 0.048
+    picture = np.ones((300, 300), np.float32)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    picture[100:200, 100:200] = dictionary.generateImageMarker(10, 100) / 255
+    found = single.detect(picture, "view")
+    assert found.ids.tolist() == [0, 1, 2, 3]
+    np.testing.assert_allclose(found.pixels, [[100, 100], [200, 100], [200, 200], [100, 200]], atol=1)
+    other = Board("tags", 1, 1, 0.048, 0.048, "DICT_APRILTAG_36h11", first_id=11)
+    assert other.detect(picture, "view") is None
+
+
+def test_chessboard_that_looks_the_same_upside_down_is_read_anyhow(photograph):
+    even = Board("chessboard", 9, 7, 0.025)
+    assert even.is_ambiguous and not CHESSBOARD.is_ambiguous
+    camera_from_board = placed(even, [0.2, 0.1, 0], 0.3, 0.5)
+    found = even.detect(photograph(even, CAMERA, camera_from_board, rng=np.random.default_rng(2), samples=2), "view")
+    truth = CAMERA.project(even.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
+    assert min(np.abs(found.pixels - truth).max(), np.abs(found.pixels - truth[::-1]).max()) < 1
 
 
 @pytest.mark.parametrize("board", [CHARUCO, CHESSBOARD], ids=["charuco", "chessboard"])
@@ -74,7 +110,8 @@ def test_board_survives_its_description():
         ({"squares_x": None}, "squares_x"),
         ({"square_length_m": float("nan")}, "squares of nan m"),
         ({"marker_length_m": 0.04}, "markers of 0.04 m in squares of 0.03 m"),
-        ({"type": "chessboard", "squares_x": 10}, "upside down"),
+        ({"dictionary": "DICT_4X4_50", "squares_x": 15, "squares_y": 10}, "75 markers, DICT_4X4_50 has 50"),
+        ({"type": "tags", "first_id": 99}, "markers, DICT_5X5_100 has 100"),
     ],
 )
 def test_impossible_boards_are_refused_in_one_line(change, message):

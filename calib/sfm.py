@@ -1,0 +1,275 @@
+"""Do the object's own pictures agree with the arm's poses? Bundle adjustment with the arm as prior, through pycolmap.
+
+Features are matched between all pictures and triangulated with the arm's poses. A fifth of the points is set aside; the rest moves the
+poses, which are held by the arm's accuracy. The points that were set aside judge: only where they fit better afterwards are the moved
+poses used. Where the arm explains the pictures already, nothing is moved.
+"""
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibrationError
+from calib.geometry import cross
+from calib.model import Accuracy
+from datasets import images, pose
+from datasets.camera_model import Camera
+from datasets.scene import Scene, View
+
+Array = NDArray[np.float64]
+ENOUGH_PX = 0.5
+"""Median error of points that were set aside below which the arm's poses explain the pictures: features are no better."""
+MIN_GAIN = 0.02
+"""Share by which the error of points that were set aside must fall for the moved poses to be used."""
+MIN_POINTS = 50
+MIN_SEEN = 40
+"""A view that shows fewer points keeps the arm's pose: they would not hold its orientation."""
+LIMIT_PX = 10.0
+"""A feature further than this from where its point should be has been matched wrongly."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Points and where they were seen: n observations of points 0..m-1 in views."""
+
+    point: NDArray[np.int64]
+    """(n,) ascending."""
+    view: NDArray[np.int64]
+    """(n,) index in the scene."""
+    pixels: Array
+    """(n, 2) [px]."""
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What bundle adjustment made of a scene."""
+
+    scene: Scene
+    """With the poses to use: moved, or as they were."""
+    used: bool
+    """Whether poses were moved."""
+    reason: str
+    """Why, or why not."""
+    before_px: float
+    """Median error of the points set aside with the arm's poses [px]."""
+    after_px: float | None
+    """The same with the moved poses; None where nothing was tried."""
+    moved_mm: float | None
+    """Rms distance by which the poses were moved [mm]."""
+    moved_deg: float | None
+    points: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary, the scene left out."""
+        return {k: v for k, v in vars(self).items() if k != "scene"}
+
+
+def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refinement:
+    """Move the poses of `scene` to what its pictures say, as far as the arm's accuracy `prior` lets them.
+
+    Raises:
+        CalibrationError: views of several cameras, or too few points found in the pictures.
+    """
+    camera = _one_camera(scene)
+    with tempfile.TemporaryDirectory() as folder:
+        model = _triangulated(scene, camera, Path(folder))
+        tracks = _tracks(model)
+        points = int(tracks.point.max(initial=-1)) + 1
+        if points < MIN_POINTS:
+            raise CalibrationError("pictures show too few points to judge the poses", where=scene.name,
+                                   why=f"{points} points were found in three views and more, {MIN_POINTS} are needed",
+                                   remedy="put something with texture beside the object")  # fmt: skip
+        given = np.stack([view.world_from_camera for view in scene.views])
+        aside = np.random.default_rng(seed).permutation(points)[: max(points // 5, 10)]
+        judged = np.isin(tracks.point, aside)
+        before = reprojection(tracks, judged, given, camera)
+        if np.median(before) <= enough_px:
+            reason = f"the arm's poses explain the pictures to {np.median(before):.2f} px already"
+            return Refinement(scene, False, reason, float(np.median(before)), None, None, None, points)
+        moved = aligned(_adjusted(model, scene, set(aside.tolist()), prior.translation_m), given, prior)
+    after = reprojection(tracks, judged, moved, camera)
+    distance, angle = pose.difference(given, moved)
+    better = _score(after) < (1 - MIN_GAIN) * _score(before)
+    verdict = "fit better" if better else "do not fit better"
+    reason = f"points that were set aside {verdict}: {np.median(before):.2f} px before, {np.median(after):.2f} px after"
+    result = (
+        scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
+        if better
+        else scene
+    )
+    return Refinement(result, better, reason, float(np.median(before)), float(np.median(after)), 1e3 * float(np.sqrt(np.mean(distance**2))),
+                      float(np.rad2deg(np.sqrt(np.mean(angle**2)))), points)  # fmt: skip
+
+
+def _score(errors: Array) -> float:
+    """Mean error, wrong matches counting no more than `LIMIT_PX` [px]."""
+    return float(np.mean(np.minimum(errors, LIMIT_PX)))
+
+
+def _one_camera(scene: Scene) -> Camera:
+    cameras = {view.camera for view in scene.views}
+    if len(cameras) != 1:
+        raise CalibrationError("views have different cameras", where=scene.name, why=f"{len(cameras)} of them",
+                               remedy="refine scenes of one camera")  # fmt: skip
+    return cameras.pop()
+
+
+def _parameters(camera: Camera) -> tuple[str, list[float]]:
+    """COLMAP's name of the lens model, and its numbers; its pixel coordinates are ours."""
+    straight, k = [camera.fx, camera.fy, camera.cx, camera.cy], camera
+    if camera.fisheye:
+        return "OPENCV_FISHEYE", [*straight, k.k1, k.k2, k.k3, k.k4]
+    return "FULL_OPENCV", [*straight, k.k1, k.k2, k.p1, k.p2, k.k3, k.k4, k.k5, k.k6]
+
+
+def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
+    """pycolmap's model with points triangulated from the scene's poses; image number i + 1 is view i."""
+    import pycolmap
+
+    pycolmap.logging.minloglevel = 2  # errors come back as exceptions
+    names = [f"{index:05d}.png" for index in range(len(scene.views))]
+    for name, view in zip(names, scene.views, strict=True):
+        _write_picture(view, folder / "images" / name, folder / "masks" / f"{name}.png")
+    kind, numbers = _parameters(camera)
+    options = pycolmap.ImageReaderOptions(camera_model=kind, camera_params=",".join(f"{v:.17g}" for v in numbers))
+    if any((folder / "masks").glob("*")):
+        options.mask_path = folder / "masks"
+    database = folder / "features.db"
+    cpu = pycolmap.Device.cpu
+    pycolmap.extract_features(database, folder / "images", image_names=names, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=options,
+                              extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False), device=cpu)  # fmt: skip
+    pycolmap.match_exhaustive(
+        database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False), device=cpu
+    )
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=1, model=kind, width=camera.width, height=camera.height, params=numbers)
+    )
+    with pycolmap.Database.open(database) as stored:
+        for index, name in enumerate(names):
+            number = stored.read_image_with_name(name).image_id
+            image = pycolmap.Image(name, stored.read_keypoints(number)[:, :2], 1, number)
+            model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.inverse(scene.views[index].world_from_camera)[:3]))
+    settings = pycolmap.IncrementalPipelineOptions()
+    settings.mapper.filter_max_reproj_error = settings.triangulation.complete_max_reproj_error = LIMIT_PX
+    settings.triangulation.merge_max_reproj_error = LIMIT_PX
+    settings.triangulation.create_max_angle_error = settings.triangulation.continue_max_angle_error = 4.0
+    return pycolmap.triangulate_points(model, database, folder / "images", folder, options=settings)
+
+
+def _write_picture(view: View, path: Path, mask: Path) -> None:
+    """8-bit grey picture, and white where its alpha keeps it."""
+    picture = view.read()
+    images.write(path, np.rint(255 * np.clip(picture[..., :3], 0, 1)).astype(np.uint8))
+    if picture.shape[-1] == 4:
+        images.write(mask, np.where(picture[..., 3:] > 0.5, 255, 0).astype(np.uint8))
+
+
+def _index(name: str) -> int:
+    return int(Path(name).stem)
+
+
+def _tracks(model: Any) -> Tracks:
+    """Observations of points seen by three views and more, in the order of the points' numbers."""
+    rows, number = [], 0
+    for _, point in sorted(model.points3D.items()):
+        if point.track.length() < 3:
+            continue
+        for element in point.track.elements:
+            image = model.images[element.image_id]
+            rows.append((number, _index(image.name), *image.points2D[element.point2D_idx].xy))
+        number += 1
+    table = np.array(rows, np.float64).reshape(-1, 4)
+    return Tracks(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:])
+
+
+def reprojection(tracks: Tracks, chosen: NDArray[np.bool_], world_from_camera: Array, camera: Camera) -> Array:
+    """(k,) distances [px] between the `chosen` (n,) observations and their points, triangulated with given (views, 4, 4) poses.
+
+    A point is where its rays come closest, then where the squared distances in the pictures are least (Gauss-Newton).
+    """
+    _, point = np.unique(tracks.point[chosen], return_inverse=True)
+    camera_from_world = pose.inverse(world_from_camera)[tracks.view[chosen]]
+    rotation, translation = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
+    rays = np.einsum("nji,nj->ni", rotation, camera.directions(tracks.pixels[chosen]))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    centres = -np.einsum("nji,nj->ni", rotation, translation)
+    places = _solved(point, across, np.einsum("nij,nj->ni", across, centres))
+    for _ in range(4):
+        in_camera = np.einsum("nij,nj->ni", rotation, places[point]) + translation
+        depth = np.maximum(in_camera[:, 2:], 1e-6)
+        jacobian = np.zeros((len(point), 2, 3))
+        jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1
+        jacobian[:, :, 2] = -in_camera[:, :2] / depth
+        jacobian = (jacobian / depth[..., None]) @ rotation * np.array([[camera.fx], [camera.fy]])
+        off = tracks.pixels[chosen] - camera.project(np.concatenate([in_camera[:, :2], depth], -1))
+        places = places + _solved(point, np.swapaxes(jacobian, 1, 2) @ jacobian, np.einsum("nji,nj->ni", jacobian, off))
+    in_camera = np.einsum("nij,nj->ni", rotation, places[point]) + translation
+    in_camera[:, 2] = np.maximum(in_camera[:, 2], 1e-6)
+    return np.linalg.norm(tracks.pixels[chosen] - camera.project(in_camera), axis=1)
+
+
+def _solved(point: NDArray[np.int64], matrices: Array, sides: Array) -> Array:
+    """(m, 3) solutions of the normal equations that each point's (n, 3, 3) and (n, 3) observations add up to."""
+    count = int(point.max()) + 1
+    total, side = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(total, point, matrices)
+    np.add.at(side, point, sides)
+    total += 1e-12 * np.trace(total, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return np.linalg.solve(total, side[..., None])[..., 0]
+
+
+def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Array:
+    """(views, 4, 4) poses after bundle adjustment without the points `aside`, camera centres held to `prior_m` [m] per axis."""
+    import pycolmap
+
+    number = 0
+    for key, point in sorted(model.points3D.items()):
+        long = point.track.length() >= 3
+        if not long or number in aside:
+            model.delete_point3D(key)
+        number += long
+    config, priors = pycolmap.BundleAdjustmentConfig(), []
+    for image_id, image in model.images.items():
+        config.add_image(image_id)
+        if image.num_points3D < MIN_SEEN:
+            config.set_constant_rig_from_world_pose(image.frame_id)
+        centre = scene.views[_index(image.name)].world_from_camera[:3, 3]
+        priors.append(pycolmap.PosePrior(corr_data_id=image.data_id, position=centre, position_covariance=prior_m**2 * np.eye(3),
+                                         coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN))  # fmt: skip
+    options = pycolmap.BundleAdjustmentOptions(refine_focal_length=False, refine_principal_point=False, refine_extra_params=False,
+                                               print_summary=False)  # fmt: skip
+    options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, 1.0
+    options.ceres.solver_options.num_threads = 1
+    adjuster = pycolmap.create_pose_prior_bundle_adjuster(
+        options, pycolmap.PosePriorBundleAdjustmentOptions(), config, priors, model
+    )
+    adjuster.solve()
+    moved = np.stack([view.world_from_camera for view in scene.views])
+    for image in model.images.values():
+        matrix = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+        moved[_index(image.name)] = pose.inverse(pose.checked(matrix, where="bundle adjustment"))
+    return moved
+
+
+def aligned(moved: Array, given: Array, prior: Accuracy) -> Array:
+    """(views, 4, 4) `moved` poses, all of them together brought to where the arm has them.
+
+    Pictures do not change where the whole scene is turned, and priors on camera centres hold a short arc of views badly: the arm's
+    orientations tell the rest. Least squares over one rigid motion, distances and angles in units of the arm's accuracy (Gauss-Newton).
+    """
+    for _ in range(10):
+        off = given[:, :3, 3] - moved[:, :3, 3]
+        turn = pose.rotation_vector(given[:, :3, :3] @ np.swapaxes(moved[:, :3, :3], 1, 2))
+        by_motion = np.concatenate([np.tile(np.eye(3), (len(moved), 1, 1)), -cross(moved[:, :3, 3])], -1) / prior.translation_m
+        by_turn = np.concatenate([np.zeros((len(moved), 3, 3)), np.tile(np.eye(3), (len(moved), 1, 1))], -1) / prior.rotation_rad
+        rows = np.concatenate([by_motion, by_turn]).reshape(-1, 6)
+        sides = np.concatenate([off / prior.translation_m, turn / prior.rotation_rad]).ravel()
+        step = np.linalg.lstsq(rows, sides, rcond=None)[0]
+        moved = pose.from_rotation_vector(step[3:], step[:3]) @ moved
+    return moved

@@ -1,0 +1,53 @@
+"""Whether the stated 95 % region holds the truth in 95 of 100 sessions."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calib import calibrate, refine, study, uncertainty
+from calib.bench import ESTIMATED, RIG
+from calib.simulate import Pattern, simulate, viewpoints
+from datasets import pose
+
+
+def inside(truth, stated):
+    """Whether the truth is in the 95 % region of an uncertain pose."""
+    perturbation = truth @ pose.inverse(stated.matrix)
+    error = np.concatenate([perturbation[:3, 3], pose.rotation_vector(perturbation)])
+    return error @ np.linalg.solve(stated.covariance, error) < chi2.ppf(0.95, 6)
+
+
+def draw(seed, views):
+    rng = np.random.default_rng([9, seed, views])
+    return simulate(rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=study.SIGMA_PX, arm=study.ARM, free=ESTIMATED)
+
+
+def refined_poses(simulated):
+    start = simulated.truth.__class__(simulated.truth.intrinsics, simulated.truth.flange_from_camera, simulated.truth.base_from_board,
+                                      np.zeros_like(simulated.truth.corrections))  # fmt: skip
+    found = refine.refine(simulated.session, start, sigma_px=0.2)
+    return uncertainty.poses(simulated.session, found, uncertainty.covariance(simulated.session, found))
+
+
+def test_coverage_of_sixty_sessions():
+    held = []
+    for seed in range(60):
+        simulated = draw(seed, 12)
+        camera_pose, board_pose = refined_poses(simulated)
+        held.append(
+            (inside(simulated.truth.flange_from_camera, camera_pose), inside(simulated.truth.base_from_board, board_pose))
+        )
+    # 57 of 60 expected, with a deviation of 1.7: four either side
+    assert (np.sum(held, axis=0) >= 50).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("views", [12, 25])
+def test_coverage_of_two_hundred_sessions_that_go_the_whole_way(views):
+    """Intrinsics with a lens chosen by the data, closed form, outliers, refinement: as `calib handeye` does it."""
+    held = []
+    for seed in range(200):
+        simulated = draw(seed, views)
+        found = calibrate.calibrate_handeye(study.target_session(simulated), accuracy=study.ARM)
+        held.append(inside(simulated.truth.flange_from_camera, found.flange_from_camera))
+    assert 0.93 <= np.mean(held) <= 0.97, np.mean(held)

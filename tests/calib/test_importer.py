@@ -1,0 +1,170 @@
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from calib import importer
+from calib.calibrate import calibrate_handeye
+from calib.errors import CalibrationError
+from datasets import pose
+from datasets.errors import DatasetError, KoalaError, Misuse
+
+MATRIX = pose.from_rotation_vector([2.0, -1.0, 0.4], [0.3, -0.2, 0.5])
+BOARD = {
+    "type": "charuco",
+    "squares_x": 11,
+    "squares_y": 8,
+    "square_length_m": 0.03,
+    "marker_length_m": 0.022,
+    "dictionary": "DICT_5X5_100",
+}
+
+
+def described(**changes):
+    plain = {"images": "images/*.png", "poses": "poses.csv", "layout": "x y z rx ry rz", "board": BOARD}
+    return importer.Description(**{**plain, **changes})
+
+
+def numbers(layout, matrix=MATRIX):
+    quaternion = pose.quaternion(matrix)
+    return {
+        "x y z rx ry rz": [*matrix[:3, 3], *pose.rotation_vector(matrix)],
+        "x y z qw qx qy qz": [*matrix[:3, 3], *quaternion],
+        "x y z qx qy qz qw": [*matrix[:3, 3], *np.roll(quaternion, -1)],
+        "matrix": matrix.ravel(),
+        "matrix by columns": matrix.T.ravel(),
+    }[layout]
+
+
+@pytest.mark.parametrize("layout", importer.LAYOUTS)
+def test_every_layout_gives_the_same_pose(layout):
+    found = importer.as_pose(numbers(layout), described(layout=layout), where="here")
+    np.testing.assert_allclose(found, MATRIX, atol=1e-12)
+    backwards = importer.as_pose(numbers(layout, pose.inverse(MATRIX)), described(layout=layout, inverse=True), where="here")
+    np.testing.assert_allclose(backwards, MATRIX, atol=1e-12)
+
+
+def test_units_are_converted():
+    values = np.array(numbers("x y z rx ry rz"))
+    scaled = np.concatenate([1e3 * values[:3], np.rad2deg(values[3:])])
+    np.testing.assert_allclose(importer.as_pose(scaled, described(length="mm", angle="deg"), where="here"), MATRIX, atol=1e-12)
+    upper = importer.as_pose(MATRIX[:3].ravel(), described(layout="matrix"), where="here")
+    np.testing.assert_allclose(upper, MATRIX, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("layout", "values", "message"),
+    [
+        ("x y z rx ry rz", [0.3, 0, 0, 170, 20, 5], "degrees.*angle: deg"),
+        ("x y z rx ry rz", [300, 20, 500, 0.1, 0.2, 0.3], "millimetres.*length: mm"),
+        ("x y z rx ry rz", [0, 0, 0, 1, 2], "5 numbers.*has 6"),
+        ("x y z rx ry rz", [0, 0, float("nan"), 0, 0, 0], "not finite"),
+        ("x y z qw qx qy qz", [0, 0, 0, 0.5, 0.5, 0.5, 0.7], "not of unit length"),
+        ("matrix", MATRIX.T.ravel(), "layout: matrix by columns"),
+        ("matrix by columns", MATRIX.ravel(), "layout: matrix$"),
+        ("matrix", (MATRIX @ np.diag([1, 1, -1, 1])).ravel(), "left-handed"),
+    ],
+)
+def test_numbers_that_betray_a_mistake_are_refused_in_one_line(layout, values, message):
+    with pytest.raises(KoalaError, match=message) as error:
+        importer.as_pose(values, described(layout=layout), where="view 7")
+    assert "view 7" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.fixture
+def folder(recorded, tmp_path):
+    """(folder with the pictures of a session, names, reported poses)."""
+    path, truth = recorded
+    (tmp_path / "images").symlink_to(path / "images")
+    return tmp_path, [f"{i:03d}" for i in range(12)], truth
+
+
+def write_poses(folder, names, reported, kind):
+    """The same poses in one of the ways that people write them; returns what a description says about it."""
+    rows = {name: [float(v) for v in numbers("x y z rx ry rz", m)] for name, m in zip(names, reported, strict=True)}
+    if kind == "csv":
+        lines = ["image, x, y, z, rx, ry, rz", *(f"{n}.png, " + ", ".join(f"{v:.12g}" for v in row) for n, row in rows.items())]
+        (folder / "poses.csv").write_text("\n".join(lines))
+        return {"poses": "poses.csv"}
+    if kind == "list":
+        (folder / "poses.yaml").write_text(yaml.safe_dump([{"image": f"{n}.png", "pose": row} for n, row in rows.items()]))
+        return {"poses": "poses.yaml"}
+    if kind == "mapping":
+        (folder / "all.json").write_text(json.dumps({"robot": {"poses": {f"images/{n}.png": row for n, row in rows.items()}}}))
+        return {"poses": "all.json", "key": "robot.poses"}
+    (folder / "poses").mkdir()
+    for name, row in rows.items():
+        (folder / "poses" / f"p{name}.yaml").write_text(yaml.safe_dump({"data": [[v] for v in row]}))
+    return {"poses": "poses/p*.yaml", "key": "data"}
+
+
+@pytest.mark.parametrize("kind", ["csv", "list", "mapping", "files"])
+def test_poses_are_found_however_they_are_stored(folder, kind, monkeypatch):
+    path, names, truth = folder
+    monkeypatch.setattr(importer, "observe", lambda board, views, **options: views)
+    views = importer.import_session(path, described(**write_poses(path, names, truth.reported, kind)))
+    assert [v[0] for v in views] == names
+    np.testing.assert_allclose([v[2] for v in views], truth.reported, atol=1e-9)
+
+
+def test_an_imported_session_is_calibrated_as_a_recorded_one(folder):
+    path, names, truth = folder
+    said = write_poses(path, names, truth.reported, "csv")
+    content = {
+        "format": "koala-import",
+        "version": 1,
+        "images": "images/*.png",
+        "layout": "x y z rx ry rz",
+        "board": BOARD,
+        **said,
+    }
+    (path / "import.yaml").write_text(yaml.safe_dump(content))
+    assert importer.describes(path, None)
+    session = importer.import_session(path, importer.load_description(path))
+    assert session.unseen == ("011",)
+    found = calibrate_handeye(session)
+    assert pose.difference(found.flange_from_camera.matrix, truth.flange_from_camera)[0] < 2.5e-4
+
+
+def test_what_is_missing_is_named(folder):
+    path, names, truth = folder
+    write_poses(path, names[:-2], truth.reported[:-2], "csv")
+    with pytest.raises(Misuse, match=r"images without a pose.*010, 011"):
+        importer.import_session(path, described())
+    with pytest.raises(Misuse, match="no images found"):
+        importer.import_session(path, described(images="pictures/*.png"))
+    with pytest.raises(Misuse, match="no such file"):
+        importer.import_session(path, described(poses="nowhere.json"))
+    (path / "other.json").write_text("{}")
+    with pytest.raises(DatasetError, match="no key 'a'"):
+        importer.import_session(path, described(poses="other.json", key="a.b"))
+    (path / "short.csv").write_text("image,x,y\n")
+    with pytest.raises(DatasetError, match="no column 'z'"):
+        importer.import_session(path, described(poses="short.csv"))
+
+
+def test_descriptions_are_checked(tmp_path):
+    (tmp_path / "import.yaml").write_text("images: a.png\nposes: b.csv\nlayout: matrix\nboard: {}\n")
+    with pytest.raises(Misuse, match="exactly one"):
+        importer.load_description(tmp_path)
+    (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrx\nboard: {}\n")
+    with pytest.raises(Misuse, match="layout"):
+        importer.load_description(tmp_path)
+
+
+def test_cameras_of_opencv_are_shifted_by_half_a_pixel():
+    camera = importer.CameraNumbers(width=640, height=480, fx=600, fy=600, cx=320, cy=240, distortion=[0.1]).camera()
+    assert (camera.cx, camera.k1) == (320.5, 0.1)
+    assert importer.CameraNumbers(width=640, height=480, fx=600, fy=600, cx=320, cy=240, first_pixel=0.5).camera().cx == 320
+
+
+def test_a_wrong_unit_in_the_file_is_recognised_from_the_pictures(folder):
+    """Metres written as millimetres so small that no number gives them away."""
+    path, names, truth = folder
+    near = truth.reported.copy()
+    near[:, :3, 3] *= 10
+    write_poses(path, names, near, "csv")
+    session = importer.import_session(path, described())
+    with pytest.raises(CalibrationError):
+        calibrate_handeye(session)
