@@ -106,18 +106,19 @@ def _redrawn(view: View, target: Path, pinhole: undistort.Pinhole | None, *, mer
         picture = pinhole.resample(picture, undistort.SMOOTH if as_float else undistort.COLOUR)
     if not as_float and images.steps(view.image) == 65535:
         picture = images.to_uint16(picture)
-    return _written(target, ".exr" if as_float else ".png", picture)
+    return _written(target, ".exr" if as_float else ".png", picture, view.image)
 
 
 def _straightened(mask: Path, pinhole: undistort.Pinhole) -> NDArray[np.float32]:
     return pinhole.resample(images.read(mask), undistort.SMOOTH)
 
 
-def _written(target: Path, suffix: str, picture: NDArray[np.generic]) -> Path:
+def _written(target: Path, suffix: str, picture: NDArray[np.generic], source: Path | None = None) -> Path:
+    """Write a picture, with the metadata of the file that it is made from."""
     path = target.with_name(target.name + suffix)
     if path.exists():
         raise DatasetError("two views would share a file", where=path, remedy="give each view its own name")
-    images.write(path, picture)
+    images.write(path, picture, metadata=images.metadata(source) if source else None)
     return path
 
 

@@ -52,13 +52,6 @@ def test_agreement_tells_right_poses_from_wrong_ones(two_walls: Callable[..., Sc
     assert (local[:, 2] > 0).all()
 
 
-def test_neighbours_are_near_but_not_the_same() -> None:
-    angles = np.deg2rad([0, 0.5, 10, 20, 180])
-    matrices = np.stack([pose.look_at((4 * np.cos(a), 4 * np.sin(a), 0), (0, 0, 0)) for a in angles])
-    pairs = matching.neighbours(matrices, np.zeros(3), count=1)
-    assert (0, 1) not in pairs and (2, 3) in pairs and (0, 2) in pairs
-
-
 def test_pictures_without_texture_have_no_matches(two_walls: Callable[..., Scene]) -> None:
     scene = two_walls()
     for view in scene.views:

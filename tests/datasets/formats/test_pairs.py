@@ -108,7 +108,9 @@ def assert_same(one: Scene, other: Scene) -> None:
         numbers = [np.array(list(camera.to_json().values())) for camera in (a.camera, b.camera)]
         assert (np.abs(numbers[0] - numbers[1]) <= RELATIVE * np.maximum(np.abs(numbers[0]), 1e-3)).all()
         pixels = a.camera.pixel_centres()[::3, ::3]
-        exists = np.abs(a.camera.project(a.camera.directions(pixels)) - pixels).max(-1) < 1e-6  # a lens may end before its picture
+        exists = (
+            np.abs(a.camera.project(a.camera.directions(pixels)) - pixels).max(-1) < 1e-6
+        )  # a lens may end before its picture
         assert exists.mean() > 0.5
         pixels = pixels[exists]
         rays = b.camera.directions(pixels) @ (b.world_from_camera[:3, :3].T @ a.world_from_camera[:3, :3])
