@@ -59,6 +59,10 @@ def _pictures(view: View, thumbnails: dict[str, NDArray[np.float32]]) -> list[Fi
             thumbnails[view.name] = images.resize(values[..., :3], THUMBNAIL, THUMBNAIL, srgb=False)
         if path is view.image and np.ptp(values[..., :3]) == 0:
             found.append(Finding("warning", "image has one colour only", str(path), remedy="check the exposure"))
+        if path is view.image and values.shape[-1] == 4 and not values[..., 3].any():
+            found.append(
+                Finding("warning", "mask or alpha is empty", f"view {view.name}", remedy="check the mask, or drop the view")
+            )
         if not np.isfinite(values).all():
             found.append(Finding("error", "image holds values that are not finite", str(path), remedy="write it again"))
     return found

@@ -90,23 +90,22 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
 
 
 def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -> tuple[Any, Sightings | None]:
-    having = [(scene, new) for scene, new in zip(scenes, renamed, strict=True) if scene.points is not None]
+    having = [(s.points, s.sightings, new) for s, new in zip(scenes, renamed, strict=True) if s.points is not None]
     if not having:
         return None, None
-    points = np.concatenate([scene.points for scene, _ in having if scene.points is not None])
-    if any(scene.sightings is None for scene, _ in having):
-        return points, None
     names: list[str] = []
     index, pixels, colours, first = [], [], [], 0
-    for scene, new in having:
-        seen = scene.sightings
-        assert seen is not None and scene.points is not None
+    for points, seen, new in having:
+        if seen is None:
+            return np.concatenate([points for points, _, _ in having]), None
         index.append(seen.index + np.array([first, len(names)]))
         pixels.append(seen.pixels)
         colours.append(seen.colours)
         names += [new.get(name, name) for name in seen.names]
-        first += len(scene.points)
-    return points, Sightings(tuple(names), np.concatenate(index), np.concatenate(pixels), np.concatenate(colours))
+        first += len(points)
+    return np.concatenate([points for points, _, _ in having]), Sightings(
+        tuple(names), np.concatenate(index), np.concatenate(pixels), np.concatenate(colours)
+    )
 
 
 def downscaled(scene: Scene, factor: int, folder: Path, *, done: Callable[[], None] = lambda: None) -> Scene:

@@ -1,6 +1,6 @@
 """What the readers of foreign layouts share: missing files, hold-out, background and bounds."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -116,7 +116,7 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
         if not ((focal > SHORTEST) & (focal < LONGEST)).all():
             raise DatasetError("focal length is out of all range", where=f"{gathering.folder}, view {view.name}",
                                why=f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}")  # fmt: skip
-    masked = views[0].mask is not None or images.channels(views[0].image) in (2, 4)
+    masked = _has_nothing(views)
     train = tuple(view for view in views if view.split == "train") or views
     if masked:
         hull = visual_hull(train, bounds.visible_box(train))
@@ -138,6 +138,13 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
     name = gathering.folder.resolve().name
     return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes),
                  provenance=provenance, bounds_from=evidence)  # fmt: skip
+
+
+def _has_nothing(views: Sequence[View]) -> bool:
+    """True where a mask or an alpha says of some pixels that there is nothing; of five views, an opaque alpha says nothing."""
+    chosen = [views[i] for i in sorted({int(i) for i in np.linspace(0, len(views) - 1, 5)})]
+    having = [view for view in chosen if view.mask is not None or images.channels(view.image) in (2, 4)]
+    return any(float(view.read()[..., -1].min()) < 0.5 for view in having)
 
 
 def with_points(scene: Scene, points: NDArray[np.float64]) -> Scene:

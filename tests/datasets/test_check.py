@@ -102,6 +102,13 @@ def test_a_folder_without_images(saved: Path) -> None:
     assert lines(saved) == [f"error: {saved}: scene has no images (cameras.json lists none); put the images where it says"]
 
 
+def test_an_empty_mask_is_found(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = make_scene(mask=True)
+    images.write(scene.views[2].mask, np.zeros((72, 96), np.uint8))
+    koala.save(scene, tmp_path / "scene")
+    assert lines(tmp_path / "scene") == ["warning: view 002: mask or alpha is empty; check the mask, or drop the view"]
+
+
 def test_a_test_picture_that_is_nearly_a_training_picture(saved: Path) -> None:
     """Written again with noise of one grey level: other bytes, another pose, the same picture."""
     picture = images.read(saved / "images" / "003.png")

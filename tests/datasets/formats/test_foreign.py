@@ -69,9 +69,21 @@ def test_splits_of_the_file_are_kept(transforms: Callable[..., Path]) -> None:
 
 
 def test_masks_of_all_frames_make_a_white_background(transforms: Callable[..., Path], tmp_path: Path) -> None:
-    images.write(tmp_path / "mask.png", np.full(SIZE[:2], 255, np.uint8))
+    images.write(tmp_path / "mask.png", np.uint8(255 * (np.arange(40) > 3) * np.ones((30, 1))))
     scene = load_scene(transforms(frame={"mask_path": "mask.png"}))
     assert scene.background == "white" and scene.views[0].read().shape == (30, 40, 4)
+
+
+def test_an_opaque_alpha_is_no_mask(transforms: Callable[..., Path]) -> None:
+    """Many programs write RGBA whatever the picture: the surroundings are seen, and nothing is carved."""
+    folder = transforms()
+    for index in range(10):
+        images.write(
+            folder / f"images/{index:02d}.png",
+            np.concatenate([np.random.default_rng(index).random(SIZE), np.ones((30, 40, 1))], -1),
+        )
+    scene = load_scene(folder)
+    assert scene.background == "scene" and scene.views[0].read().shape == (30, 40, 4)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +210,7 @@ def test_colmap_text_model(tmp_path: Path) -> None:
 def test_blender_without_test_file_holds_out(tmp_path: Path) -> None:
     frames = []
     for index in range(9):
-        images.write(tmp_path / "train" / f"{index}.png", np.ones((30, 40, 4)))
+        images.write(tmp_path / "train" / f"{index}.png", np.arange(40)[:, None] / 39 * np.ones((30, 1, 4)))
         matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0)) @ OPENCV_FROM_OPENGL
         frames.append({"file_path": f"./train/{index}", "transform_matrix": matrix.tolist()})
     (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
