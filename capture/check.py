@@ -19,8 +19,8 @@ OVER_SHARE, UNDER_LIGHT = 0.15, 0.03
 """Over-exposed: more than this share of the pixels is white. Under-exposed: 99 % of the pixels are darker than this share of it."""
 BLURRED = 0.8
 """Less sharp than this share of the median picture of the recording."""
-GAP = 10.0
-"""Time between two frames, in medians, that is worth a word."""
+GAP, GAP_S = 10.0, 60.0
+"""Time between two frames, in medians and in seconds, that is worth a word: light and warmth drift."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,15 @@ class Finding:
     why: str = ""
     again: bool = True
     """Whether taking the view again mends it."""
+    note: bool = False
+    """Worth knowing, but nothing is wrong: where a session was interrupted."""
 
     @property
     def line(self) -> str:
         """All of it in one line."""
-        return str(KoalaError(self.what, where=f"view {self.frame}" if self.frame else "", why=self.why))
+        return ("note: " if self.note else "") + str(
+            KoalaError(self.what, where=f"view {self.frame}" if self.frame else "", why=self.why)
+        )
 
 
 def check(path: Path, *, done: Callable[[int, int], None] = lambda count, total: None) -> list[Finding]:
@@ -103,19 +107,14 @@ def _times(frames: list[Frame]) -> list[Finding]:
             continue  # a camera without a clock
         usual = float(np.median(steps)) if len(steps) else 0.0
         for step, frame in zip(steps, frames[1:], strict=True):
-            if step <= 0:
-                findings.append(
-                    Finding(
-                        f"{clock} does not go on",
-                        frame.name,
-                        "a clock was set, or the session went on after a restart",
-                        again=False,
-                    )
-                )
-            elif clock == "host_time_ns" and step > GAP * usual > 0:
-                findings.append(
-                    Finding("was taken after a gap", frame.name, f"{step * 1e-9:.0f} s, usual {usual * 1e-9:.1f} s", again=False)
-                )
+            if step == 0:
+                findings.append(Finding(f"{clock} stands still", frame.name, "it is that of the view before"))
+            elif step < 0:
+                why = "the session went on after a restart"
+                findings.append(Finding(f"{clock} begins anew", frame.name, why, again=False, note=True))
+            elif clock == "host_time_ns" and step > max(GAP * usual, GAP_S * 1e9):
+                why = f"{step * 1e-9:.0f} s, usual {usual * 1e-9:.1f} s"
+                findings.append(Finding("was taken after a gap", frame.name, why, again=False, note=True))
     return findings
 
 

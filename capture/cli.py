@@ -11,6 +11,9 @@ from datasets import console
 app = console.make_app("capture", "Take a robot and a camera along a trajectory, real or simulated, and leave a recording.")
 
 Trajectory = Annotated[Path, typer.Argument(metavar="TRAJECTORY.yaml", help="What to take; see configs/trajectories/.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the trajectory: camera.binning=4.")
+]
 Recorded = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder that 'capture run' has left.")]
 Rig = Annotated[str, typer.Option(metavar="sim|RIG.yaml", help="The simulated rig, or the file that describes yours.")]
 
@@ -20,11 +23,12 @@ def run_command(
     trajectory: Trajectory,
     out: Annotated[Path, typer.Option(metavar="RECORDING", help="Folder to write; new, or with --resume begun before.")],
     rig: Rig = "sim",
-    scene: Annotated[str, typer.Option(help="Simulation: what to look at: gold_head, shiny_ball or charuco_board. "
-                                            "Default: what suits the trajectory.")] = "",
+    scene: Annotated[str, typer.Option(help="Simulation: what to look at: gold_head, shiny_ball, lidar_guts, crystal_capture "
+                                            "or charuco_board. Default: what suits the trajectory.")] = "",
     seed: Annotated[int, typer.Option(min=0, help="Simulation: of everything random; the same seed is the same rig.")] = 0,
     time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation: arm faster than real time.")] = 20.0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a recording that was stopped.")] = False,
+    settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:  # fmt: skip
     """Record every view of a trajectory. Ctrl-C stops the arm and keeps what was taken; --resume goes on."""
@@ -36,7 +40,7 @@ def run_command(
     from capture.rigs import describe, open_rig, scene_for
     from datasets.errors import KoalaError
 
-    session = trajectories.load_trajectory(trajectory)
+    session = trajectories.load_trajectory(trajectory, overrides=settings)
     scene = scene_for(rig, scene, session)
     mount = describe(rig).flange_from_camera.matrix()
     if not resume:
@@ -64,21 +68,51 @@ def run_command(
 
 
 @app.command("plan")
-def plan_command(trajectory: Trajectory, rig: Rig = "sim", as_json: console.Json = False) -> None:
+def plan_command(
+    trajectory: Trajectory,
+    rig: Rig = "sim",
+    plot: Annotated[
+        Path | None, typer.Option(metavar="PLAN.png", help="Draw it: views and ways from two sides, joint angles.")
+    ] = None,
+    page: Annotated[
+        Path | None, typer.Option(metavar="PLAN.html", help="Draw it in three dimensions, to turn with the mouse.")
+    ] = None,
+    settings: Settings = None,
+    as_json: console.Json = False,
+) -> None:
     """Check that the arm can take every view, and say how long it would take. Moves nothing."""
     from capture import trajectory as trajectories
-    from capture.planning import plan
+    from capture.planning import Obstacles, draw, duration, plan
     from capture.rigs import describe
+    from datasets.files import refuse_existing
 
-    session = trajectories.load_trajectory(trajectory)
-    planned = plan(session, describe(rig).flange_from_camera.matrix())
-    seconds = _duration(session, planned)
+    for path in (plot, page):
+        if path is not None:
+            refuse_existing(path)
+    session = trajectories.load_trajectory(trajectory, overrides=settings)
+    mount = describe(rig).flange_from_camera.matrix()
+    planned = plan(session, mount)
+    seconds = duration(session, planned)
+    obstacles = Obstacles.of(session, mount)
+    if plot is not None:
+        draw.plot(planned, obstacles, plot, title=f"{session.name}: {len(planned)} views, about {seconds:.0f} s")
+    if page is not None:
+        draw.page(planned, obstacles, page, title=f"{session.name}: {len(planned)} views, about {seconds:.0f} s")
     counts: dict[str, Any] = {}
     for view in planned:
         counts[view.viewpoint.split] = counts.get(view.viewpoint.split, 0) + 1
     parts = ", ".join(f"{count} {split}" for split, count in counts.items())
-    console.report({"name": session.name, "views": len(planned), "splits": counts, "seconds": round(seconds, 1)}, as_json=as_json,
-                   text=f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s")  # fmt: skip
+    drawn = "".join(f"; drawn in {path}" for path in (plot, page) if path is not None)
+    found = {
+        "name": session.name,
+        "views": len(planned),
+        "splits": counts,
+        "seconds": round(seconds, 1),
+        "plot": plot,
+        "page": page,
+    }
+    console.report(found, as_json=as_json,
+                   text=f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{drawn}")  # fmt: skip
 
 
 @app.command("check")
@@ -98,14 +132,16 @@ def check_command(
     again = check.to_take_again(findings)
     gone = check.discard(recording, again) if discard else []
     lines = [finding.line for finding in findings]
+    if all(finding.note for finding in findings):
+        lines.append(f"{recording}: {frames} views, nothing is wrong")
     if again:
         lines.append(f"take again: {', '.join(again)}")
         lines.append(f"taken out: {', '.join(gone)}; the command that made the recording takes them again with --resume"
                      if discard else "'capture check --discard' takes them out, then 'capture run --resume' takes them again")  # fmt: skip
     found = {"recording": str(recording), "frames": frames, "findings": [vars(finding) for finding in findings],
              "take_again": again, "discarded": gone}  # fmt: skip
-    console.report(found, as_json=as_json, text="\n".join(lines) or f"{recording}: {frames} views, nothing is wrong")
-    if findings:
+    console.report(found, as_json=as_json, text="\n".join(lines))
+    if not all(finding.note for finding in findings):
         raise typer.Exit(1)
 
 
@@ -201,21 +237,6 @@ def bench_command(
     console.report(found, as_json=as_json, text="\n".join([
         f"states: {rate:.0f} Hz", f"overhead: median {found['overhead_ms']['median']:.1f} ms, worst {found['overhead_ms']['worst']:.1f} ms",
         "exposed after the end of the motion:", *rows, f"{out}: bench.json, settling.png"]))  # fmt: skip
-
-
-def _duration(session: Any, planned: list[Any]) -> float:
-    """Time on the real arm [s]: trapezoidal moves between the views, settling and exposures."""
-    import numpy as np
-
-    motion, seconds, previous = session.motion, 0.0, None
-    for view in planned:
-        for joints in view.way:
-            travel = 0.0 if previous is None else float(np.abs(joints - previous).max())
-            ramp = motion.speed**2 / motion.acceleration
-            seconds += 2 * np.sqrt(travel / motion.acceleration) if travel < ramp else (travel + ramp) / motion.speed
-            previous = joints
-        seconds += motion.settle_time_s + session.camera.exposure_us * 1e-6 + 0.1
-    return float(seconds)
 
 
 def _how_to_resume(out: Path) -> str:

@@ -43,6 +43,7 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
     recording = _open(trajectory, rig, Path(out), resume)
     obstacles = Obstacles.of(trajectory, rig.flange_from_camera)
     taken = {frame.name for frame in recording.frames}
+    numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
     motion = trajectory.motion
     previous: str | None = None  # the view where the arm stands now
     with Writer(recording, advance) as writer:
@@ -57,7 +58,7 @@ def record(trajectory: Trajectory, rig: Rig, out: Path, *, resume: bool = False,
                 rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
             arrived_ns = time.monotonic_ns()
             previous = name
-            frame, pixels = _expose(recording, rig, index, view, arrived_ns, motion)
+            frame, pixels = _expose(recording, rig, numbers[name], view, arrived_ns, motion)
             writer.put(frame, pixels)
     return recording
 

@@ -67,6 +67,7 @@ class CameraSettings(Schema):
 class Motion(Schema):
     """How the arm moves between views, and when it counts as still."""
 
+    order: Literal["given", "shortest"] = Field("given", description="take the views as listed, or in an order that saves time")
     speed: float = Field(0.8, gt=0, le=np.pi, description="fastest joint [rad/s]")
     acceleration: float = Field(1.2, gt=0, le=10, description="of the fastest joint [rad/s^2]")
     settle_speed: float = Field(0.001, gt=0, description="every joint slower than this counts as still [rad/s]")

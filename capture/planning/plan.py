@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from capture import kinematics
 from capture.errors import PlanningError, UnreachableError
 from capture.planning.obstacles import Obstacles
+from capture.planning.order import short_order
 from capture.planning.ways import are_free, find_way
 from capture.viewpoints import Viewpoint
 from datasets import pose
@@ -43,9 +44,9 @@ class _Candidates:
 
 
 def plan(trajectory: Any, flange_from_camera: NDArray[np.float64]) -> list[PlannedView]:
-    """Joint angles for every view of a `Trajectory`, in its order, with collision-free ways between them.
+    """Joint angles for every view of a `Trajectory`, in the order in which to take them, with collision-free ways between.
 
-    The result depends on the two arguments alone, so that a session can be repeated and resumed.
+    That is the order of the trajectory; with `motion.order` "shortest" another one, where it saves time. The result depends on the two arguments alone, so that a session can be repeated and resumed.
 
     Args:
         trajectory: what to take.
@@ -69,12 +70,27 @@ def plan(trajectory: Any, flange_from_camera: NDArray[np.float64]) -> list[Plann
             f"{len(failures)} of {len(viewpoints)} views cannot be taken", where=trajectory.name, why=shown,
             remedy="move the target, change distance or elevation, or allow more roll_deg",
         )  # fmt: skip
-    chosen = _shortest([layer.joints for layer in layers], obstacles)
-    planned, previous = [], None
+    chosen, cost = _shortest([layer.joints for layer in layers], obstacles)
+    if trajectory.motion.order == "shortest":
+        order = short_order(np.stack([_pose(viewpoint, flange_from_camera) for viewpoint in viewpoints]))
+        other, other_cost = _shortest([layers[index].joints for index in order], obstacles)
+        if other_cost < cost:
+            chosen, viewpoints, layers = other, [viewpoints[i] for i in order], [layers[i] for i in order]
+    return _with_ways(viewpoints, layers, chosen, obstacles)
+
+
+def _with_ways(
+    viewpoints: list[Viewpoint], layers: list[_Candidates], chosen: list[int], obstacles: Obstacles
+) -> list[PlannedView]:
+    """The chosen configuration of each view, and the way there from the one before."""
+    planned: list[PlannedView] = []
+    previous = None
     for viewpoint, layer, index in zip(viewpoints, layers, chosen, strict=True):
         joints = layer.joints[index]
         way = [joints] if previous is None else connect(previous, joints, obstacles, where=f"view {viewpoint.name}")
-        planned.append(PlannedView(_rolled(viewpoint, int(layer.rolls[index]), joints, flange_from_camera), joints, way))
+        planned.append(
+            PlannedView(_rolled(viewpoint, int(layer.rolls[index]), joints, obstacles.flange_from_camera), joints, way)
+        )
         previous = joints
     return planned
 
@@ -92,6 +108,19 @@ def connect(start: Joints, goal: Joints, obstacles: Obstacles, *, where: str = "
         raise PlanningError("no way around the obstacles was found", where=where, why=state,
                             remedy="move the arm to an open pose by hand, or lower safety.clearance_m")  # fmt: skip
     return way
+
+
+def duration(trajectory: Any, planned: list[PlannedView]) -> float:
+    """Time that a session takes on the real arm [s]: trapezoidal moves between the views, settling and exposures."""
+    motion, seconds, previous = trajectory.motion, 0.0, None
+    for view in planned:
+        for joints in view.way:
+            travel = 0.0 if previous is None else float(np.abs(joints - previous).max())
+            ramp = motion.speed**2 / motion.acceleration
+            seconds += 2 * np.sqrt(travel / motion.acceleration) if travel < ramp else (travel + ramp) / motion.speed
+            previous = joints
+        seconds += len(view.way) * motion.settle_time_s + trajectory.camera.exposure_us * 1e-6 + 0.1
+    return float(seconds)
 
 
 def _candidates(viewpoint: Viewpoint, obstacles: Obstacles) -> tuple[_Candidates, str]:
@@ -146,6 +175,13 @@ def _turned(base_from_camera: NDArray[np.float64], roll: float) -> NDArray[np.fl
     return base_from_camera @ pose.from_rotation_vector([0, 0, roll])
 
 
+def _pose(viewpoint: Viewpoint, flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 4) camera pose that a view asks for [m], whatever its roll."""
+    if viewpoint.base_from_camera is not None:
+        return viewpoint.base_from_camera
+    return kinematics.forward(viewpoint.joints) @ flange_from_camera
+
+
 def _rolled(viewpoint: Viewpoint, roll: int, joints: Joints, flange_from_camera: NDArray[np.float64]) -> Viewpoint:
     if viewpoint.base_from_camera is None:
         return replace(viewpoint, base_from_camera=kinematics.forward(joints) @ flange_from_camera)
@@ -153,8 +189,8 @@ def _rolled(viewpoint: Viewpoint, roll: int, joints: Joints, flange_from_camera:
     return replace(viewpoint, base_from_camera=turned, rolls=(0.0,))
 
 
-def _shortest(layers: list[Joints], obstacles: Obstacles) -> list[int]:
-    """Index into each layer of (n, 6) configurations: the sequence with the least travel of the fastest joint.
+def _shortest(layers: list[Joints], obstacles: Obstacles) -> tuple[list[int], float]:
+    """Index into each layer of (n, 6) configurations, and the cost [rad]: the sequence with the least travel of the fastest joint.
 
     Collisions are looked for only on the ways of the best sequence so far; one that is blocked is charged a detour
     and the search repeated, until nothing on the best sequence is unknown.
@@ -166,7 +202,7 @@ def _shortest(layers: list[Joints], obstacles: Obstacles) -> list[int]:
         chosen = _cheapest(layers, costs)
         unknown = [i for i in range(len(costs)) if not known[i][chosen[i], chosen[i + 1]]]
         if not unknown:
-            return chosen
+            return chosen, float(sum(cost[a, b] for cost, (a, b) in zip(costs, itertools.pairwise(chosen), strict=True)))
         starts = np.stack([layers[i][chosen[i]] for i in unknown])
         goals = np.stack([layers[i + 1][chosen[i + 1]] for i in unknown])
         for i, free in zip(unknown, are_free(starts, goals, obstacles), strict=True):

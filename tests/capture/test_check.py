@@ -99,8 +99,10 @@ def test_clocks_and_gaps(recording):
     change_line(recording, 5, robot_time_s=50.0)
     for index in (6, 7):
         change_line(recording, index, host_time_ns=int(1e9 * (7 + 1.7 * index + 60)))
-    assert found(recording) == [("005", "robot_time_s does not go on", False), ("006", "was taken after a gap", False)]
-    assert to_take_again(check(recording)) == []
+    assert found(recording) == [("005", "robot_time_s begins anew", False), ("006", "was taken after a gap", False)]
+    assert all(finding.note for finding in check(recording))
+    change_line(recording, 3, device_ticks=int(1e9 * (3 + 1.7 * 2)))
+    assert to_take_again(check(recording)) == ["003"]  # the same tick twice: the same picture twice
 
 
 def test_exposure(recording):

@@ -4,10 +4,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from capture.errors import RigConnectionError
 from datasets import files
 from datasets.recording import Recording
 
@@ -102,6 +104,71 @@ def test_plan_says_whether_all_can_be_taken(session):
     assert done.returncode == 0
     content = json.loads(done.stdout)
     assert content["splits"] == {"train": 2, "test": 1} and 1 < content["seconds"] < 60
+
+
+def test_plan_draws_itself(session, tmp_path):
+    done = capture(
+        "plan", session, "--plot", tmp_path / "plan.png", "--page", tmp_path / "plan.html", "--set", "motion.speed=0.5"
+    )
+    assert done.returncode == 0 and "drawn in" in done.stdout, done.stderr
+    assert (tmp_path / "plan.png").stat().st_size > 10_000 and "three" in (tmp_path / "plan.html").read_text()
+    again = capture("plan", session, "--plot", tmp_path / "plan.png")
+    assert again.returncode == 2 and "already exists" in again.stderr
+
+
+@pytest.fixture
+def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """`capture sim` by itself, and the rig file that it has written."""
+    rig = tmp_path / "rig.yaml"
+    host = f"127.77.{os.getpid() % 200 + 1}.1"
+    command = [sys.executable, "-m", "capture.cli", "sim", "--scene", "charuco_board", "--out", str(rig), "--host", host,
+               "--time-scale", "20", "--seed", "3"]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        line = process.stdout.readline()
+        assert f"UR5e at {host}: rtde 30004, script 30003, dashboard 29999" in line
+        yield process, rig
+        process.kill()
+
+
+def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path, configs):
+    from capture.robots.dashboard import Dashboard
+
+    process, rig = running_sim
+    board = configs / "trajectories" / "calibration_demo.yaml"
+    small = [word for change in ("camera.width=120", "camera.height=80") for word in ("--set", change)]
+    done = capture("run", board, "--rig", rig, "--out", tmp_path / "rec", *small, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) | {"seconds": 0} == {
+        "recording": str(tmp_path / "rec"),
+        "frames": 25,
+        "seconds": 0,
+        "scene": "charuco_board",
+    }
+    assert Recording.open(tmp_path / "rec").manifest["seed"] == 3
+    host = Recording.open(tmp_path / "rec").manifest["robot"]["host"]
+    second = capture("sim", "--host", host)
+    assert second.returncode == 1 and "not free" in second.stderr and second.stderr.count("\n") == 1
+    Dashboard.connect(host).close()
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(10) == 0 and process.stderr.read() == ""
+    with pytest.raises(RigConnectionError):
+        Dashboard.connect(host)
+
+    checked = capture("check", tmp_path / "rec", "--json")
+    assert (checked.returncode, json.loads(checked.stdout)["findings"]) == (0, []), checked.stdout
+    replayed = capture("replay", tmp_path / "rec", "--out", tmp_path / "replay.json")
+    assert replayed.returncode == 0 and replayed.stdout.count("\n") == 26, replayed.stderr
+    content = files.read_json(tmp_path / "replay.json", kind="koala-replay", version=1)
+    assert content["translation_mm"]["worst"] < 0.001  # to where the controller says that it was
+    assert 0.02 < content["true_mm"]["rms"] < 0.15  # twice 0.03 mm along three axes: 0.073
+
+    (tmp_path / "rec" / "images" / "004.png").write_bytes(b"")
+    bad = capture("check", tmp_path / "rec")
+    assert bad.returncode == 1 and "view 004: its image has changed" in bad.stdout and "take again: 004" in bad.stdout
+    assert capture("check", tmp_path / "rec", "--discard").returncode == 1
+    again = capture("run", board, "--rig", "sim", "--seed", 3, "--out", tmp_path / "rec", "--resume", *small)
+    assert again.returncode == 0, again.stderr  # the same rig, wherever its controller is
+    assert capture("check", tmp_path / "rec").returncode == 0
 
 
 def test_help_is_instant():

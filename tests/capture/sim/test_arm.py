@@ -74,3 +74,43 @@ def test_a_target_beyond_the_joint_limits_is_a_protective_stop():
     arm = _arm()
     arm.move_to(np.array([7.0, 0, 0, 0, 0, 0]), 1.0, 1.0, 0.0)
     assert arm.safety is Safety.PROTECTIVE_STOP and not arm.moving(0.1)
+
+
+def test_the_flange_bends_after_a_stop_beyond_what_the_encoders_see():
+    arm = _arm()
+    arm.move_to(GOAL, 1.0, 1.4, 0.0)
+    end = arm.profile.duration
+    early, late = (
+        pose.difference(forward(arm.actual(at)[0]), arm.true_base_from_flange(at))[0] for at in (end + 0.02, end + 0.5)
+    )
+    assert 2e-4 < early < 5e-3 and late < 2e-4  # late: the arm's repeatability alone
+
+
+def test_the_swing_lasts_as_long_as_it_says():
+    arm = _arm()
+    arm.move_to(GOAL, 1.0, 1.4, 0.0)
+    end, lasts = arm.profile.duration, arm.swings_for(arm.profile, 1e-3)
+    after = np.array([np.abs(arm.actual(end + lasts + step)[1]).max() for step in np.linspace(2e-4, 0.2, 400)])
+    assert 0.05 < lasts < 0.36 and after.max() <= 1e-3
+    assert np.abs(arm.actual(end + lasts)[1]).max() > 0.9e-3
+
+
+def test_the_speed_slider_stretches_a_motion_under_way():
+    arm, whole = _arm(), _arm()
+    for one in (arm, whole):
+        one.move_to(GOAL, 1.0, 1.4, 0.0)
+    arm.slide_speed(0.25, 0.5)
+    np.testing.assert_allclose(arm.target(0.9)[0], whole.target(0.6)[0], atol=1e-12)  # 0.4 s at a quarter are 0.1 s
+    np.testing.assert_allclose(arm.target(0.9)[1], 0.25 * whole.target(0.6)[1], atol=1e-12)
+    assert arm.moving(whole.profile.duration + 0.1) and not arm.moving(0.5 + 4 * (whole.profile.duration - 0.5) + 1e-6)
+    arm.slide_speed(1.0, 0.9)
+    np.testing.assert_allclose(arm.target(1.0)[0], whole.target(0.7)[0], atol=1e-12)
+
+
+def test_leaving_a_narrowed_joint_range_is_a_protective_stop():
+    arm = _arm()
+    arm.joint_limits[1, 2] = 0.5
+    arm.move_to(GOAL, 1.0, 1.4, 0.0)
+    times = np.arange(0, 3, 0.002)
+    stopped = next(now for now in times if arm.keep_limits(now) or arm.safety is Safety.PROTECTIVE_STOP)
+    assert 0.5 <= arm.target(stopped + 1)[0][2] < 0.6

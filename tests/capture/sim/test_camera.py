@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.sim.camera import SimulatedCamera
+from capture.focus import sharpness
+from capture.sim.camera import SimulatedCamera, blur_moments
 from capture.sim.truth import RigTruth
 from capture.sim.views import check_scene
 from capture.trajectory import Trajectory, load_trajectory
@@ -118,3 +119,44 @@ def test_scene_and_trajectory_must_suit_each_other(configs, trajectory):
     with pytest.raises(Misuse, match="needs a trajectory with 'object'"):
         check_scene("gold_head", calibration)
     check_scene("charuco_board", calibration)
+
+
+def test_motion_during_the_exposure_blurs_the_picture(configs):
+    small = ["camera.width=160", "camera.height=120", "camera.binning=1", "camera.exposure_us=20000"]
+    trajectory = load_trajectory(configs / "trajectories" / "calibration_demo.yaml", overrides=small)
+    truth = []
+
+    def picture(speed: float) -> np.ndarray:
+        above = pose.look_at((0.39, 0.01, 0.35), (0.40, 0.0, 0.0)) @ pose.inverse(TRUTH.flange_from_camera)
+        with SimulatedCamera(trajectory, "charuco_board", TRUTH, ArmAt(above, speed), 0) as camera:
+            pixels = camera.grab().pixels
+            truth.append(camera.base_from_camera)
+        return pixels
+
+    still, slow, fast = (sharpness(picture(speed)) for speed in (0.0, 1e-4, 0.15))
+    assert slow == still  # 0.003 px are not rendered
+    assert fast < 0.8 * still  # 0.15 rad/s times 20 ms times 1270 px are 3.8 px
+    turned = pose.difference(truth[0], truth[2])[1]
+    assert turned == pytest.approx(0.15 * 0.020 / 2, rel=0.2)  # its pose is that of the middle
+
+
+def test_as_many_moments_are_rendered_as_the_motion_needs():
+    camera = Camera(200, 100, 1000.0, 1000.0, 100.0, 50.0)
+    count = {angle: len(blur_moments(camera, np.stack([pose.from_rotation_vector([0, angle * share, 0]) for share in np.linspace(0, 1, 16)])))
+             for angle in (0.0, 2e-5, 1e-3, 3e-3, 1.0)}  # fmt: skip
+    assert [count[0.0], count[2e-5], count[1e-3], count[1.0]] == [1, 1, 3, 16] and 6 <= count[3e-3] <= 8
+
+
+def test_raw_photosites_give_nearly_the_same_picture(configs, monkeypatch):
+    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
+    pictures = []
+    for name in ("rgb8", "bayer8", "bayer12"):
+        changes = ["camera.width=160", "camera.height=120", f"camera.pixel_format={name}"]
+        trajectory = load_trajectory(configs / "trajectories" / "calibration_demo.yaml", overrides=changes)
+        above = pose.look_at((0.39, 0.01, 0.35), (0.40, 0.0, 0.0)) @ pose.inverse(TRUTH.flange_from_camera)
+        with SimulatedCamera(trajectory, "charuco_board", TRUTH, ArmAt(above), 0) as camera:
+            pixels = camera.grab().pixels
+        pictures.append(pixels / np.iinfo(pixels.dtype).max)
+    assert pixels.dtype == np.uint16
+    for raw in pictures[1:]:
+        assert np.median(np.abs(raw - pictures[0])) < 0.02  # edges differ, where colours had to be guessed

@@ -1,0 +1,49 @@
+import json
+import re
+
+import numpy as np
+import pytest
+
+from capture.kinematics import forward
+from capture.planning import Obstacles, draw, plan
+from capture.rig_description import RigDescription
+from capture.trajectory import load_trajectory
+from datasets import images
+
+MOUNT = RigDescription().flange_from_camera.matrix()
+
+
+@pytest.fixture(scope="module")
+def drawn(pytestconfig):
+    trajectory = load_trajectory(pytestconfig.rootpath / "configs" / "trajectories" / "koala_demo.yaml")
+    return plan(trajectory, MOUNT)[:8], Obstacles.of(trajectory, MOUNT)
+
+
+def test_the_page_is_whole_and_loads_nothing(drawn, tmp_path):
+    draw.page(*drawn, tmp_path / "plan.html", title="</script><b>8 views")
+    text = (tmp_path / "plan.html").read_text()
+    assert not re.search(r"https?://|src=|<link|@import|fetch\(", text) and "/*SCENE*/" not in text
+    assert text.count("</script>") == 1  # a title cannot end the script
+    scene = json.loads(re.search(r"const scene = (.*);\n", text)[1].replace("<\\/", "</"))
+    assert [view["name"] for view in scene["views"]] == [view.viewpoint.name for view in drawn[0]]
+    assert scene["title"] == "</script><b>8 views" and len(scene["box"]) == 12
+
+
+def test_what_the_page_shows_is_the_plan(drawn):
+    planned, obstacles = drawn
+    scene = draw._scene(planned, obstacles, "")
+    for view, shown in zip(planned, scene["views"], strict=True):
+        camera = (forward(view.joints) @ MOUNT)[:3, 3]
+        np.testing.assert_allclose(shown["track"][-1], camera, atol=1e-4)
+        np.testing.assert_allclose(shown["edges"][0][0], camera, atol=1e-4)  # tip of the pyramid
+        assert shown["room_mm"] > -5  # ways are checked every 0.05 rad
+    for before, after in zip(scene["views"], scene["views"][1:], strict=False):
+        np.testing.assert_allclose(after["track"][0], before["track"][-1], atol=1e-4)
+
+
+def test_the_picture_shows_both_splits(drawn, tmp_path):
+    draw.plot(*drawn, tmp_path / "plan.png", title="8 views")
+    pixels = images.read(tmp_path / "plan.png")[..., :3]
+    assert pixels.shape[1] > 1000
+    for colour in ((0x1F, 0x77, 0xB4), (0xD6, 0x27, 0x28)):  # train, test
+        assert (np.abs(pixels - np.array(colour) / 255).max(-1) < 0.02).sum() > 50
