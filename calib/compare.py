@@ -64,7 +64,7 @@ def _refined(name: str, session: TargetSession, boards: Array, measured: Session
     pose_found = refined.state.flange_from_camera
     residual = _residual(session.mount_poses, boards, pose_found)
     held_out = verify.held_out(measured, refined)
-    pixels, millimetres = (np.nan if held_out[key] is None else float(held_out[key]) for key in ("held_out_px", "held_out_mm"))
+    pixels, millimetres = (np.nan if value is None else value for value in (held_out["held_out_px"], held_out["held_out_mm"]))
     return Judged(name, pose_found, *residual, pixels, millimetres, len(boards))
 
 

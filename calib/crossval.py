@@ -49,7 +49,7 @@ def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observatio
         CalibrationError: a half cannot be fitted.
     """
     halves = [intrinsics.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
-    return difference(*halves)
+    return difference(halves[0], halves[1])
 
 
 def difference(first: Camera, second: Camera, cells: int = 24) -> Difference:

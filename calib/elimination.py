@@ -77,7 +77,7 @@ def eliminate(view: NDArray[np.int64], rows: Array, own_rows: Array, global_rows
     padded = np.zeros((views, 6 + 2 * counts.max(initial=0), width))
     padded[:, :6, :6], padded[:, :6, -1] = own_rows[..., :6], own_rows[..., 6]
     padded[view, 6 + 2 * rank], padded[view, 7 + 2 * rank] = rows[:, 0], rows[:, 1]
-    triangles = np.linalg.qr(padded, mode="r")
+    triangles = np.asarray(np.linalg.qr(padded, mode="r"))
     rest = triangles[:, 6:, 6:].reshape(-1, width - 6)
-    whole = np.linalg.qr(np.vstack([rest, global_rows, np.zeros((width - 6, width - 6))]), mode="r")
+    whole = np.asarray(np.linalg.qr(np.vstack([rest, global_rows, np.zeros((width - 6, width - 6))]), mode="r"))
     return Eliminated(whole[:-1, :-1], whole[:-1, -1], triangles[:, :6, :6], triangles[:, :6, 6:-1], triangles[:, :6, -1])

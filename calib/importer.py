@@ -34,6 +34,7 @@ from datasets.schema import Schema, load_yaml
 
 Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 LAYOUTS = {
     "x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16,
 }  # fmt: skip
@@ -52,12 +53,15 @@ class CameraNumbers(Schema):
     distortion: list[float] = Field(
         default_factory=list, max_length=8, description="k1 k2 p1 p2 k3 k4 k5 k6, as many as there are"
     )
-    first_pixel: Literal[0.0, 0.5] = Field(0.0, description="where the centre of the first pixel is: 0 for OpenCV and ViSP [px]")
+    first_pixel: float = Field(
+        0.0, ge=0, le=0.5, multiple_of=0.5, description="where the centre of the first pixel is: 0 for OpenCV and ViSP [px]"
+    )
 
     def camera(self) -> Camera:
         """In our pixel coordinates."""
         centre = np.array([self.cx, self.cy]) + conventions.OPENCV_PIXEL_SHIFT - self.first_pixel
-        return Camera(self.width, self.height, self.fx, self.fy, float(centre[0]), float(centre[1]), *self.distortion)
+        bent = dict(zip(DISTORTION, self.distortion, strict=False))
+        return Camera(self.width, self.height, self.fx, self.fy, float(centre[0]), float(centre[1]), **bent)
 
 
 class Description(Schema):

@@ -269,7 +269,8 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
     if not focal.min() > 0:
         raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=_TILT)
     k1, k2 = (0.0, 0.0) if fisheye else map(float, distortion.ravel()[:2])
-    camera = Camera(width, height, *map(float, focal), *map(float, centre), k1, k2, fisheye=fisheye)
+    (fx, fy), (cx, cy) = map(float, focal), map(float, centre)
+    camera = Camera(width, height, fx, fy, cx, cy, k1, k2, fisheye=fisheye)
     poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
     return camera, np.stack(poses)
 

@@ -168,14 +168,14 @@ def _attempt(
     valley along which corrections and global unknowns must move together (a second-order correction; Nocedal & Wright, 15.6).
     """
     candidate = state.moved(session.columns, *step)
-    for attempt in range(3):
-        linear = _linear(session, candidate)
-        changed = _cost(session, candidate, sigmas, linear)
-        if changed <= cost or attempt == 2:
+    linear = _linear(session, candidate)
+    for _ in range(2):
+        if _cost(session, candidate, sigmas, linear) <= cost:
             break
         system = _system(session, candidate, sigmas, linear)
         candidate = candidate.moved(session.columns, 0 * step[0], np.linalg.solve(system.own, system.own_side[..., None])[..., 0])
-    return candidate, linear, changed
+        linear = _linear(session, candidate)
+    return candidate, linear, _cost(session, candidate, sigmas, linear)
 
 
 def linear_system(session: Session, state: State, sigmas: Sigmas) -> Eliminated:

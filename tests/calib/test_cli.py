@@ -53,6 +53,12 @@ def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
         (["handeye", "{recording}"], "--out"),
         (["verify", "{recording}"], "--calibration"),
         (["handeyes"], "handeyes"),
+        (["handeye", "{recording}", "--out", "{tmp}/c.json", "--lens", "brawn"], "did you mean 'brown'"),
+        (["compare", "{tmp}"], "neither a recording nor a folder to import"),
+        (["handeye", "{tmp}", "--import", "{tmp}/none.yaml", "--out", "{tmp}/c.json"], "no such file"),
+        (["board", "--out", "{tmp}/board.png"], ".pdf or .svg"),
+        (["board", "--squares", "nine", "--out", "{tmp}/board.pdf"], "given as 9x7"),
+        (["refine", "{tmp}/nowhere", "--out", "{tmp}/scene"], "nowhere"),
     ],
 )
 def test_misuse_is_one_line_and_exit_code_2(recorded, tmp_path, arguments, message):
@@ -67,6 +73,49 @@ def test_an_existing_file_is_not_overwritten(handeye, recorded):
     result = calib("handeye", recorded[0], "--out", handeye[1])
     assert result.returncode == 2 and "already exists" in result.stderr
     assert handeye[1].read_bytes() == before
+
+
+def test_a_board_is_printed(tmp_path):
+    result = calib(
+        "board",
+        "--kind",
+        "tags",
+        "--squares",
+        "4x3",
+        "--dictionary",
+        "DICT_APRILTAG_36h11",
+        "--out",
+        tmp_path / "b.svg",
+        "--json",
+    )
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["page_mm"] == [140.0, 124.0] and "<rect" in (tmp_path / "b.svg").read_text()
+
+
+def test_report_is_a_page(recorded, tmp_path):
+    result = calib("report", recorded[0], "--out", tmp_path / "page.html")
+    assert result.returncode == 0, result.stderr
+    assert "Two halves of the views" in (tmp_path / "page.html").read_text()
+
+
+def test_plan_writes_a_trajectory(recorded, tmp_path):
+    result = calib("plan", recorded[0], "--count", "3", "--grow-mm", "100", "--out", tmp_path / "next.yaml", "--json")
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["after"][-1][0] < found["before"][0]
+    assert (tmp_path / "next.yaml").read_text().count("quaternion_wxyz") == 3
+
+
+def test_compare_prints_a_row_per_method(recorded):
+    result = calib("compare", recorded[0])
+    assert result.returncode == 0, result.stderr
+    assert all(f"| {name} |" in result.stdout for name in ("park", "shah", "refinement, all views"))
+
+
+def test_bench_measures_a_few_points(tmp_path):
+    result = calib("bench", "--quick", "--trials", "2", "--out", tmp_path / "bench")
+    assert result.returncode == 0, result.stderr
+    assert "within 10% of the bound" in result.stdout and (tmp_path / "bench" / "bench.csv").is_file()
 
 
 def test_help_is_instant():

@@ -42,6 +42,7 @@ def test_coverage_of_sixty_sessions():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("views", [12, 25])
 def test_coverage_of_two_hundred_sessions_that_go_the_whole_way(views):
     """Intrinsics with a lens chosen by the data, closed form, outliers, refinement: as `calib handeye` does it."""

@@ -114,6 +114,7 @@ def test_an_honest_session_keeps_all_its_views():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("spoil", KINDS, ids=lambda kind: kind.__name__)
 def test_a_fifth_of_bad_views_leaves_the_error_within_one_and_a_half_times_the_clean_one(spoil):
     clean, spoilt = [], []

@@ -27,6 +27,7 @@ def test_failures_are_counted():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_koala_rig_reaches_its_aims():
     """0.03 mm / 0.005 deg repeatability, 0.1 px corners, 25 views, intrinsics estimated along; board of A3."""
     (outcome,) = study.run(60, 0, variants=[study.VARIANTS[6]])
