@@ -167,3 +167,19 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene],
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 1 and errors.startswith("error: stopped by Ctrl-C") and len(errors.strip().splitlines()) == 1
     assert list((tmp_path / "o").iterdir()) == []
+
+
+def test_the_documentation_names_commands_and_options_that_exist() -> None:
+    import typer
+
+    from datasets.cli import app
+
+    group = typer.main.get_command(app)
+    text = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text()
+    lines = [line.strip().split() for line in text.splitlines() if line.startswith("    datasets ")]
+    assert len(lines) >= 10
+    for _, name, *words in lines:
+        known = {option for parameter in group.commands[name].params for option in parameter.opts}
+        assert {word for word in words if word.startswith("--")} <= known, name
+    shown = {words[1] for words in lines} | {"export", "truth", "bench"}
+    assert shown == set(group.commands)  # nothing is left out
