@@ -68,6 +68,16 @@ def test_a_scene_is_built_in_the_robots_base(recording: Recording, calibration: 
     assert not list((tmp_path / "koala" / "thing").rglob("poses.json"))  # true poses stay with the recording
 
 
+def test_smaller_images_and_the_evidence_of_bounds(recording: Recording, calibration: Path, tmp_path: Path) -> None:
+    build(recording.path, calibration, tmp_path / "scene", sizes=(2, 3))
+    assert load_scene(tmp_path / "scene").bounds_from == "stated"
+    small = load_scene(tmp_path / "scene", images="images_3").views[1]
+    assert small.camera == CAMERA.scaled(16, 12) and small.read().shape == (12, 16, 3)
+    manifest = files.read_json(recording.path / "manifest.json")
+    files.write_json(recording.path / "manifest.json", {**manifest, "trajectory": {}})
+    assert build(recording.path, calibration, tmp_path / "unstated").bounds_from == "cameras alone"
+
+
 def test_another_region_of_the_same_sensor_is_converted_exactly(recording: Recording, calibration: Path, tmp_path: Path) -> None:
     """Calibrated with the whole sensor of 240x180, recorded with a region of 96x72 at (40, 30), binned by two."""
     theirs, ours = Region(240, 180), Region(48, 36, 20, 15, 2)
