@@ -109,7 +109,7 @@ def detect(folder: Path) -> str:
     """Name of the layout that a folder has. Raises Misuse where it has none of them."""
     for name, (matches, _) in FORMATS.items():
         if matches(folder):
-            return name
+            return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both: a model says more
     raise Misuse("holds no scene that Koala knows", where=folder,
                  why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model",
                  remedy="give the folder that holds one of these")  # fmt: skip

@@ -14,10 +14,9 @@ import numpy as np
 from datasets import downscale, files, pose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, KoalaError, Misuse
-from datasets.formats import assemble, export, sidecar
+from datasets.formats import assemble, export, llff, sidecar
 from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
 from datasets.formats.koala import file_name, link
-from datasets.formats.llff import PICTURES
 from datasets.scene import Scene, Sightings, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
@@ -37,6 +36,16 @@ LAYOUT = export.Layout("COLMAP's layout", lambda camera: True, "", mask="masks/{
 def detect(folder: Path) -> bool:
     """True for a folder with the cameras of a model in one of `PLACES`."""
     return any((folder / place / f"cameras{suffix}").is_file() for place in PLACES for suffix in (".bin", ".txt"))
+
+
+def is_whole(folder: Path) -> bool:
+    """True where the folder has a model that can be read, and most of the images that it names."""
+    try:
+        place, home = _place(folder, None)
+        names = [image.name for image in _model(folder, place).images]
+        return sum(files.inside(home, name).is_file() for name in names) > len(names) / 2
+    except KoalaError:
+        return False
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
@@ -68,6 +77,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
             pixels[name] = image.pixels * [camera.width / full.width, camera.height / full.height]
         except KoalaError as error:
             gathering.complain(error)
+    if (folder / llff.FILE).is_file():
+        gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {place.relative_to(folder)} says more")
     views = gathering.finished(listed_in=f"{place.name}/images")
     seen = _sightings(model, stored, pixels) if len(model.points) else None
     known = sidecar.read(folder)
@@ -99,7 +110,7 @@ def _place(folder: Path, wanted: str | None) -> tuple[Path, Path]:
         return places[0], files.inside(folder, wanted)
     for place in places:
         for home in (folder / "images", place.parent / "images", *sorted(folder.glob("images_*"))):
-            if home.is_dir() and any(p.suffix.lower() in PICTURES for p in files.within(folder, home).rglob("*")):
+            if home.is_dir() and any(p.suffix.lower() in llff.PICTURES for p in files.within(folder, home).rglob("*")):
                 return place, home
     raise DatasetError("scene has no images", where=folder / "images", remedy="put the images there")
 

@@ -8,7 +8,7 @@ import pytest
 
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError
-from datasets.formats import colmap, koala, load_scene
+from datasets.formats import colmap, detect, koala, llff, load_scene, save_scene
 from datasets.formats.colmap_files import read_model
 from datasets.scene import Scene
 
@@ -98,6 +98,21 @@ def test_huge_counts_are_told_before_anything_is_reserved(
     path.write_bytes(data[:at] + value.to_bytes(8, "little") + data[at + 8 :])
     with pytest.raises(DatasetError, match=words):
         load_scene(tmp_path / "out")
+
+
+def test_of_a_model_and_poses_bounds_the_model_is_taken(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    """mip-NeRF 360's folders have both; without the images that it names, a model is of no use."""
+    lens = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12)
+    save_scene(make_scene(lens, truth=False), tmp_path / "out", "mipnerf360")
+    (tmp_path / "out" / "koala.json").unlink()
+    rows = [llff.row_of(np.eye(4), Camera(96, 72, 90.0, 90.0, 48.0, 36.0), 0.1, 1.0)] * 9
+    np.save(tmp_path / "out" / "poses_bounds.npy", np.stack(rows))
+    scene = load_scene(tmp_path / "out", images="images_4")
+    assert scene.views[0].camera == lens.scaled(24, 18) and any("poses_bounds.npy is not used" in note for note in scene.notes)
+    assert load_scene(tmp_path / "out", format="llff").views[0].camera.is_centred
+    for index in range(9):
+        (tmp_path / "out" / "images" / f"{index:03d}.png").rename(tmp_path / "out" / "images" / f"other{index}.png")
+    assert detect(tmp_path / "out") == "llff"
 
 
 def test_masks_of_colmaps_naming(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
