@@ -1,3 +1,4 @@
+import os
 import tracemalloc
 from pathlib import Path
 
@@ -74,4 +75,6 @@ def test_memory_does_not_grow_with_the_number_of_pictures() -> None:
 @pytest.mark.slow
 def test_fifty_photographs_in_six_seconds() -> None:
     """On two cores; the best of three, since others may be using them."""
+    if os.getloadavg()[0] > 2 * (os.cpu_count() or 1):
+        pytest.skip(f"the machine is busy with other work: load {os.getloadavg()[0]:.1f}")
     assert min(bench.read_and_shrink()["seconds"] for _ in range(3)) < 6
