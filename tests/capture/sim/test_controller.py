@@ -33,7 +33,7 @@ def test_ports_accept_while_it_lives_and_not_after():
 
 def test_unknown_requests_name_the_known_ones():
     with SimulatedController.start() as simulated:
-        with pytest.raises(SimulationError, match=r"'dance'.*actions: truth, protective_stop"):
+        with pytest.raises(SimulationError, match=r"'dance'.*actions: truth, motions, protective_stop"):
             simulated.ask("dance")
         assert simulated.ask("truth")["mode"] == "RUNNING"
 
