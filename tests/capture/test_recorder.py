@@ -48,7 +48,7 @@ class StandInCamera:
     """Pictures that say how many were taken; stops the session like Ctrl-C before picture `stop_at`."""
 
     def __init__(self) -> None:
-        self.taken, self.stop_at, self.kept = 0, 10_000, []
+        self.taken, self.stop_at, self.kept = 0, float("inf"), []
 
     def __enter__(self) -> Self:
         return self
@@ -127,7 +127,7 @@ def test_stopped_session_goes_on_without_taking_a_frame_twice(trajectory, rig, v
         record(trajectory, rig, tmp_path / "rec", planned=views)
     before = Recording.open(tmp_path / "rec").frames
     assert len(before) == 3
-    rig.camera.stop_at = 10_000
+    rig.camera.stop_at = float("inf")
     seen = []
     record(trajectory, rig, tmp_path / "rec", resume=True, planned=views, advance=seen.append)
     after = Recording.open(tmp_path / "rec").frames
