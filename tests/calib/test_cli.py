@@ -112,6 +112,7 @@ def test_compare_prints_a_row_per_method(recorded):
     assert all(f"| {name} |" in result.stdout for name in ("park", "shah", "refinement, all views"))
 
 
+@pytest.mark.slow
 def test_bench_measures_a_few_points(tmp_path):
     result = calib("bench", "--quick", "--trials", "2", "--out", tmp_path / "bench")
     assert result.returncode == 0, result.stderr

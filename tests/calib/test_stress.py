@@ -18,7 +18,7 @@ from datasets.camera_model import Camera
 from datasets.errors import KoalaError
 
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
-BOARD = Board("charuco", 12, 9, 0.03, 0.022)
+BOARD = Board("charuco", 8, 6, 0.045, 0.033)
 RIG = replace(KOALA, board=BOARD)
 
 
@@ -125,7 +125,7 @@ def test_focal_lengths_of_a_hundred_to_a_hundred_thousand_pixels(focal, given):
 @pytest.mark.parametrize("width", [0.05, 0.2, 1.0, 5.0, 50.0])
 def test_boards_of_five_centimetres_to_fifty_metres(width):
     scale = width / 0.36
-    board = Board("charuco", 12, 9, 0.03 * scale, 0.022 * scale)
+    board = Board("charuco", 8, 6, 0.045 * scale, 0.033 * scale)
     simulated = draw(
         seed=7, rig=replace(RIG, board=board), pattern=Pattern(distance_m=(0.4 * scale, 0.6 * scale), shift_m=0.03 * scale)
     )
