@@ -27,7 +27,7 @@ def sharpness(pixels: NDArray[Any]) -> float:
 
     light = np.sqrt(luminance(pixels))  # noise of counting is about even on this scale
     fine = np.maximum(_slopes(light) - 2 * _noise_variance(light), 1e-9)
-    return float(np.sqrt(fine / np.maximum(_slopes(gaussian_filter(light, COARSE_PX)), 1e-9)).min())
+    return float(np.sqrt(fine / np.maximum(_slopes(np.asarray(gaussian_filter(light, COARSE_PX), np.float32)), 1e-9)).min())
 
 
 def _slopes(light: NDArray[np.float32]) -> NDArray[np.float64]:

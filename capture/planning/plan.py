@@ -179,6 +179,7 @@ def _pose(viewpoint: Viewpoint, flange_from_camera: NDArray[np.float64]) -> NDAr
     """(4, 4) camera pose that a view asks for [m], whatever its roll."""
     if viewpoint.base_from_camera is not None:
         return viewpoint.base_from_camera
+    assert viewpoint.joints is not None  # a viewpoint has either
     return kinematics.forward(viewpoint.joints) @ flange_from_camera
 
 
