@@ -4,6 +4,7 @@ world_from_camera = base_from_flange @ flange_from_camera
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,14 @@ from datasets.camera_model import Camera
 from datasets.errors import DatasetError, Misuse
 from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
+from datasets.measure import measured
 from datasets.recording import MANIFEST, TRUTH, Frame, Recording
 from datasets.region import Region
 from datasets.scene import SPLITS, Scene, View
 
 NEAR_SHARE = 0.25
-"""Near is this share of the depth at which a camera first meets the object's box: the table comes closer than the object."""
+"""Where the pictures do not show it, near is this share of the depth at which a camera first meets the object's box: the
+table may come closer than the object."""
 
 
 def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tuple[int, ...] = (),
@@ -54,17 +57,28 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
         views.append(_view(recording, frame, camera, calibration.flange_from_camera.matrix))
         done()
     box, evidence = object_box(recording, tuple(views))
-    near = NEAR_SHARE * bounds.depth_range(views, box)[0]
     provenance = {
         "format": koala.FORMAT, "recording": str(recording.path.absolute()),
         "calibration": str(Path(calibration_path).absolute()), "calibration_sha256": files.sha256(calibration_path),
         "manifest_sha256": files.sha256(recording.path / MANIFEST), "frames_sha256": {f.name: f.sha256 for f in frames},
         "flange_from_camera": calibration.flange_from_camera.to_json(), "software": {"koala-capture": version("koala-capture")},
     }  # fmt: skip
-    scene = Scene(Path(out).resolve().name, tuple(views), near, np.inf, box, "scene", metric=True, notes=tuple(notes),
-                  provenance=provenance, bounds_from=evidence)  # fmt: skip
+    scene = Scene(Path(out).resolve().name, tuple(views), NEAR_SHARE * bounds.depth_range(views, box)[0], np.inf, box, "scene",
+                  metric=True, notes=tuple(notes), provenance=provenance, bounds_from=evidence)  # fmt: skip
+    scene = with_measured_near(scene)
     koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
     return scene
+
+
+def with_measured_near(scene: Scene) -> Scene:
+    """The scene with near as its pictures show it; where too little can be triangulated it stays as it is.
+
+    What lies before everything that was ever seen is empty, and a reconstruction that knows so does not fill it with clouds.
+    """
+    seen = measured(scene)
+    if seen.points is None:
+        return scene
+    return replace(scene, near=seen.near, bounds_from=f"box {scene.bounds_from}; near from {seen.bounds_from}")
 
 
 def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, list[str]]:

@@ -40,6 +40,9 @@ class FieldConfig(_Section):
         "deferred", description="Evaluate the view network at each sample, or once per ray on composited features."
     )
     density_bias: float = Field(0.5, description="Added to the raw density before the exponential.")
+    surroundings_bias: float = Field(
+        0.0, description="The same once more where there are surroundings: rays are longer, and the first fog must stay thin."
+    )
 
 
 class SamplerConfig(_Section):
@@ -48,11 +51,17 @@ class SamplerConfig(_Section):
     kind: Literal["occupancy", "proposal"] = Field("occupancy", description="Occupancy grid, or two proposal levels.")
     rays: int = Field(4096, ge=1, description="Rays drawn per step.")
     samples: int = Field(16384, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped.")
-    max_per_ray: int = Field(32, ge=1, description="Occupancy: a ray with more occupied steps is thinned to so many.")
+    max_per_ray: int = Field(32, ge=1, description="Occupancy: at most so many of a ray's steps are drawn.")
     steps: int = Field(192, ge=32, multiple_of=32, description="Occupancy: steps of a ray through the object's box.")
     grid: int = Field(128, ge=8, description="Occupancy: cells per axis over the object's box.")
     outer_grid: int = Field(64, ge=8, description="Occupancy: cells per axis over the contracted surroundings.")
     optical_depth: float = Field(0.01, gt=0, description="Occupancy: a cell counts as empty below this optical depth per step.")
+    settle: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Occupancy: share of the training before any cell is ruled out, where there are surroundings.",
+    )
     proposals: tuple[int, ...] = Field((64, 64), description="Proposal: samples of each proposal level.")
     final: int = Field(32, ge=2, description="Proposal: samples of the final level.")
     proposal_finest: tuple[float, ...] = Field((256.0, 1024.0), description="Proposal: finest resolution of each level.")
@@ -114,6 +123,11 @@ class Config(_Section):
     surface: SurfaceConfig = SurfaceConfig()
     losses: LossConfig = LossConfig()
     train: TrainConfig = TrainConfig()
+
+    def with_surroundings(self) -> "Config":
+        """The configuration for a scene that is more than its object's box."""
+        field = self.field.model_copy(update={"density_bias": self.field.density_bias + self.field.surroundings_bias})
+        return self.model_copy(update={"field": field})
 
 
 def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[str] | None = None) -> Config:

@@ -9,7 +9,7 @@ from scipy.ndimage import maximum_filter
 
 from datasets.scene import View
 from reconstruct.rays import Normalisation, Pixels, scaled_camera
-from reconstruct.sampling.occupancy import _centres
+from reconstruct.sampling.occupancy import cell_centres
 
 
 def cells_in_masks(
@@ -25,7 +25,7 @@ def cells_in_masks(
         return None
     ends = np.cumsum([scaled_camera(view, scale).width * scaled_camera(view, scale).height for view in views])
     masks = np.split(alpha > 0.01, ends[:-1])
-    centres = _centres(grid, 1.0) / normalisation.scale + normalisation.centre
+    centres = cell_centres(grid, 1.0) / normalisation.scale + normalisation.centre
     half_diagonal = np.sqrt(3) / grid / normalisation.scale
     alive = np.arange(len(centres))
     for index in np.random.default_rng(0).permutation(len(views)):  # views far apart rule out most, soonest
@@ -54,7 +54,7 @@ def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: 
     Nearer than the furthest camera, a cell must be in the picture of `needed` cameras: what fewer see cannot be
     triangulated, and would only be a cloud before a lens. Further out, one camera is enough.
     """
-    contracted = _centres(grid, 2.0)
+    contracted = cell_centres(grid, 2.0)
     radius = np.linalg.norm(contracted, axis=-1, keepdims=True)
     outward = contracted / np.maximum(radius, 1e-9)
     scene = np.where(radius > 1, outward / np.maximum(2 - radius, 1e-3), contracted)

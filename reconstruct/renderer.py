@@ -14,7 +14,7 @@ from reconstruct.model import cloud_of, render
 from reconstruct.rays import Rays, view_rays
 from reconstruct.rendering import composite
 from reconstruct.safe import normalise
-from reconstruct.sampling.occupancy import occupied_steps, packed_samples
+from reconstruct.sampling.packing import expected_depth
 from reconstruct.step import StepFunctions, TrainState
 
 CHUNK, CAPACITY = 4096, 65536
@@ -97,10 +97,8 @@ class Renderer:
             done = jnp.asarray(rays.origins.shape[0])
         else:
             middle = jnp.full(rays.origins.shape[0], 0.5)
-            words = jax.lax.optimization_barrier(occupied_steps(state.occupancy, rays, functions.steps(rays), middle, bounded))
-            samples, fits = packed_samples(
-                words, functions.steps(rays), middle, capacity=CAPACITY, max_per_ray=functions.config.sampler.max_per_ray
-            )
+            depth = expected_depth(state.occupancy, rays, functions.steps(rays), middle, bounded)
+            samples, fits = functions.sampled(jax.lax.optimization_barrier(depth), rays, middle, middle, CAPACITY)
             done = jnp.sum(fits)
         samples = jax.lax.optimization_barrier(samples)
         cloud = cloud_of(rays, samples, bounded=bounded, turn=turn)

@@ -13,9 +13,11 @@ from reconstruct.cloud import Cloud
 from reconstruct.config import Config
 from reconstruct.model import Model, cloud_of, render
 from reconstruct.rays import Normalisation, Pixels, Rays
-from reconstruct.sampling.occupancy import Occupancy, Steps, occupied_steps, packed_samples
+from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
 from reconstruct.sampling.proposal import Spacing, propose
 from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.steps import Steps
 from reconstruct.schedules import encoding_blur, learning_rate
 
 GRID_PERIOD, GRID_CELLS = 16, 65536
@@ -53,7 +55,7 @@ class StepFunctions:
 
     def initial(self, key: PRNGKeyArray, possible) -> TrainState:
         """Fresh weights and a full grid (less what masks rule out)."""
-        model = Model.create(key, self.config)
+        model = Model.create(key, self.config if self._bounded else self.config.with_surroundings())
         sampler, occupancy = self.config.sampler, None
         if sampler.kind == "occupancy":
             occupancy = Occupancy.create(
@@ -124,7 +126,7 @@ class StepFunctions:
     def _drawn(self) -> int:
         sampler = self.config.sampler
         if sampler.kind == "occupancy" and not self._bounded:
-            return min(sampler.rays, sampler.samples // (2 * SAMPLES_PER_RAY))  # every ray meets the surroundings
+            return min(sampler.rays, sampler.samples // sampler.max_per_ray)  # every ray meets the surroundings
         return sampler.rays
 
     def _choose(self, state: TrainState, rays: Rays, colour, key):
@@ -132,17 +134,26 @@ class StepFunctions:
         if state.occupancy is None:
             return rays, colour, jnp.ones(self._drawn, bool), None
         sampler = self.config.sampler
-        jitter = _separate(jax.random.uniform(key, (self._drawn,)))
-        words = occupied_steps(state.occupancy, rays, self.steps(rays), jitter, self._bounded)
-        words = _separate(words)
+        jitter, offset = _separate(jax.random.uniform(key, (2, self._drawn)))
+        depth = _separate(expected_depth(state.occupancy, rays, self.steps(rays), jitter, self._bounded))
+        hit = jnp.any(depth > 0, -1)
         kept = min(self._drawn, sampler.samples // SAMPLES_PER_RAY)
         if kept < self._drawn:  # empty rays have nothing to learn from
-            hit = jnp.any(words > 0, -1)
             (order,) = jnp.nonzero(hit, size=kept, fill_value=0)
-            words = jnp.where((jnp.arange(kept) < jnp.sum(hit))[:, None], words[order], 0)
-            rays, colour, jitter, words = _separate((*jax.tree.map(lambda a: a[order], (rays, colour, jitter)), words))
-        samples, fits = packed_samples(words, self.steps(rays), jitter, capacity=sampler.samples, max_per_ray=sampler.max_per_ray)
-        return rays, colour, fits & jnp.any(words > 0, -1), samples
+            depth = jnp.where((jnp.arange(kept) < jnp.sum(hit))[:, None], depth[order], 0)
+            rays, colour, jitter, offset, depth = _separate(
+                (*jax.tree.map(lambda a: a[order], (rays, colour, jitter, offset)), depth)
+            )
+            hit = jnp.any(depth > 0, -1)
+        samples, fits = self.sampled(depth, rays, jitter, offset, sampler.samples)
+        return rays, colour, fits & hit, samples
+
+    def sampled(self, depth, rays: Rays, jitter, offset, capacity: int) -> tuple[RaySamples, Bool[Array, " rays"]]:
+        """Samples of rays whose steps' expected optical depth is known, and which rays found room."""
+        longest = self.config.sampler.max_per_ray
+        probability = _separate(draw_probability(depth, longest - 1))
+        words = _separate(draw(probability, offset))
+        return packed_samples(words, probability, self.steps(rays), jitter, capacity=capacity, max_per_ray=longest)
 
     def steps(self, rays: Rays) -> Steps:
         """How rays of this scene are cut into steps."""

@@ -79,7 +79,8 @@ class Training:
         self.state, terms = self._advance(self.state, self.pixels, jnp.asarray(self.run.config.train.seed, jnp.int32),
                                           jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))  # fmt: skip
         clock.since_look += count
-        if self.state.occupancy is not None and clock.since_look >= GRID_PERIOD:
+        settled = self.functions.normalisation.bounded or clock.progress >= self.run.config.sampler.settle
+        if self.state.occupancy is not None and settled and clock.since_look >= GRID_PERIOD:
             self.state = self._look_around(self.state, jnp.asarray(self.run.config.train.seed, jnp.int32))
             clock.since_look = 0
         jax.block_until_ready(terms)

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from datasets import files, images, pose
-from datasets.build import build
+from datasets.build import build, with_measured_near
 from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, Misuse
 from datasets.formats import load_scene
 from datasets.recording import Frame, Recording
 from datasets.region import Region
+from datasets.scene import Scene
 
 CAMERA = Camera(48, 36, 45.0, 45.5, 24.6, 17.1, k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4)
 FLANGE_FROM_CAMERA = pose.from_rotation_vector((0.7, 0.02, -0.01), (0.001, 0.06, 0.08))
@@ -145,3 +146,18 @@ def test_nothing_is_overwritten(recording: Recording, calibration: Path, tmp_pat
     build(recording.path, calibration, tmp_path / "scene")
     with pytest.raises(Misuse, match="already exists"):
         build(recording.path, calibration, tmp_path / "scene")
+
+
+def test_near_is_what_the_pictures_show(two_walls: Callable[..., Scene]) -> None:
+    scene = two_walls()
+    found = with_measured_near(scene)
+    assert np.array_equal(found.box, scene.box) and found.far == scene.far
+    assert 0.8 * 3.3 < found.near < 4.0 and scene.near < found.near  # the square stands 4 away, its corners nearer
+    assert "triangulated from 12 views" in found.bounds_from
+
+
+def test_near_stays_where_nothing_can_be_triangulated(two_walls: Callable[..., Scene]) -> None:
+    scene = two_walls()
+    for view in scene.views:
+        images.write(view.image, np.full((150, 200, 3), 0.5))
+    assert with_measured_near(scene) == scene

@@ -5,7 +5,7 @@ import numpy as np
 from datasets.scene import Scene
 from reconstruct.hull import cells_in_masks
 from reconstruct.rays import Normalisation, Pixels
-from reconstruct.sampling.occupancy import _centres
+from reconstruct.sampling.occupancy import cell_centres
 
 
 class Silent:
@@ -24,7 +24,7 @@ def test_masks_leave_what_they_all_show(make_scene: Callable[..., Scene]) -> Non
     scene = make_scene(mask=True)
     normalisation = Normalisation.of(scene)
     cells = cells_in_masks(pixels_of(scene), scene.views, normalisation, 16, 1.0)
-    world = _centres(16, 1.0) / normalisation.scale + normalisation.centre
+    world = cell_centres(16, 1.0) / normalisation.scale + normalisation.centre
     distance = np.linalg.norm(world, axis=-1)
     assert cells is not None
     assert cells[distance < 0.06].all(), "nothing that every mask shows may be ruled out"

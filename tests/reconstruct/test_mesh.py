@@ -90,7 +90,7 @@ def test_the_grid_covers_a_box_that_is_not_a_cube(ball: Trained) -> None:
 
 def test_no_surface_is_one_clear_error(make_run: Callable[..., Run]) -> None:
     trained = Trained.open(make_run().path)
-    empty = eqx.tree_at(lambda s: s.occupancy.occupied, trained.state, jnp.zeros_like(trained.state.occupancy.occupied))
+    empty = eqx.tree_at(lambda s: s.occupancy.depth, trained.state, jnp.zeros_like(trained.state.occupancy.depth))
     from dataclasses import replace
 
     with pytest.raises(ReconstructError, match="no surface in the object's box"):

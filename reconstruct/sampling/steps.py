@@ -1,0 +1,67 @@
+"""How rays are cut into steps."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from reconstruct.rays import Rays
+
+FRONT, BEHIND = 32, 64
+"""Steps between the near plane and the object's ball, and from there to the far plane, where there are surroundings."""
+
+
+class Steps(eqx.Module):
+    """How rays are cut into steps: `at(u)` gives t at step coordinate u in [0, count], per ray monotonic."""
+
+    near: Float[Array, " n"]
+    enter: Float[Array, " n"]
+    leave: Float[Array, " n"]
+    far: Float[Array, " n"]
+    front: int = eqx.field(static=True)
+    inside: int = eqx.field(static=True)
+    behind: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, rays: Rays, *, steps: int, bounded: bool, near: float, far: float) -> "Steps":
+        """Even steps through the object's cube (bounded) or unit ball; front and background around them otherwise."""
+        if bounded:
+            enter, leave = _cube_interval(rays)
+            enter = jnp.maximum(enter, near)
+            leave = jnp.maximum(leave, enter)
+            return cls(enter, enter, leave, leave, 0, steps, 0)
+        along = jnp.sum(rays.directions**2, -1)
+        closest = -jnp.sum(rays.origins * rays.directions, -1) / along
+        half = 1 - jnp.sum((rays.origins + closest[:, None] * rays.directions) ** 2, -1)
+        half = jnp.sqrt(jnp.maximum(half, 0.0) / along)
+        enter = jnp.clip(closest - half, near, far)
+        leave = jnp.clip(closest + half, enter, far)
+        full = jnp.full_like(enter, near)
+        return cls(full, enter, leave, jnp.maximum(jnp.full_like(enter, far), leave), FRONT, steps, BEHIND)
+
+    @property
+    def count(self) -> int:
+        """Steps per ray."""
+        return self.front + self.inside + self.behind
+
+    def at(self, u: Float[Array, "n ..."], ray: Int[Array, "..."] | None = None) -> Float[Array, "n ..."]:
+        """t at step coordinate u; one row of u per ray, or with `ray` one entry of u per given ray."""
+        if ray is None:
+            near, enter, leave, far = (v[:, None] for v in (self.near, self.enter, self.leave, self.far))
+        else:
+            near, enter, leave, far = (
+                v.at[ray].get(mode="promise_in_bounds") for v in (self.near, self.enter, self.leave, self.far)
+            )
+        within = enter + (leave - enter) * ((u - self.front) / self.inside)
+        if not self.front:
+            return within
+        before = near + (enter - near) * (u / self.front)
+        v = jnp.clip((u - self.front - self.inside) / self.behind, 0, 1)
+        beyond = 1 / ((1 - v) / jnp.maximum(leave, 1e-6) + v / jnp.maximum(far, 1e-6))  # even in disparity
+        return jnp.where(u < self.front, before, jnp.where(u < self.front + self.inside, within, beyond))
+
+
+def _cube_interval(rays: Rays) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Where rays enter and leave the cube [-1, 1]^3; an empty interval where they miss it."""
+    direction = jnp.where(jnp.abs(rays.directions) < 1e-9, 1e-9, rays.directions)
+    first, second = (-1 - rays.origins) / direction, (1 - rays.origins) / direction
+    return jnp.max(jnp.minimum(first, second), -1), jnp.min(jnp.maximum(first, second), -1)

@@ -1,0 +1,35 @@
+"""Rays that the tests of sampling share."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reconstruct.rays import Rays
+from reconstruct.sampling.steps import Steps
+
+
+def _some_rays(count: int, seed: int = 0, distance: float = 3.0) -> Rays:
+    """From all around towards points near the origin; every eighth looks away, and one lies along an axis."""
+    rng = np.random.default_rng(seed)
+    origins = rng.normal(size=(count, 3))
+    origins *= distance / np.linalg.norm(origins, axis=-1, keepdims=True)
+    directions = (rng.uniform(-0.8, 0.8, (count, 3)) - origins) * rng.uniform(0.3, 0.6, (count, 1))
+    directions[::8] *= -1
+    origins[1], directions[1] = [0.1, -distance, 0.2], [0, 1.0, 0]
+    return Rays(*(jnp.asarray(a, jnp.float32) for a in (origins, directions)), jnp.full(count, 1e-3))
+
+
+def _steps_of(rays: Rays, bounded: bool, steps: int = 64) -> Steps:
+    return Steps.of(rays, steps=steps, bounded=bounded, near=0.05, far=100.0)
+
+
+@pytest.fixture
+def some_rays() -> Callable[..., Rays]:
+    return _some_rays
+
+
+@pytest.fixture
+def steps_of() -> Callable[..., Steps]:
+    return _steps_of
