@@ -5,7 +5,9 @@ Two views i, j give A X = X B with A = flange_i_from_flange_j, B = camera_i_from
 base_from_board together. All treat the poses as exact: they start the refinement, they do not end it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -121,7 +123,7 @@ def solve_robustly(base_from_flange: Array, camera_from_board: Array) -> tuple[H
     best = _consensus(base_from_flange, camera_from_board)
     keep = _agreeing(best)
     for _ in range(4):
-        answers = _answers(base_from_flange, camera_from_board, keep)
+        answers = _answers(base_from_flange, camera_from_board, [keep], METHODS)
         best = min(answers, key=lambda answer: answer.score(keep))
         agrees = _agreeing(best)
         if agrees.sum() < 3 or (agrees == keep).all():
@@ -130,15 +132,22 @@ def solve_robustly(base_from_flange: Array, camera_from_board: Array) -> tuple[H
     return best, keep
 
 
-def _answers(base_from_flange: Array, camera_from_board: Array, keep: NDArray[np.bool_]) -> list[HandEye]:
-    """What the methods make of the views of `keep`, assessed on all views."""
+def _answers(
+    base_from_flange: Array, camera_from_board: Array, groups: Sequence[NDArray[Any]], methods: Sequence[str]
+) -> list[HandEye]:
+    """What the methods make of each group of views, assessed on all views; methods that fail are left out.
+
+    Raises:
+        CalibrationError: all of them fail.
+    """
     answers = []
-    for method in METHODS:
-        try:
-            kept = solve(base_from_flange[keep], camera_from_board[keep], method)
-        except KoalaError:
-            continue
-        answers.append(assess(base_from_flange, camera_from_board, kept.flange_from_camera, method))
+    for group in groups:
+        for method in methods:
+            try:
+                answer = solve(base_from_flange[group], camera_from_board[group], method)
+            except KoalaError:
+                continue
+            answers.append(assess(base_from_flange, camera_from_board, answer.flange_from_camera, method))
     if not answers:
         raise CalibrationError("no closed-form hand-eye method found an answer", remedy="record views from more directions")
     return answers
@@ -150,16 +159,7 @@ def _consensus(base_from_flange: Array, camera_from_board: Array) -> HandEye:
     rng = np.random.default_rng(0)
     groups = [np.arange(views)]
     groups += [np.sort(rng.permutation(views)[:5]) for _ in range(SUBSETS if views > 5 else 0)]
-    found = []
-    for group in groups:
-        for method in ("park", "shah"):
-            try:
-                answer = solve(base_from_flange[group], camera_from_board[group], method)
-            except KoalaError:
-                continue
-            found.append(assess(base_from_flange, camera_from_board, answer.flange_from_camera, method))
-    if not found:
-        raise CalibrationError("no closed-form hand-eye method found an answer", remedy="record views from more directions")
+    found = _answers(base_from_flange, camera_from_board, groups, ("park", "shah"))
     return min(found, key=lambda answer: np.sort(_distance(answer))[_majority(views) - 1])
 
 

@@ -65,7 +65,8 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
     }  # fmt: skip
     scene = Scene(Path(out).resolve().name, tuple(views), NEAR_SHARE * bounds.depth_range(views, box)[0], np.inf, box, "scene",
                   metric=True, notes=tuple(notes), provenance=provenance, bounds_from=evidence)  # fmt: skip
-    scene = with_measured_near(scene)
+    if evidence != CAMERAS_ALONE:  # else all of it is measured where the scene is used
+        scene = with_measured_near(scene)
     koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
     return scene
 

@@ -67,7 +67,8 @@ def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     shrink = max(1.0, max(picture.shape[:2]) / side)
     width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
     small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-    grey = np.nan_to_num(255 * small[..., :3].mean(-1), nan=0.0).clip(0, 255).astype(np.uint8)
+    grey = 255 * small[..., :3].mean(-1)
+    grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # what has no value, as behind a mask, is black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
     sift = cv2.SIFT.create(nfeatures=count, contrastThreshold=0.02)
     keypoints, descriptors = sift.detectAndCompute(grey, mask)

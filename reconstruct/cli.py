@@ -32,7 +32,7 @@ def train(
     from reconstruct.train import train as run_training
 
     config = load_config(model, preset, set_)
-    loaded = load_scene(scene, measure=True)
+    loaded = load_scene(scene, measure=not resume)  # a run keeps the bounds that it began with
     cache_compilations()
     result = run_training(loaded, find(scene), config, out, budget_s=budget, resume=resume)
     unseen = f", {result['psnr_unseen']:.2f} dB on unseen pixels" if result["psnr_unseen"] is not None else ""

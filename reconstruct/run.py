@@ -6,9 +6,11 @@ RUN/checkpoints/    training states
 """
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from datasets import files
 from datasets.errors import DatasetError, Misuse
@@ -55,10 +57,13 @@ class Run:
             raise DatasetError("run is not complete", where=path / RUN, why=str(error).splitlines()[0]) from None
 
     def scene(self) -> Scene:
-        """The scene that it was trained on."""
+        """The scene that it was trained on, with the object's box that was measured for it then."""
         from datasets.formats import load_scene
 
-        return load_scene(self.scene_path)
+        scene = load_scene(self.scene_path)
+        if "box" not in self.content:
+            return scene
+        return replace(scene, box=np.asarray(self.content["box"], np.float64), bounds_from=self.content["bounds_from"])
 
     def log(self) -> list[dict[str, Any]]:
         """The lines of the log; one cut off by a kill is left out."""

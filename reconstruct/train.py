@@ -207,8 +207,15 @@ def _fresh(scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: 
     refuse_existing(out)
     normalisation = Normalisation.of(scene)
     parts = _prepare(scene, config, normalisation)
-    about = {"scene_name": scene.name, "budget_s": budget_s, "versions": {"jax": jax.__version__, "numpy": np.__version__},
-             "device": jax.devices()[0].device_kind, "notes": list(scene.notes)}  # fmt: skip
+    about = {
+        "scene_name": scene.name,
+        "box": scene.box.tolist(),
+        "bounds_from": scene.bounds_from,
+        "notes": list(scene.notes),
+        "budget_s": budget_s,
+        "device": jax.devices()[0].device_kind,
+        "versions": {"jax": jax.__version__, "numpy": np.__version__},
+    }
     run = Run.create(out, config, scene_path, normalisation, about)
     return Training(run, *parts, Clock(config.train.steps, budget_s), Renderer(parts[0]))
 

@@ -160,10 +160,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         One line on what the layout cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
-        placed = []
-        for view in scene.views:
-            placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
-            done()
+        placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         for name, source in (extra or {}).items():
             link(source, folder / name)
         downscale.folders([p.view for p in placed], folder, sizes, lambda view, source: source.name)

@@ -70,6 +70,17 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
     return Placed(placed, pinhole.turned_deg, True)
 
 
+def place_all(
+    views: Sequence[View], folder: Path, stem_of: Callable[[View], str], layout: Layout, done: Callable[[], None]
+) -> list[Placed]:
+    """`place` every view at the stem that `stem_of` gives it; `done` is called after each. Raises as `place` does."""
+    placed = []
+    for view in views:
+        placed.append(place(view, folder, stem_of(view), layout))
+        done()
+    return placed
+
+
 def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
     """One line on what the layout cannot hold of this scene, and what was done about it; empty where it holds all."""
     lost = []

@@ -85,10 +85,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         One line on what the layout cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
-        placed = []
-        for view in scene.views:
-            placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
-            done()
+        placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         ordered = sorted((p.view for p in placed), key=lambda view: view.image)
         rows = [row_of(v.world_from_camera, v.camera, *bounds.depth_range([v], scene.box)) for v in ordered]
         with files.atomic_path(folder / FILE) as temporary:

@@ -115,10 +115,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         One line on what the layout cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
-        placed = []
-        for view in scene.views:
-            placed.append(export.place(view, folder, f"images/{file_name(view)}", LAYOUT))
-            done()
+        placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         views = [p.view for p in placed]
         downscale.folders(views, folder, sizes, lambda view, source: source.name)
         content = _global(scene, views)
@@ -171,6 +168,7 @@ def _depths(views: Sequence[View], folder: Path) -> dict[str, Path]:
         counts = view.read_truth("depth") / DEPTH_STEP
         if counts.max(initial=0) > 65535:
             return {}
+        counts = np.where(np.isnan(counts), 0, counts)  # 0 is the layout's word for a pixel without depth
         written[view.name] = folder / "depths" / f"{view.image.stem}.png"
-        images.write(written[view.name], np.nan_to_num(counts, posinf=0).round().clip(0, 65535).astype(np.uint16))
+        images.write(written[view.name], counts.round().clip(0, 65535).astype(np.uint16))
     return written

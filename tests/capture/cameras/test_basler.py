@@ -118,3 +118,5 @@ def test_closing_twice_is_harmless():
     camera.__enter__()
     camera.__exit__(None, None, None)
     camera.__exit__(None, None, None)
+    with Basler(SMALL, emulated=True) as again:
+        assert again.grab().pixels.any(), "the device is free for the next"

@@ -1,0 +1,18 @@
+"""A run keeps what it was trained with, whatever becomes of the scene's own folder."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from reconstruct.rays import Normalisation
+from reconstruct.run import Run
+
+
+def test_the_box_that_was_measured_for_the_training_is_the_box_of_the_run(ball_scene, small_config, tmp_path):
+    scene, folder = ball_scene
+    measured = replace(scene, box=0.5 * scene.box, bounds_from="points")
+    about = {"box": measured.box.tolist(), "bounds_from": measured.bounds_from}
+    run = Run.create(tmp_path / "run", small_config, folder, Normalisation.of(measured), about)
+    again = Run.open(run.path).scene()
+    np.testing.assert_array_equal(again.box, measured.box)
+    assert again.bounds_from == "points"
