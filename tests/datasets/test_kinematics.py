@@ -1,0 +1,40 @@
+"""What an arm's pose becomes when its joints stand elsewhere than it knows."""
+
+import numpy as np
+import pytest
+
+from datasets import kinematics, pose
+
+
+@pytest.fixture
+def joints():
+    return np.random.default_rng(0).uniform(-2, 2, (5, 6))
+
+
+def test_many_joint_angles_at_once_are_as_one_by_one(joints):
+    for function in (kinematics.forward, kinematics.jacobian, kinematics.flange_jacobian):
+        np.testing.assert_allclose(function(joints), [function(one) for one in joints], atol=1e-14)
+
+
+def test_flange_jacobian_is_the_small_motion_on_the_right(joints):
+    step = 1e-6
+    for index in range(6):
+        moved = kinematics.forward(joints + step * np.eye(6)[index])
+        motion = pose.inverse(kinematics.forward(joints)) @ moved
+        difference = np.concatenate([motion[:, :3, 3], pose.rotation_vector(motion)], -1) / step
+        np.testing.assert_allclose(kinematics.flange_jacobian(joints)[..., index], difference, atol=2e-6)  # the step's own size
+
+
+def test_turning_a_nominal_arm_is_exact(joints):
+    offsets = np.array([0.1, -0.2, 0.3, 0.1, -0.1, 0.2])
+    found = kinematics.turned(kinematics.forward(joints), joints, offsets)
+    np.testing.assert_allclose(found, kinematics.forward(joints + offsets), atol=1e-12)
+
+
+def test_turning_an_arm_as_built_is_right_to_a_hundredth(joints):
+    built = kinematics.UR5E.calibrated(np.random.default_rng(1), 1e-3, 1e-3)
+    offsets = np.deg2rad([0.05, -0.03, 0.04, 0.02, -0.05, 0.03])
+    true, reported = (kinematics.forward(joints + turn, built) for turn in (offsets, 0))
+    left, _ = pose.difference(kinematics.turned(reported, joints, offsets), true)
+    distance, _ = pose.difference(reported, true)
+    assert distance.min() > 1e-4 and left.max() < 0.01 * distance.max()
