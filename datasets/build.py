@@ -1,6 +1,6 @@
 """From a recording and a calibration to a scene: world is the robot's base, unit the metre.
 
-world_from_camera = base_from_flange @ flange_from_camera
+world_from_camera = base_from_flange @ flange_from_camera, the flange where the calibration says that it truly is
 """
 
 from collections.abc import Callable
@@ -54,7 +54,7 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
     camera, notes = camera_for(recording, calibration)
     views = []
     for frame in frames:
-        views.append(_view(recording, frame, camera, calibration.flange_from_camera.matrix))
+        views.append(_view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints)))
         done()
     box, evidence = object_box(recording, tuple(views))
     provenance = {
@@ -123,7 +123,7 @@ def _words(region: Region) -> str:
     return f"{region.width}x{region.height} at ({region.offset_x}, {region.offset_y}) with binning {region.binning}"
 
 
-def _view(recording: Recording, frame: Frame, camera: Camera, flange_from_camera: NDArray[np.float64]) -> View:
+def _view(recording: Recording, frame: Frame, camera: Camera, world_from_camera: NDArray[np.float64]) -> View:
     """One frame as a view; its image must be the one that was recorded."""
     where = f"{recording.path}, frame {frame.name}"
     path = files.inside(recording.path, frame.image, where=where)
@@ -133,7 +133,6 @@ def _view(recording: Recording, frame: Frame, camera: Camera, flange_from_camera
     if frame.sha256 and files.sha256(path) != frame.sha256:
         raise DatasetError("image is not the one that was recorded", where=path, why="its SHA-256 differs from frames.jsonl",
                            remedy="restore it, or record the frame again")  # fmt: skip
-    world_from_camera = frame.base_from_flange @ flange_from_camera
     return View(frame.name, camera, world_from_camera, frame.split, path, truth=_truth(recording.path, frame.name))
 
 

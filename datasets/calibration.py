@@ -2,6 +2,8 @@
 
 Covariances of poses are (6, 6) over a left perturbation, translation first [m], then rotation vector [rad]:
 `true = perturbation(twist) @ stated`. What was not calibrated is None.
+
+Joint offsets, where they were estimated, belong to the hand-eye pose: one is right only with the other. `camera_pose` applies both.
 """
 
 from dataclasses import dataclass, field
@@ -11,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files, pose
+from datasets import files, kinematics, pose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError
 
@@ -63,6 +65,35 @@ class UncertainPose:
 
 
 @dataclass(frozen=True)
+class JointOffsets:
+    """How much further than reported each joint stands. The first and the last are zero by convention: other poses hold theirs."""
+
+    offsets: NDArray[np.float64]
+    """(6,) true angle minus reported angle [rad]."""
+    std: NDArray[np.float64]
+    """(6,) standard deviations [rad]; 0 where the offset is zero by convention."""
+
+    def corrected(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 4, 4) flange poses as they are, from (..., 4, 4) poses [m] and (..., 6) joint angles [rad] as reported."""
+        return kinematics.turned(base_from_flange, joints, self.offsets)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        return {"offsets_rad": self.offsets.tolist(), "std_rad": self.std.tolist()}
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> Self:
+        """Offsets from `to_json`'s dictionary."""
+        try:
+            offsets, std = (np.asarray(content[key], np.float64).reshape(6) for key in ("offsets_rad", "std_rad"))
+        except (TypeError, KeyError, ValueError) as error:
+            raise DatasetError("joint offsets are not complete", where=where, why=str(error)) from None
+        if not (np.isfinite(offsets).all() and np.abs(offsets).max() < 1):
+            raise DatasetError("joint offsets are not credible", where=where, why=f"{offsets.tolist()} rad")
+        return cls(offsets, std)
+
+
+@dataclass(frozen=True)
 class Calibration:
     """What is known of the rig, how well, and from which recording."""
 
@@ -78,17 +109,35 @@ class Calibration:
     """Instead of the hand-eye pose, where the camera stands beside the arm."""
     flange_from_board: UncertainPose | None = None
     """Where the target sat on the flange, where the camera stands beside the arm."""
+    joint_offsets: JointOffsets | None = None
+    """Of the arm, where they were asked for."""
     residuals: dict[str, Any] = field(default_factory=dict)
     """What the fit left: `rms_px`, per-view errors, held-out error, counts."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Recording path and hash, target, method, software versions."""
 
+    def camera_pose(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 4, 4) `base_from_camera` of a camera on the flange, from what the arm reported.
+
+        Args:
+            base_from_flange: (..., 4, 4) [m].
+            joints: (..., 6) [rad]; of no effect where no offsets were estimated.
+
+        Raises:
+            DatasetError: nothing is known of a camera on the flange.
+        """
+        if self.flange_from_camera is None:
+            raise DatasetError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
+        flange = base_from_flange if self.joint_offsets is None else self.joint_offsets.corrected(base_from_flange, joints)
+        return flange @ self.flange_from_camera.matrix
+
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""
         poses = {name: getattr(self, name) for name in _POSES if name in _POSES[:2] or getattr(self, name)}
+        offsets = {"joint_offsets": self.joint_offsets.to_json()} if self.joint_offsets else {}
         files.write_json(path, {
             "format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std,
-            **{name: value.to_json() if value else None for name, value in poses.items()},
+            **{name: value.to_json() if value else None for name, value in poses.items()}, **offsets,
             "residuals": self.residuals, "provenance": self.provenance,
         })  # fmt: skip
 
@@ -102,5 +151,9 @@ class Calibration:
             name: UncertainPose.from_json(content[name], where=f"{path}, {name}") if content.get(name) else None
             for name in _POSES
         }
-        return cls(Camera.from_json(content["camera"], where=f"{path}, camera"), content.get("camera_std", {}),
-                   residuals=content.get("residuals", {}), provenance=content.get("provenance", {}), **poses)  # fmt: skip
+        offsets = content.get("joint_offsets")
+        return cls(
+            Camera.from_json(content["camera"], where=f"{path}, camera"), content.get("camera_std", {}), **poses,
+            joint_offsets=JointOffsets.from_json(offsets, where=f"{path}, joint_offsets") if offsets else None,
+            residuals=content.get("residuals", {}), provenance=content.get("provenance", {}),
+        )  # fmt: skip

@@ -43,9 +43,10 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
     if not frames:
         raise Misuse("recording holds no frames", where=recording, remedy="record it first")
     cameras = [
-        pose.difference(frame.base_from_flange @ found, pose.checked(content["base_from_camera"][frame.name], where=source))
+        pose.difference(calibration.camera_pose(frame.base_from_flange, frame.joints),
+                        pose.checked(content["base_from_camera"][frame.name], where=source))
         for frame in frames
-    ]
+    ]  # fmt: skip
     camera_shift, camera_turn = np.median(cameras, axis=0)
     return {
         "hand_eye_mm": float(1e3 * shift), "hand_eye_deg": float(np.rad2deg(turn)), "frames": len(frames),

@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
+from datasets import kinematics, pose
+from datasets.calibration import Calibration, JointOffsets, UncertainPose
 from datasets.camera_model import Camera
 from datasets.errors import DatasetError, Misuse
 
@@ -63,3 +63,29 @@ def test_damage_is_named(tmp_path: Path, change: dict, words: str) -> None:
 def test_a_missing_file_is_misuse(tmp_path: Path) -> None:
     with pytest.raises(Misuse, match="no such file"):
         Calibration.load(tmp_path / "none.json")
+
+
+def test_joint_offsets_come_back_and_move_the_camera(tmp_path: Path) -> None:
+    offsets = JointOffsets(np.deg2rad([0, 0.1, -0.05, 0.02, 0.03, 0]), np.full(6, 1e-4))
+    joints = np.array([0.3, -1.5, 1.6, -1.4, -1.5, 0.2])
+    reported = kinematics.forward(joints)
+    Calibration(CAMERA, {}, POSE, joint_offsets=offsets).save(tmp_path / "c.json")
+    again = Calibration.load(tmp_path / "c.json")
+    assert again.joint_offsets is not None and np.array_equal(again.joint_offsets.std, offsets.std)
+    expected = kinematics.forward(joints + offsets.offsets) @ POSE.matrix  # a nominal arm: exact
+    assert np.abs(again.camera_pose(reported, joints) - expected).max() < 1e-12
+    assert np.array_equal(Calibration(CAMERA, {}, POSE).camera_pose(reported, joints), reported @ POSE.matrix)
+
+
+@pytest.mark.parametrize("offsets", [{"offsets_rad": [0.1] * 6}, {"offsets_rad": [10.0] * 6, "std_rad": [0.0] * 6}, [1, 2]])
+def test_joint_offsets_that_cannot_be_are_refused(tmp_path: Path, offsets: object) -> None:
+    Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
+    content = json.loads((tmp_path / "c.json").read_text()) | {"joint_offsets": offsets}
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(DatasetError, match="joint offsets are not"):
+        Calibration.load(tmp_path / "c.json")
+
+
+def test_a_camera_beside_the_arm_has_no_pose_on_it() -> None:
+    with pytest.raises(DatasetError, match="no hand-eye pose"):
+        Calibration(CAMERA, {}, base_from_camera=POSE).camera_pose(np.eye(4), np.zeros(6))
