@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from datasets import console, edit_commands
-from datasets.console import Json
+from datasets.console import Json, Port
 from datasets.edit_commands import Out, Root, SceneName
 
 app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
@@ -75,6 +75,30 @@ def check(
     text = "\n".join([*(finding.line for finding in findings), verdict])
     console.report({"errors": errors, "findings": [vars(finding) for finding in findings]}, as_json=as_json, text=text)
     return 1 if errors else 0
+
+
+@app.command()
+def view(
+    scene: SceneName,
+    port: Port = 8080,
+    images: Images = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Look at a scene in the browser: cameras, points, bounds, pictures and what 'datasets check' finds."""
+    from datasets.errors import KoalaError
+    from datasets.formats import load_scene
+    from datasets.view import describe, show
+    from datasets.viewer import open_page
+
+    problems: list[KoalaError] = []
+    loaded = load_scene(scene, data_root=data_root, images=images, problems=problems)
+    with open_page(loaded.name, port) as page:
+        show(page, scene, loaded, quick=quick, data_root=data_root, images=images)
+        console.report({"url": page.url, **describe(loaded)}, as_json=as_json,
+                       text=f"{page.url} shows {loaded.name}, {len(loaded.views)} views; Ctrl-C ends it")  # fmt: skip
+        page.wait()
 
 
 @app.command()

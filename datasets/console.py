@@ -18,6 +18,10 @@ import typer
 from datasets.errors import KoalaError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Port = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of 127.0.0.1 to serve the page at; the next free one where it is taken.")
+]
+"""Of the commands that show a page in the browser."""
 _INTERRUPTED = 130
 """What newer versions of typer return, in silence, where Ctrl-C stopped a command."""
 _ClickException: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
