@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib import projection
 from calib.elimination import Eliminated, eliminate
 from calib.errors import CalibrationError
-from calib.geometry import rotate, rows_cross
+from calib.geometry import by_motion, rotate
 from datasets import pose
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def _linear(
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
     predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics, fisheye)
     residuals = pixels - predicted
-    by_pose = np.concatenate([by_camera, -rows_cross(by_camera, in_camera)], -1)
+    by_pose = by_motion(by_camera, in_camera)
     rows = np.concatenate([by_pose, by_intrinsics[..., columns], residuals[..., None]], -1)
     views = len(camera_from_board)
     return residuals, eliminate(view, rows, np.zeros((views, 6, 7)), np.zeros((0, len(columns) + 1)))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import flips, handeye, intrinsics, mistakes, outliers, projection, screening, uncertainty, verify
+from calib import flips, handeye, intrinsics, joints, mistakes, outliers, projection, screening, uncertainty, verify
 from calib.errors import CalibrationError
 from calib.model import Accuracy, Known, Session, State
 from calib.refine import Refined
@@ -104,6 +104,7 @@ class Solution:
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
     _check_poses(session)
+    joints.check(session, accuracy)
     first = _first(session, given, lens)
     boards = intrinsics.camera_from_boards(first.camera, first.session.observations)
     chosen, boards = flips.resolve(first.session, boards)
@@ -171,8 +172,8 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     """The calibration with its uncertainty, its errors on unseen views and where it came from."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
-    joint = uncertainty.covariance(measured, refined)
-    camera_pose, board_pose = uncertainty.poses(measured, refined, joint)
+    covariance = uncertainty.covariance(measured, refined)
+    camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     names = ("base_from_camera", "flange_from_board") if session.eye_to_hand else ("flange_from_camera", "base_from_board")
     residuals = {
         "rms_px": refined.rms_px, **verify.held_out(measured, refined), "settled": refined.settled, "sigma_px": refined.sigmas.pixel,
@@ -184,16 +185,20 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     }  # fmt: skip
     free = first.free
     if free:
-        residuals["camera_correlation"] = correlation(free, joint[: len(free), : len(free)])
+        residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
+    offsets = joints.found(measured, refined, covariance)
+    if offsets is not None:
+        residuals |= joints.facts(measured, refined, offsets)
     provenance = {
         **session.provenance, "method": "hand-eye", "closed_form": closed.method, "intrinsics_given": given,
         "eye_to_hand": session.eye_to_hand,
-        "arm_accuracy_stated": {"translation_mm": 1e3 * accuracy.translation_m, "rotation_deg": float(np.rad2deg(accuracy.rotation_rad))},
+        "arm_accuracy_stated": {"translation_mm": 1e3 * accuracy.translation_m, "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
+                                "joint_deg": float(np.rad2deg(accuracy.joint_rad))},
     }  # fmt: skip
     return Calibration(
         projection.with_vector(first.camera, refined.state.intrinsics).checked(where="estimated camera"),
-        dict(zip(free, map(float, np.sqrt(np.diag(joint))), strict=False)), residuals=residuals, provenance=provenance,
-        **dict(zip(names, (camera_pose, board_pose), strict=True)),
+        dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)), residuals=residuals, provenance=provenance,
+        joint_offsets=offsets, **dict(zip(names, (camera_pose, board_pose), strict=True)),
     )  # fmt: skip
 
 

@@ -27,6 +27,11 @@ def rows_cross(rows: Array, points: Array) -> Array:
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], -1)
 
 
+def by_motion(by_points: Array, points: Array) -> Array:
+    """(n, 2, 6) derivative by a small motion of (n, 3) points (translation, then rotation), from that (n, 2, 3) by the points."""
+    return np.concatenate([by_points, -rows_cross(by_points, points)], -1)
+
+
 def exponential(vectors: Array) -> tuple[Array, Array]:
     """(n, 3, 3) rotations of (n, 3) rotation vectors and their right Jacobians (Sola et al. 2018, eq. 143)."""
     angle2 = np.sum(vectors**2, -1)[:, None, None]

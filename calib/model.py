@@ -1,15 +1,20 @@
 """The rig as equations: where each corner of each view should be seen, and how that changes with every unknown.
 
-Corner k of view i is predicted at
+The flange of view i is truly at
 
-    project(inverse(base_from_flange[i] @ C[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
-    project(inverse(base_from_camera) @ base_from_flange[i] @ C[i] @ flange_from_board @ point[k])      camera beside the arm,
+    flange[i] = base_from_flange[i] @ D(q[i], offsets) @ C[i],
 
-where C[i] is what the arm's report missed, a small motion of the flange about its own origin. The two unknown poses are called
-`camera_pose` (flange_from_camera or base_from_camera) and `board_pose` (base_from_board or flange_from_board) where both are meant.
+where D is what the arm's joints do to the flange when they stand further by `offsets` than it knows, and C[i] is what its report missed
+beside, a small motion of the flange about its own origin. Corner k of that view is predicted at
+
+    project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
+    project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
+
+Both are project(inverse(camera_pose) @ A[i] @ board_pose @ point[k]) with A[i] the pose of what carries the board in the frame of what
+carries the camera: inverse(flange[i]), or flange[i]. A small motion of the flange is then one of what is mounted on it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -17,18 +22,23 @@ from numpy.typing import NDArray
 
 from calib import projection
 from calib.errors import CalibrationError
-from calib.geometry import exponential, rotate, rows_cross
-from datasets import pose
+from calib.geometry import by_motion, exponential, rotate
+from datasets import kinematics, pose
 
 Array = NDArray[np.float64]
+OFFSET_JOINTS = [1, 2, 3, 4]
+"""The joints between the first and the last. An offset of the first turns the whole base, one of the last the flange about its own axis:
+the two unknown poses take them up exactly, so that they are zero by convention."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far the arm's reported flange pose is from the true one: standard deviations per axis."""
+    """How far the arm's reported flange pose is from the true one: standard deviations per axis, and those of its joints."""
 
     translation_m: float = 5e-5
     rotation_rad: float = float(np.deg2rad(0.01))
+    joint_rad: float = 0.0
+    """Of the angle at which a joint says that it stands at zero, which is the same in all views; 0: the joints are right."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +85,13 @@ class Session:
     """Whether the lens is a fisheye."""
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the board is on the flange."""
+    joints: Array | None = None
+    """(views, 6) joint angles as reported [rad], where they are known."""
+
+    @property
+    def turning(self) -> list[int]:
+        """Joints whose offsets are estimated: `OFFSET_JOINTS` where the arm is stated to have any, else none."""
+        return OFFSET_JOINTS if self.accuracy.joint_rad > 0 and self.joints is not None else []
 
     @property
     def columns(self) -> list[int]:
@@ -88,7 +105,7 @@ class Session:
 
 @dataclass(frozen=True)
 class State:
-    """The unknowns. Global parameters are ordered: free intrinsics, camera_pose (6), board_pose (6).
+    """The unknowns. Global parameters are ordered: free intrinsics, joint offsets, camera_pose (6), board_pose (6).
 
     With the camera beside the arm, `flange_from_camera` holds base_from_camera and `base_from_board` holds flange_from_board.
     """
@@ -101,14 +118,17 @@ class State:
     """(4, 4); perturbed from the left, translation first."""
     corrections: Array
     """(views, 6): translation [m] and rotation vector [rad] of C[i]."""
+    offsets: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) of the joints: true angle minus reported angle [rad]."""
 
     def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
-        """The state after a step of (len(columns) + 12,) global parameters and (views, 6) corrections."""
-        intrinsics = self.intrinsics.copy()
-        intrinsics[columns] += step[:-12]
+        """The state after a step of the global parameters and of the (views, 6) corrections; `columns` are the free intrinsics."""
+        intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
+        intrinsics[columns] += step[: len(columns)]
+        offsets[OFFSET_JOINTS[: len(turns)]] += turns
         return replace(
             self, intrinsics=intrinsics, flange_from_camera=perturbed(self.flange_from_camera, step[-12:-6]),
-            base_from_board=perturbed(self.base_from_board, step[-6:]), corrections=self.corrections + view_steps,
+            base_from_board=perturbed(self.base_from_board, step[-6:]), corrections=self.corrections + view_steps, offsets=offsets,
         )  # fmt: skip
 
 
@@ -123,84 +143,67 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     Returns:
         (n, 2) pixels; (n, 2, p) by the global parameters; (n, 2, 6) by the correction of the corner's own view.
     """
-    rotation, right_jacobian = exponential(state.corrections[:, 3:])
-    chain = (_beside if session.eye_to_hand else _on_flange)(session, state, rotation)
+    chain, view = _chain(session, state), session.view
     if not chain.in_camera[:, 2].min() > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
     pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.fisheye)
-    camera_pose, board_pose, own = chain.derivatives(by_camera, right_jacobian[session.view])
-    return pixels, np.concatenate([by_intrinsics[..., session.columns], camera_pose, board_pose], -1), own
+    by_camera_mount = by_camera @ chain.camera_from_mount
+    by_board_mount = by_camera_mount @ chain.mount_from_mount[view]
+    by_camera_pose = -by_motion(by_camera_mount, chain.on_camera_mount)
+    by_board_pose = by_motion(by_board_mount, chain.on_board_mount)
+    by_flange = by_board_pose if session.eye_to_hand else by_camera_pose
+    rotation, right_jacobian = exponential(state.corrections[:, 3:])
+    own = np.concatenate([by_flange[..., :3] @ np.swapaxes(rotation, 1, 2)[view], by_flange[..., 3:] @ right_jacobian[view]], -1)
+    by_offsets = by_flange @ _joint_motions(session, state, rotation)[view]
+    by_global = [by_intrinsics[..., session.columns], by_offsets, by_camera_pose, by_board_pose]
+    return pixels, np.concatenate(by_global, -1), own
 
 
 def camera_points(session: Session, state: State) -> Array:
     """(n, 3) corners in the camera frame of their view [m]."""
+    return _chain(session, state).in_camera
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Corners (n, 3) in the frames from board to camera [m], and the rotations between what carries the two."""
+
+    on_board_mount: Array
+    on_camera_mount: Array
+    in_camera: Array
+    mount_from_mount: Array
+    """(views, 3, 3) of A: camera's mount from board's mount."""
+    camera_from_mount: Array
+    """(3, 3)."""
+
+
+def _chain(session: Session, state: State) -> _Chain:
     rotation, _ = exponential(state.corrections[:, 3:])
-    return (_beside if session.eye_to_hand else _on_flange)(session, state, rotation).in_camera
+    flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
+    mounts = flange if session.eye_to_hand else pose.inverse(flange)
+    camera_from_mount = pose.inverse(state.flange_from_camera)
+    on_board_mount = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
+    on_camera_mount = rotate(mounts[session.view, :3, :3], on_board_mount) + mounts[session.view, :3, 3]
+    in_camera = on_camera_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
+    return _Chain(on_board_mount, on_camera_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
 
 
-@dataclass(frozen=True)
-class _OnFlange:
-    """Corners (n, 3) in the frames from board to camera [m], and the rotations between them; the camera is on the flange."""
-
-    in_base: Array
-    in_flange: Array
-    in_camera: Array
-    camera_from_flange: Array
-    true_from_reported: Array
-    """(n, 3, 3) rotations of the flange's correction, undone."""
-    flange_from_base: Array
-    """(n, 3, 3), as reported."""
-
-    def derivatives(self, by_camera: Array, right_jacobian: Array) -> tuple[Array, Array, Array]:
-        """(n, 2, 6) derivatives by camera_pose, board_pose and correction, from those (n, 2, 3) by the point in the camera."""
-        by_flange = by_camera @ self.camera_from_flange
-        by_reported = by_flange @ self.true_from_reported
-        by_base = by_reported @ self.flange_from_base
-        turning = rows_cross(by_flange, self.in_flange)
-        camera_pose = np.concatenate([-by_flange, turning], -1)
-        board_pose = np.concatenate([by_base, -rows_cross(by_base, self.in_base)], -1)
-        return camera_pose, board_pose, np.concatenate([-by_reported, turning @ right_jacobian], -1)
+def _reported(session: Session, state: State) -> Array:
+    """(views, 4, 4) base_from_flange @ D: what the arm would have reported, had it known its joints."""
+    if session.joints is None or not state.offsets.any():
+        return session.base_from_flange
+    return kinematics.turned(session.base_from_flange, session.joints, state.offsets)
 
 
-def _on_flange(session: Session, state: State, correction: Array) -> _OnFlange:
-    flange_from_base = pose.inverse(session.base_from_flange)[session.view]
-    camera_from_flange = pose.inverse(state.flange_from_camera)
-    back = np.swapaxes(correction, 1, 2)[session.view]
-    in_base = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
-    reported = rotate(flange_from_base[:, :3, :3], in_base) + flange_from_base[:, :3, 3]
-    in_flange = rotate(back, reported - state.corrections[session.view, :3])
-    in_camera = in_flange @ camera_from_flange[:3, :3].T + camera_from_flange[:3, 3]
-    return _OnFlange(in_base, in_flange, in_camera, camera_from_flange[:3, :3], back, flange_from_base[:, :3, :3])
+def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
+    """(views, 6, k) motion of the true flange, in its own frame, for a small turn of each joint of `session.turning`.
 
-
-@dataclass(frozen=True)
-class _Beside:
-    """The same with the camera beside the arm and the board on the flange."""
-
-    in_flange: Array
-    in_base: Array
-    in_camera: Array
-    camera_from_base: Array
-    base_from_flange: Array
-    """(n, 3, 3), as reported."""
-    correction: Array
-    """(n, 3, 3)."""
-
-    def derivatives(self, by_camera: Array, right_jacobian: Array) -> tuple[Array, Array, Array]:
-        """As of `_OnFlange`."""
-        by_base = by_camera @ self.camera_from_base
-        by_reported = by_base @ self.base_from_flange
-        by_flange = by_reported @ self.correction
-        turning = -rows_cross(by_flange, self.in_flange)
-        camera_pose = np.concatenate([-by_base, rows_cross(by_base, self.in_base)], -1)
-        return camera_pose, np.concatenate([by_flange, turning], -1), np.concatenate([by_reported, turning @ right_jacobian], -1)
-
-
-def _beside(session: Session, state: State, correction: Array) -> _Beside:
-    base_from_flange, turns = session.base_from_flange[session.view], correction[session.view]
-    camera_from_base = pose.inverse(state.flange_from_camera)
-    in_flange = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
-    reported = rotate(turns, in_flange) + state.corrections[session.view, :3]
-    in_base = rotate(base_from_flange[:, :3, :3], reported) + base_from_flange[:, :3, 3]
-    in_camera = in_base @ camera_from_base[:3, :3].T + camera_from_base[:3, 3]
-    return _Beside(in_flange, in_base, in_camera, camera_from_base[:3, :3], base_from_flange[:, :3, :3], turns)
+    The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of its
+    correction lead to, it is turned back, and turning moves what is not at the origin.
+    """
+    if session.joints is None or not session.turning:
+        return np.zeros((len(session.base_from_flange), 6, 0))
+    motions = kinematics.flange_jacobian(session.joints + state.offsets)[..., session.turning]
+    moved = motions[:, :3] + np.cross(motions[:, 3:], state.corrections[:, :3, None], axis=1)
+    back = np.swapaxes(rotation, 1, 2)
+    return np.concatenate([back @ moved, back @ motions[:, 3:]], axis=1)

@@ -3,7 +3,7 @@
 With the predictions and the corrections C[i] of `calib.model`, minimised is
 
     sum huber(|seen - predicted| / sigma_px)  +  sum |translation(C[i]) / sigma_t|^2 + |rotation(C[i]) / sigma_r|^2
-    + what is known of the intrinsics beforehand,
+    + what is known of the intrinsics beforehand, and |offset / its stated deviation|^2 of each joint,
 
 by Levenberg-Marquardt with analytic derivatives. A view's correction touches its own corners alone and is eliminated view by
 view (`calib.elimination`).
@@ -139,9 +139,7 @@ def _cost(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> fl
     distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
     cost = np.where(distance <= HUBER, distance**2, 2 * HUBER * distance - HUBER**2).sum()
     cost += ((state.corrections / sigmas.correction) ** 2).sum()
-    if session.known is not None:
-        cost += (session.known.off(state.intrinsics) ** 2).sum()
-    return float(cost)
+    return float(cost + (_known_rows(session, state)[:, -1] ** 2).sum())
 
 
 def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Eliminated:
@@ -151,12 +149,22 @@ def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> 
     rows = np.concatenate([linear.by_view, linear.by_global, linear.residuals[..., None]], -1) * root
     own = np.zeros((len(state.corrections), 6, 7))
     own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
-    known = session.known
-    known_rows = np.zeros((0 if known is None else len(known.names), linear.by_global.shape[-1] + 1))
-    if known is not None:
-        known_rows[:, [session.free.index(name) for name in known.names]] = known.whitening
-        known_rows[:, -1] = known.off(state.intrinsics)
-    return eliminate(session.view, rows, own, known_rows)
+    return eliminate(session.view, rows, own, _known_rows(session, state))
+
+
+def _known_rows(session: Session, state: State) -> Array:
+    """(k, p + 1) what is known of the global unknowns beforehand, whitened: derivatives, and how far `state` is from it."""
+    names, turning, known = session.free, session.turning, session.known
+    rows = np.zeros((len(turning), len(names) + len(turning) + 13))
+    rows[range(len(turning)), range(len(names), len(names) + len(turning))] = 1.0
+    rows[:, -1] = -state.offsets[turning]
+    rows /= session.accuracy.joint_rad or 1.0
+    if known is None:
+        return rows
+    of_camera = np.zeros((len(known.names), rows.shape[1]))
+    of_camera[:, [names.index(name) for name in known.names]] = known.whitening
+    of_camera[:, -1] = known.off(state.intrinsics)
+    return np.vstack([of_camera, rows])
 
 
 def _attempt(

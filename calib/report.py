@@ -20,7 +20,10 @@ def describe_calibration(calibration: Calibration) -> str:
     ):
         if value is not None:
             lines += _pose_lines(title, value)
-    camera, residuals = calibration.camera, calibration.residuals
+    camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
+    if offsets is not None:
+        numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:5]
+        lines.append(f"joints 2 to 5       stand further by {', '.join(numbers)} deg")
     lines.append(f"camera              {camera.width}x{camera.height}")
     for name, std in calibration.camera_std.items():
         digits = _DIGITS.get(name, 5)
@@ -51,6 +54,11 @@ def notes(calibration: Calibration) -> list[str]:
         found.append("the refinement had not settled; look for views that do not fit")
     if residuals.get("coverage", 1.0) < 0.4:
         found.append("corners cover little of the image; distortion is a guess elsewhere")
+    if residuals.get("joints_not_shown"):
+        found.append(f"the views say nothing of the offset of joint {', '.join(map(str, residuals['joints_not_shown']))}")
+    without = residuals.get("held_out_px_without_joint_offsets")
+    if without is not None and residuals.get("held_out_px") is not None and not residuals["held_out_px"] < 0.98 * without:
+        found.append(f"joint offsets do not help on unseen views ({without:.3f} px without them): leave --joint-deg away")
     stated = calibration.provenance.get("arm_accuracy_stated")
     if stated and residuals["arm_translation_mm"] > 3 * stated["translation_mm"]:
         found.append(f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "

@@ -32,6 +32,8 @@ class TargetSession:
     provenance: dict[str, Any] = field(default_factory=dict)
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the target is on the flange."""
+    joints: NDArray[np.float64] | None = None
+    """(views, 6) joint angles as reported [rad], where the session holds them."""
 
     @property
     def mount_poses(self) -> NDArray[np.float64]:
@@ -40,21 +42,21 @@ class TargetSession:
 
     def chosen(self, keep: NDArray[np.bool_]) -> Self:
         """The same with the views of `keep` (views,) alone."""
-        observations = tuple(o for o, kept in zip(self.observations, keep, strict=True) if kept)
-        return replace(self, observations=observations, base_from_flange=self.base_from_flange[keep])
+        return self.with_observations([o for o, kept in zip(self.observations, keep, strict=True) if kept])
 
     def with_observations(self, observations: Sequence[Observation]) -> Self:
         """The same with `observations` instead, which may lack corners and views."""
         names = [o.name for o in self.observations]
         rows = [names.index(o.name) for o in observations]
-        return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows])
+        joints = None if self.joints is None else self.joints[rows]
+        return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows], joints=joints)
 
     def measured(self, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False) -> Session:
         """All corners in one list, for the refinement."""
         counts = [len(o.ids) for o in self.observations]
         return Session(
             self.base_from_flange, np.repeat(np.arange(len(counts)), counts), np.concatenate([o.pixels for o in self.observations]),
-            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy, fisheye, self.eye_to_hand,
+            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy, fisheye, self.eye_to_hand, self.joints,
         )  # fmt: skip
 
 
@@ -120,7 +122,9 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
         "recording": str(Path(path).resolve()), "frames_sha256": files.sha256(Path(path) / FRAMES), "board": board.to_json(),
         "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},
     }  # fmt: skip
-    return observe(board, views, provenance=provenance, seen=seen)
+    session = observe(board, views, provenance=provenance, seen=seen)
+    joints = {frame.name: frame.joints for frame in recording.frames}
+    return replace(session, joints=np.stack([joints[o.name] for o in session.observations]))
 
 
 def describe(board: Board) -> str:

@@ -55,7 +55,8 @@ def check_motion(base_from_flange: Array) -> None:
 def parameter_names(session: Session) -> list[str]:
     """Names of the global parameters, with units, in the order of `Refined.information`."""
     axes = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
-    return [*session.free, *(f"{p} {a}" for p in ("flange_from_camera", "base_from_board") for a in axes)]
+    offsets = (f"offset of joint {number + 1}" for number in session.turning)
+    return [*session.free, *offsets, *(f"{p} {a}" for p in ("flange_from_camera", "base_from_board") for a in axes)]
 
 
 def covariance(session: Session, refined: Refined) -> Array:
@@ -83,9 +84,8 @@ def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPo
 
 def _units(session: Session) -> Array:
     """(p,) sizes that make parameters comparable: what an error would have to be to matter."""
-    return np.concatenate(
-        [np.where(np.array(session.columns) < 4, 10.0, 0.1), np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)]
-    )
+    of_camera, of_joints = np.where(np.array(session.columns) < 4, 10.0, 0.1), np.full(len(session.turning), MAX_STD_RAD)
+    return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
 
 def _check(session: Session, refined: Refined, joint: Array) -> None:

@@ -50,6 +50,7 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     if mount is None:
         raise Misuse("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     check_size(session, calibration.camera)
+    session = _with_joints_corrected(session, calibration)
     camera, flange_from_camera = calibration.camera, mount.matrix
     boards = intrinsics.camera_from_boards(camera, session.observations)
     board = handeye.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
@@ -58,6 +59,15 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     residuals, millimetres = errors(measured, state)
     by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}
     return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), state.base_from_board)
+
+
+def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> TargetSession:
+    """The session with the flange where the calibration's joint offsets say that it was."""
+    if calibration.joint_offsets is None:
+        return session
+    if session.joints is None:
+        raise Misuse("calibration holds joint offsets, the session no joint angles", remedy="calibrate without --joint-deg")
+    return replace(session, base_from_flange=calibration.joint_offsets.corrected(session.base_from_flange, session.joints))
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
