@@ -115,6 +115,27 @@ def plan_command(
                    text=f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{drawn}")  # fmt: skip
 
 
+@app.command("view")
+def view_command(
+    path: Annotated[Path, typer.Argument(metavar="TRAJECTORY.yaml|RECORDING", help="What to look at: a file or a folder.")],
+    rig: Rig = "sim",
+    port: console.Port = 8080,
+    settings: Settings = None,
+    as_json: console.Json = False,
+) -> None:
+    """Look at a trajectory or a recording in the browser: arm, views, what is in the way, and the session over time."""
+    from capture.rigs import describe
+    from capture.view import show
+    from datasets.viewer import open_page
+
+    with open_page(path.stem, port) as page:
+        shown = show(page, path, describe(rig), overrides=settings)
+        stuck = f", {shown['blocked']} cannot be taken" if shown["blocked"] else ""
+        console.report({"url": page.url, **shown}, as_json=as_json,
+                       text=f"{page.url} shows {shown['name']}, {shown['views']} views{stuck}; Ctrl-C ends it")  # fmt: skip
+        page.wait()
+
+
 @app.command("check")
 def check_command(
     recording: Recorded,

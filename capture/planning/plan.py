@@ -1,6 +1,7 @@
 """From the views of a trajectory to joint angles: every branch and roll of each view, the shortest sequence through all."""
 
 import itertools
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,21 +44,23 @@ class _Candidates:
     rolls: NDArray[np.int64]  # (n,)
 
 
-def plan(trajectory: Any, flange_from_camera: NDArray[np.float64]) -> list[PlannedView]:
+def plan(trajectory: Any, flange_from_camera: NDArray[np.float64], *, without: Collection[str] = ()) -> list[PlannedView]:
     """Joint angles for every view of a `Trajectory`, in the order in which to take them, with collision-free ways between.
 
-    That is the order of the trajectory; with `motion.order` "shortest" another one, where it saves time. The result depends on the two arguments alone, so that a session can be repeated and resumed.
+    That is the order of the trajectory; with `motion.order` "shortest" another one, where it saves time. The result depends on the
+    arguments alone, so that a session can be repeated and resumed.
 
     Args:
         trajectory: what to take.
         flange_from_camera: (4, 4) nominal camera mount [m].
+        without: names of views to leave out.
 
     Raises:
         UnreachableError: names each view that cannot be taken, and the limit that it meets.
         PlanningError: no way between two views was found.
     """
     obstacles = Obstacles.of(trajectory, flange_from_camera)
-    viewpoints = trajectory.viewpoints()
+    viewpoints = [viewpoint for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
     layers, failures = [], []
     for viewpoint in viewpoints:
         candidates, reason = _candidates(viewpoint, obstacles)
@@ -110,17 +113,28 @@ def connect(start: Joints, goal: Joints, obstacles: Obstacles, *, where: str = "
     return way
 
 
+def move_duration(motion: Any, travel: float) -> float:
+    """Time [s] in which the fastest joint goes `travel` [rad] with a trapezoidal profile of a trajectory's `motion`."""
+    ramp = motion.speed**2 / motion.acceleration
+    return float(2 * np.sqrt(travel / motion.acceleration) if travel < ramp else (travel + ramp) / motion.speed)
+
+
 def duration(trajectory: Any, planned: list[PlannedView]) -> float:
     """Time that a session takes on the real arm [s]: trapezoidal moves between the views, settling and exposures."""
     motion, seconds, previous = trajectory.motion, 0.0, None
     for view in planned:
         for joints in view.way:
-            travel = 0.0 if previous is None else float(np.abs(joints - previous).max())
-            ramp = motion.speed**2 / motion.acceleration
-            seconds += 2 * np.sqrt(travel / motion.acceleration) if travel < ramp else (travel + ramp) / motion.speed
+            seconds += move_duration(motion, 0.0 if previous is None else float(np.abs(joints - previous).max()))
             previous = joints
         seconds += len(view.way) * motion.settle_time_s + trajectory.camera.exposure_us * 1e-6 + 0.1
     return float(seconds)
+
+
+def blocked(trajectory: Any, flange_from_camera: NDArray[np.float64]) -> dict[str, str]:
+    """Views of a `Trajectory` that the arm cannot take: name to the limit that each meets; empty where it can take all."""
+    obstacles = Obstacles.of(trajectory, flange_from_camera)
+    reasons = {viewpoint.name: _candidates(viewpoint, obstacles)[1] for viewpoint in trajectory.viewpoints()}
+    return {name: reason for name, reason in reasons.items() if reason}
 
 
 def _candidates(viewpoint: Viewpoint, obstacles: Obstacles) -> tuple[_Candidates, str]:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from datasets import images
 from datasets.viewer.server import Page
 
+Picture = NDArray[np.floating] | NDArray[np.uint8]
+
 WIDTH = 640
 """Pictures are sent at this width at most [px]."""
 
@@ -21,29 +23,34 @@ class PicturePanel:
         with self._folder:
             self._hint = page.gui.add_markdown(f"*{hint}*")
         self._gui = page.gui
-        self._shown: dict[int, tuple[viser.GuiMarkdownHandle, viser.GuiImageHandle]] = {}
+        self._shown: dict[int, list[viser.GuiMarkdownHandle | viser.GuiImageHandle]] = {}
         self._lock = threading.Lock()
         page.server.on_client_disconnect(lambda client: self._forget(client.client_id))
 
-    def show(self, client: viser.ClientHandle, words: str, picture: NDArray[np.floating] | NDArray[np.uint8]) -> None:
-        """Show (height, width, 1, 3 or 4) sRGB in 0..1 (or bytes) and Markdown in one browser, instead of what was there."""
-        pixels = bytes_of(picture, WIDTH)
+    def show(self, client: viser.ClientHandle, words: str, picture: Picture | None) -> None:
+        """Show Markdown and a picture in one browser instead of what was there.
+
+        Args:
+            client: the browser.
+            words: Markdown.
+            picture: (height, width, 1 to 4) sRGB in 0..1, or bytes; None for words alone.
+        """
+        pixels = None if picture is None else bytes_of(picture, WIDTH)
         with self._lock:
-            shown = self._shown.get(client.client_id)
-            if shown is None:
-                with self._folder:
-                    self._shown[client.client_id] = (
-                        client.gui.add_markdown(words), client.gui.add_image(pixels, format="jpeg", jpeg_quality=90),
-                    )  # fmt: skip
-                return
-            shown[0].content, shown[1].image = words, pixels
+            for handle in self._shown.pop(client.client_id, []):
+                handle.remove()
+            with self._folder:
+                shown: list[viser.GuiMarkdownHandle | viser.GuiImageHandle] = [client.gui.add_markdown(words)]
+                if pixels is not None:
+                    shown.append(client.gui.add_image(pixels, format="jpeg", jpeg_quality=90))
+            self._shown[client.client_id] = shown
 
     def _forget(self, client_id: int) -> None:
         with self._lock:
             self._shown.pop(client_id, None)
 
 
-def bytes_of(picture: NDArray[np.floating] | NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+def bytes_of(picture: Picture, width: int) -> NDArray[np.uint8]:
     """(h, w, 3) of a picture for the browser, at most `width` wide: alpha over white, grey as three channels.
 
     Args:
