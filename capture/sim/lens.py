@@ -5,7 +5,7 @@ averages it over each pixel of the distorting camera. `expose` then counts elect
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,6 +73,14 @@ class Lens:
                 [map_coordinates(picture[..., c], [rows, columns], order=1, mode="nearest") for c in range(picture.shape[-1])], -1
             )
         return np.asarray(total / self.taps**2, np.float32)
+
+
+def strips(pinhole: Camera, pixels: int) -> Iterator[tuple[slice, Camera]]:
+    """Parts of a pinhole's picture that need less memory: rows, and the pinhole that sees only these, at most `pixels`."""
+    height = max(pixels // pinhole.width, 1)
+    for first in range(0, pinhole.height, height):
+        last = min(first + height, pinhole.height)
+        yield slice(first, last), replace(pinhole, height=last - first, cy=pinhole.cy - first)
 
 
 @dataclass(frozen=True)

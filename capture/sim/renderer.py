@@ -1,31 +1,26 @@
-"""Light on a stage, by Mitsuba 3. The only module that imports it.
+"""Light on a stage, by Mitsuba 3. The only module that imports it."""
 
-The vectorised variant is five times faster, but needs a system LLVM, and some versions of it end the whole process on
-some processors. So a child process tries it first; where that fails, the scalar variant does the work.
-"""
-
-import os
-import subprocess
-import sys
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.sim.lens import strips
 from capture.sim.materials import Glass, Material, Metal, Plastic
+from capture.sim.renderer_variant import variant
 from capture.sim.scenes import Item, Stage
 from datasets.camera_model import Camera
 
-FAST, SURE = "llvm_ad_rgb", "scalar_rgb"
 MAX_DEPTH = 3
 """Edges of a light path: camera - object - table - light."""
 CLEAR_DEPTH = 8
 """The same where there is glass: in, about, out again, and on."""
 SAMPLER = "multijitter"
 """Correlated stratification: at 16 samples per pixel 4 dB less noise than independent ones, for the same time."""
+PATHS_AT_ONCE = 4_000_000
+"""Larger pictures are rendered in strips, so that the vectorised variant stays below 1 GB."""
 MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Mitsuba's cameras have x left, y up, z forward."""
 BASE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
@@ -44,20 +39,6 @@ class Surfaces:
     """(h, w, 3) unit, outward, in the base frame."""
     depth: NDArray[np.float32]
     """(h, w) along z of the camera [m]; 0 where nothing is met."""
-
-
-@cache
-def variant() -> str:
-    """The fastest variant of Mitsuba that survives a trial in a child process."""
-    asked = os.environ.get("KOALA_RENDERER", "")
-    if asked in (FAST, SURE):
-        return asked
-    trial = [sys.executable, "-m", "capture.sim.renderer_trial", FAST]
-    try:
-        done = subprocess.run(trial, capture_output=True, timeout=60, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return SURE
-    return FAST if done.returncode == 0 else SURE
 
 
 class Renderer:
@@ -80,9 +61,12 @@ class Renderer:
     def radiance(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, samples: int, seed: int) -> NDArray[np.float32]:
         """(h, w, 3) linear light that reaches a pinhole, from `samples` paths per pixel. Its pixels are square and its
         principal point is a pixel's corner."""
-        sensor = _sensor(pinhole, base_from_camera, SAMPLER)
-        picture = mi.render(self._scene, sensor=sensor, integrator=self._light, spp=samples, seed=seed)
-        return np.array(picture, np.float32)[..., :3]
+        picture = np.empty((pinhole.height, pinhole.width, 3), np.float32)
+        for number, (rows, part) in enumerate(strips(pinhole, PATHS_AT_ONCE // samples)):
+            sensor = _sensor(part, base_from_camera, SAMPLER)
+            light = mi.render(self._scene, sensor=sensor, integrator=self._light, spp=samples, seed=strip_seed(seed, number))
+            picture[rows] = np.array(light)[..., :3]
+        return picture
 
     def surfaces(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, seed: int) -> Surfaces:
         """What the pinhole's pixels show first."""
@@ -96,6 +80,11 @@ class Renderer:
         return Surfaces(
             hit, hit & np.isin(np.rint(index), self._object_indices), normals, np.where(hit, depth, 0).astype(np.float32)
         )
+
+
+def strip_seed(seed: int, number: int) -> int:
+    """A seed for each strip of a picture, so that no two have the same noise."""
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 def _sensor(pinhole: Camera, base_from_camera: NDArray[np.float64], sampler: str) -> Any:

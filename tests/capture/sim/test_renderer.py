@@ -4,7 +4,8 @@ import trimesh
 
 from capture.sim.lens import Lens
 from capture.sim.materials import Glass, Matt, Metal, Plastic
-from capture.sim.renderer import SURE, Renderer, variant
+from capture.sim.renderer import Renderer
+from capture.sim.renderer_variant import SURE
 from capture.sim.scenes import Item, Stage
 from datasets import pose
 from datasets.camera_model import Camera
@@ -83,24 +84,6 @@ def test_same_seed_same_light(dark_balls):
     pinhole = Lens(CAMERA).pinhole
     first, again, other = (dark_balls.radiance(pinhole, BASE_FROM_CAMERA, samples=4, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
-
-
-def test_variant_can_be_asked_for(monkeypatch):
-    variant.cache_clear()
-    monkeypatch.setenv("KOALA_RENDERER", SURE)
-    assert variant() == SURE
-    variant.cache_clear()
-
-
-def test_variant_falls_back_where_the_trial_dies(monkeypatch):
-    import subprocess
-
-    variant.cache_clear()
-    monkeypatch.delenv("KOALA_RENDERER", raising=False)
-    killed = subprocess.CompletedProcess([], returncode=-6)
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: killed)
-    assert variant() == SURE
-    variant.cache_clear()
 
 
 def test_glass_lets_light_through_and_plastic_keeps_its_colour():
