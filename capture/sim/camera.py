@@ -30,6 +30,8 @@ NEAR_M = 0.3
 """Distance of what moves through the picture the fastest [m]."""
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
 LIGHT = ("diffuse", "specular")
+RAW_BITS = {"rgb8": 0, "bayer8": 8, "bayer12": 12}
+"""What a photosite's number has where the camera sends these, by `camera.pixel_format`; 0: it sends colours."""
 
 
 class TrueArm(Protocol):
@@ -57,8 +59,6 @@ def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArr
 
 class SimulatedCamera:
     """A Basler whose light is computed; does what `capture.rig.Camera` says.
-
-    The emulation takes files of 8 bits: raw photosites of 12 bits have the steps of 8 in the simulation.
 
     Args:
         trajectory: its camera settings, and what stands where.
@@ -109,7 +109,7 @@ class SimulatedCamera:
         self._base_from_camera = poses[len(poses) // 2]
         light = self.view.radiance(self.lens, poses, self._seed)
         pixels = Sensor().expose(light, exposure_us=settings.exposure_us, gain_db=settings.gain_db, binning=settings.binning,
-                                 rng=np.random.default_rng([self.seed, self._frame, 3]), raw=settings.pixel_format != "rgb8")  # fmt: skip
+                                 rng=np.random.default_rng([self.seed, self._frame, 3]), raw_bits=RAW_BITS[settings.pixel_format])  # fmt: skip
         picture = Path(self._folder.name) / f"{self._frame}.png"
         images.write(picture, pixels)
         self._driver.feed(str(picture))

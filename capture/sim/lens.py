@@ -1,7 +1,7 @@
 """From the light that a perfect pinhole sees to the picture that a real lens and sensor deliver.
 
 A renderer knows pinholes only. `Lens` says which pinhole picture it needs (finer and a little wider than the real one) and
-averages it over each pixel of the distorting camera. `expose` then counts electrons: shot noise, read noise, eight bits.
+averages it over each pixel of the distorting camera. `expose` then counts electrons: shot noise, read noise, 8 or 12 bits.
 """
 
 from collections.abc import Iterator
@@ -96,17 +96,19 @@ class Sensor:
     reference_us: float = 10000.0
 
     def expose(
-        self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator, raw: bool = False
-    ) -> NDArray[np.uint8]:
-        """(height, width, 3) sRGB bytes of linear light, or linear ones with `raw`; binned photosites average, so noise
-        falls by `binning`."""
+        self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator, raw_bits: int = 0
+    ) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """(height, width, 3) sRGB bytes of linear light; with `raw_bits` what the converter counts, linear, in the upper bits
+        of 16. Binned photosites average, so noise falls by `binning`."""
         sites = binning**2
         share = radiance / self.saturation * (exposure_us / self.reference_us)
         electrons = np.minimum(np.maximum(share, 0), 1.0) * self.full_well * sites
         noisy = rng.poisson(electrons) + rng.normal(0.0, self.read_noise * binning, electrons.shape)
         amplified = noisy / (self.full_well * sites) * 10 ** (gain_db / 20)
         shares = np.clip(amplified, 0.0, 1.0)
-        return to_uint8(shares if raw else srgb_from_linear(shares))
+        if not raw_bits:
+            return to_uint8(srgb_from_linear(shares))
+        return (np.rint(shares * (2**raw_bits - 1)).astype(np.uint16) << (16 - raw_bits)).astype(np.uint16)
 
     def white(self, exposure_us: float, gain_db: float) -> float:
         """Radiance that becomes white: what a picture has lost by clipping lies above it."""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from capture.sim.lens import Lens, Sensor
+from capture.sim.lens import Lens, Sensor, strips
 from datasets.camera_model import Camera
 from datasets.region import Region
 
@@ -44,6 +44,17 @@ def test_each_pixel_shows_what_lies_along_its_own_ray():
     assert np.abs(seen - wanted).max() * LENS.fx < 0.01  # px; the mean over a pixel is not quite the slope at its middle
 
 
+def test_strips_see_every_row_of_a_pinhole_once_and_the_same():
+    pinhole = Lens(LENS).pinhole
+    parts = list(strips(pinhole, 7 * pinhole.width + 3))
+    assert len(parts) > 2 and max(part.height for _, part in parts) == 7
+    rows = np.concatenate([np.arange(pinhole.height)[chosen] for chosen, _ in parts])
+    assert np.array_equal(rows, np.arange(pinhole.height))
+    seen = np.concatenate([part.directions(part.pixel_centres()) for _, part in parts])
+    np.testing.assert_allclose(seen, pinhole.directions(pinhole.pixel_centres()), atol=1e-12)
+    assert [part.height for _, part in strips(pinhole, 1)] == [1] * pinhole.height  # a row is the least
+
+
 def test_middles_are_the_means_of_places():
     lens = Lens(LENS)
     np.testing.assert_allclose(np.mean(list(lens.places()), axis=0), lens.middles(), atol=1e-9)
@@ -77,6 +88,13 @@ def test_noise_is_that_of_counting_electrons():
         wanted = np.sqrt(electrons + sensor.read_noise**2) / sensor.full_well / binning
         rounding = 1 / 255 / np.sqrt(12) * 1.4  # slope of the sRGB curve at 0.4 is 1 / 0.72
         assert spread == pytest.approx(np.hypot(wanted, rounding), rel=0.1)  # the slope varies over the spread
+
+
+@pytest.mark.parametrize("bits", [8, 12])
+def test_raw_numbers_are_linear_and_have_their_bits(bits):
+    pixels = photons(0.6, np.random.default_rng(1), raw_bits=bits)
+    assert pixels.dtype == np.uint16 and not (pixels & (2 ** (16 - bits) - 1)).any()
+    assert (pixels >> (16 - bits)).mean() / (2**bits - 1) == pytest.approx(0.4, rel=1e-3)  # 120 000 draws of 1 % noise
 
 
 def test_white_is_where_the_picture_clips():

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from capture.sim import renderer
 from capture.sim.lens import Lens
 from capture.sim.materials import Glass, Matt, Metal, Plastic
 from capture.sim.renderer import Renderer
@@ -84,6 +85,18 @@ def test_same_seed_same_light(dark_balls):
     pinhole = Lens(CAMERA).pinhole
     first, again, other = (dark_balls.radiance(pinhole, BASE_FROM_CAMERA, samples=4, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_strips_of_a_picture_fit_together(dark_balls, monkeypatch):
+    pinhole = Lens(CAMERA).pinhole
+    whole = dark_balls.radiance(pinhole, BASE_FROM_CAMERA, samples=16, seed=3)
+    monkeypatch.setattr(renderer, "PATHS_AT_ONCE", 16 * 21 * pinhole.width)
+    parts = dark_balls.radiance(pinhole, BASE_FROM_CAMERA, samples=16, seed=3)
+    assert parts.shape == whole.shape and not np.array_equal(parts, whole)  # the premise: there are several, with other noise
+    edge = (whole > 0) & (whole < 1)
+    assert 0 < edge.mean() < 0.01
+    np.testing.assert_array_equal(parts[~edge & (parts % 1 == 0)], whole[~edge & (parts % 1 == 0)])
+    assert np.abs(parts - whole)[edge].mean() < 0.15  # 16 stratified samples of a half-covered pixel: a step or two of 1 / 16
 
 
 def test_glass_lets_light_through_and_plastic_keeps_its_colour():
