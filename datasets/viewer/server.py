@@ -111,7 +111,7 @@ def open_page(title: str, port: int = PORT) -> Iterator[Page]:
         server = _LocalServer(host=HOST, port=port, label=title, verbose=False)
     page = Page(server)
     try:
-        server.gui.configure_theme(show_share_button=False, show_logo=False)
+        server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
         server.gui.main_panel.dock_right()
         yield page
     finally:

@@ -33,15 +33,21 @@ def legend(counts: dict[str, int]) -> str:
     return "  \n".join(dots)
 
 
+def placed(world_from_thing: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(4,) quaternion `wxyz` and (3,) position of a (4, 4) pose, as the page wants them."""
+    matrix = np.asarray(world_from_thing, np.float64)
+    return pose.quaternion(matrix), matrix[:3, 3]
+
+
 def add_camera(
     page: Page, name: str, world_from_camera: ArrayLike, camera: Camera, *, colour: Colour, length: float
 ) -> viser.CameraFrustumHandle:
     """A viewing pyramid of `length` at a (4, 4) pose; the picture, where one is given later, lies on its far side."""
-    matrix = np.asarray(world_from_camera, np.float64)
+    rotation, position = placed(world_from_camera)
     half = 0.5 * camera.height / camera.fy
     return page.scene.add_camera_frustum(
         name, fov=2 * float(np.arctan(half)), aspect=camera.width / camera.height, scale=length / 2, thickness=1.5,
-        thickness_units="screen", color=colour, wxyz=pose.quaternion(matrix), position=matrix[:3, 3], cast_shadow=False,
+        thickness_units="screen", color=colour, wxyz=rotation, position=position, cast_shadow=False,
         receive_shadow=False,
     )  # fmt: skip
 
