@@ -252,7 +252,7 @@ class UR5e:
         if not content["connected"]:
             raise self._fault("the connection to the robot was lost")
         if not content["running"]:
-            raise self._fault("the robot's program was stopped")
+            raise self._fault("the robot's program was stopped or paused")
 
     def _stopped_error(self) -> CaptureError:
         if not self._rests_within(3.0):

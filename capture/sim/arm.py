@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 
 from capture.kinematics import JOINT_LIMIT, UR5E, Links, forward
 from capture.sim.profiles import Chain, Joints, Move, Profile, Stop
+from capture.sim.tempo import Tempo
 from datasets import pose
 
 SAFETY_DECELERATION = 10.0
 """Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
+PAUSE_S = 0.3
+"""A motion that is paused slows down on its way for so long, and gathers speed as long when it goes on [s]."""
 RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
 """The joints swing after a stop, and the encoders see it: frequency, decay time, and amplitude [rad per rad/s^2]."""
 FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
@@ -60,7 +63,7 @@ class Arm:
         self.speed_fraction = 1.0
         self.joint_limits = np.array([[-JOINT_LIMIT], [JOINT_LIMIT]]) * np.ones(6)
         self.reach_m = np.inf
-        self._phase_s, self._phase_at, self._rate = 0.0, 0.0, 1.0  # of the profile, at which time, and how fast it runs
+        self._tempo = Tempo(0.0, 0.0, 1.0, 1.0)
         self.motions: deque[tuple[float, Profile]] = deque(maxlen=1000)
         self._visits: dict[int, int] = {}
         self._error: NDArray[np.float64] | None = None
@@ -72,16 +75,20 @@ class Arm:
 
     def phase(self, now: float) -> float:
         """Time within the motion [s]: runs slower than the clock where the speed slider stands below 100 %."""
-        return self._phase_s + (now - self._phase_at) * self._rate
+        return self._tempo.phase(now)
 
     def moving(self, now: float) -> bool:
-        """Whether a motion is under way."""
+        """Whether a motion is under way; one that is paused is not."""
+        return self._unfinished(now) and not self._tempo.stands(now)
+
+    def _unfinished(self, now: float) -> bool:
         return bool(self.phase(now) < self.profile.duration)
 
     def target(self, now: float) -> tuple[Joints, Joints, Joints]:
         """(6,) angles, speeds, accelerations that the controller asks for."""
         angles, speeds, accelerations = self.profile.at(self.phase(now))
-        return angles, speeds * self._rate, accelerations * self._rate**2
+        rate = self._tempo.rate(now)
+        return angles, speeds * rate, accelerations * rate**2
 
     def actual(self, now: float) -> tuple[Joints, Joints]:
         """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
@@ -91,10 +98,13 @@ class Arm:
 
     def _swing(self, now: float, frequency_hz: float, decay_s: float, amplitude: float) -> tuple[Joints | float, Joints | float]:
         """(6,) damped oscillation after the end of a motion [rad], and its speed [rad/s]; 0 in motion and long after it."""
-        since = (self.phase(now) - self.profile.duration) / self._rate
-        if not 0 <= since < QUIET_S or self.profile.duration == 0:
+        if self._unfinished(now) or self.profile.duration == 0:
             return 0.0, 0.0
-        slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2] * self._rate**2
+        rate = self._tempo.rate(now)
+        since = (self.phase(now) - self.profile.duration) / rate
+        if since >= QUIET_S:
+            return 0.0, 0.0
+        slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2] * rate**2
         omega = 2 * np.pi * frequency_hz
         size = amplitude * slowing * np.exp(-since / decay_s)
         sine, cosine = np.sin(omega * since), np.cos(omega * since)
@@ -124,16 +134,28 @@ class Arm:
     def begin(self, profile: Profile, now: float) -> None:
         """Start a motion from where the arm is."""
         self.profile, self._error = profile, None
-        self._phase_s, self._phase_at = 0.0, now
+        self._tempo = Tempo(0.0, now, self._full_rate, self._full_rate)
         self.motions.append((now, profile))
-        self._rate = 1.0 if isinstance(profile, Stop) else self.speed_fraction
+
+    @property
+    def _full_rate(self) -> float:
+        return 1.0 if isinstance(self.profile, Stop) else self.speed_fraction
 
     def slide_speed(self, fraction: float, now: float) -> None:
         """Set the speed slider to a share in 0..1 of the speed that is asked for; a motion under way goes on with it."""
-        self._phase_s, self._phase_at = self.phase(now), now
         self.speed_fraction = min(max(fraction, 0.01), 1.0)
-        if not isinstance(self.profile, Stop):
-            self._rate = self.speed_fraction
+        if self._tempo.last > 0:
+            self._tempo = Tempo(self.phase(now), now, self._full_rate, self._full_rate)
+
+    def pause(self, now: float) -> None:
+        """Come to rest on the way of a motion, which `go_on` continues; does nothing to an arm that stops already."""
+        if self.moving(now) and not isinstance(self.profile, Stop):
+            self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), 0.0, PAUSE_S)
+
+    def go_on(self, now: float) -> None:
+        """Continue a motion that was paused."""
+        if self._unfinished(now):
+            self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), self._full_rate, PAUSE_S)
 
     def keep_limits(self, now: float) -> None:
         """Stop for safety where a joint has left its range."""
@@ -157,8 +179,8 @@ class Arm:
         self.begin(Chain(stop, move) if self.moving(now) else move, now)
 
     def stop(self, deceleration: float, now: float) -> None:
-        """Slow down to rest; does nothing to an arm at rest."""
-        if self.moving(now):
+        """Slow down to rest and forget the motion; does nothing to an arm at rest."""
+        if self._unfinished(now):
             angles, speeds, _ = self.target(now)
             self.begin(Stop(angles, speeds, max(deceleration, 0.1)), now)
 

@@ -21,17 +21,31 @@ class Controller(Protocol):
 
     @property
     def program_running(self) -> bool:
-        """Whether a program runs."""
+        """Whether a program runs and is not paused."""
+        ...
+
+    @property
+    def program_paused(self) -> bool:
+        """Whether a program waits to be played on."""
         ...
 
     def stop_program(self) -> None:
         """End the program; the arm slows down."""
+
+    def pause_program(self) -> bool:
+        """Pause the program; whether one ran."""
+        ...
+
+    def play_program(self) -> bool:
+        """Go on with a paused program; whether there was one."""
+        ...
 
 
 def reply(controller: Controller, line: str) -> str:
     """Answer to one command."""
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running
+    state = "PLAYING" if running else "PAUSED" if controller.program_paused else "STOPPED"
     answers = {
         "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*controller.version),
         "get serial number": SERIAL,
@@ -41,14 +55,18 @@ def reply(controller: Controller, line: str) -> str:
         "robotmode": f"Robotmode: {arm.mode.name}",
         "safetystatus": f"Safetystatus: {_SAFETY_STATUS[arm.safety]}",
         "safetymode": f"Safetymode: {_SAFETY_STATUS[arm.safety]}",
-        "programstate": f"{'PLAYING' if running else 'STOPPED'} rtde_control.urp",
+        "programstate": f"{state} rtde_control.urp",
         "get loaded program": "Loaded program: /programs/rtde_control.urp",
     }
     if word in answers:
         return answers[word]
-    if word in ("stop", "pause"):
+    if word == "stop":
         controller.stop_program()
-        return "Stopped" if word == "stop" else "Pausing program"
+        return "Stopped"
+    if word == "pause":
+        return "Pausing program" if controller.pause_program() else "Failed to execute: pause"
+    if word == "play":  # programs are uploaded, so that none is loaded that could be started anew
+        return "Starting program" if controller.play_program() else "Failed to execute: play"
     return _act(arm, word)
 
 
@@ -69,6 +87,4 @@ def _act(arm: Arm, word: str) -> str:
         return "Brake releasing"
     if word.startswith(("popup", "close")):
         return {"close popup": "closing popup", "close safety popup": "closing safety popup"}.get(word, "showing popup")
-    if word == "play":
-        return "Failed to execute: play"
     return f"could not understand: '{word}'"

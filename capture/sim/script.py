@@ -40,7 +40,7 @@ class ControlProgram:
         self.arm = arm
         found = re.search(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d+)", text)
         self.offset = int(found[1]) if found else 0
-        self.running, self.now = True, 0.0
+        self.running, self.paused, self.now = True, False, 0.0
         self.watchdog_s: float | None = None
         self.input_ints, self.input_doubles = [0] * 48, [0.0] * 48
         self.output_ints, self.output_doubles = [0] * 48, [0.0] * 48
@@ -67,7 +67,7 @@ class ControlProgram:
     def cycle(self, now: float) -> None:
         """What the program does in one cycle at controller time `now` [s]."""
         self.now = now
-        if not self.running:
+        if not self.running or self.paused:
             return
         if self._moving and not self.arm.moving(now):
             self.report_operation(running=False)
@@ -92,7 +92,7 @@ class ControlProgram:
 
     def end(self, now: float) -> None:
         """The program ends; the arm slows down."""
-        self.running, self._body = False, None
+        self.running, self.paused, self._body = False, False, None
         self.arm.stop(3.0, now)
 
     def report_operation(self, *, running: bool, started: bool = False) -> None:

@@ -19,7 +19,7 @@ from datasets import pose
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 VERSION = (5, 11, 5, 1010327)
-RUNNING_STATE, STOPPED_STATE = 2, 1
+STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 
 
 class ControllerServer:
@@ -43,8 +43,13 @@ class ControllerServer:
 
     @property
     def program_running(self) -> bool:
-        """Whether a program runs."""
-        return self.program is not None and self.program.running
+        """Whether a program runs and is not paused."""
+        return self.program is not None and self.program.running and not self.program.paused
+
+    @property
+    def program_paused(self) -> bool:
+        """Whether a program waits to be played on."""
+        return self.program is not None and self.program.paused
 
     @property
     def silent(self) -> bool:
@@ -55,6 +60,22 @@ class ControllerServer:
         """End the program; the arm slows down."""
         if self.program is not None:
             self.program.end(self.now)
+
+    def pause_program(self) -> bool:
+        """Whether a program ran that is now paused; the arm comes to rest on its way."""
+        if self.program is None or not self.program_running:
+            return False
+        self.program.paused = True
+        self.arm.pause(self.now)
+        return True
+
+    def play_program(self) -> bool:
+        """Whether a program was paused that now goes on, and the arm with it."""
+        if self.program is None or not self.program_paused:
+            return False
+        self.program.paused = False
+        self.arm.go_on(self.now)
+        return True
 
     def upload(self, text: str) -> None:
         """Start a program, as the script port does with every text that it gets."""
@@ -120,7 +141,7 @@ class ControllerServer:
             "actual_q": joints, "actual_qd": speeds,
             "actual_TCP_pose": self._tcp_pose(joints), "target_TCP_pose": self._tcp_pose(target),
             "robot_mode": int(arm.mode), "safety_mode": int(arm.safety), "joint_mode": [253] * 6,
-            "runtime_state": RUNNING_STATE if self.program_running else STOPPED_STATE,
+            "runtime_state": RUNNING_STATE if self.program_running else PAUSED_STATE if self.program_paused else STOPPED_STATE,
             "robot_status_bits": int(powered) | int(self.program_running) << 1,
             "safety_status_bits": int(safe) | int(arm.safety is Safety.PROTECTIVE_STOP) << 2 | int(emergency) << 6
             | int(emergency) << 7 | int(not safe) << 10,

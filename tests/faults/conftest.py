@@ -27,9 +27,8 @@ views:
 target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
 board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
 camera: {exposure_us: 10000, binning: 4, width: 64, height: 48}
-motion: {speed: 0.8, acceleration: 1.2, settle_time_s: 0.1}
 """
-"""A board seen at 64 x 48: pictures cost next to nothing."""
+"""A board seen at 64 x 48: pictures cost next to nothing. The arm settles until no bracket swings, so that they are the same."""
 RIG = "robot: {host: HOST}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
 
 
@@ -108,10 +107,21 @@ class Session:
 
 
 @pytest.fixture
-def session(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
+def trajectory_of(tmp_path: Path) -> Callable[[int], Path]:
+    """Writes the trajectory of so many views."""
+
+    def write(count: int) -> Path:
+        path = tmp_path / "faults.yaml"
+        path.write_text(TRAJECTORY.replace("COUNT", str(count)))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def session(tmp_path: Path, trajectory_of: Callable[[int], Path], capsys: pytest.CaptureFixture[str],
+            monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:  # fmt: skip
     with SimulatedController.start(seed=4, time_scale=8.0) as controller:
         rig = tmp_path / "rig.yaml"
         rig.write_text(RIG.replace("HOST", controller.host).replace("PORT", json.dumps(controller.side_port)))
-        trajectory = tmp_path / "faults.yaml"
-        trajectory.write_text(TRAJECTORY.replace("COUNT", str(COUNT)))
-        yield Session(controller, trajectory, rig, tmp_path / "recording", capsys, monkeypatch, COUNT)
+        yield Session(controller, trajectory_of(COUNT), rig, tmp_path / "recording", capsys, monkeypatch, COUNT)

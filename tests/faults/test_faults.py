@@ -78,7 +78,12 @@ FAULTS = {
         ("the controller ended its program instead of moving", "cannot reach"),
         _tell("reach", metres=2.0),
     ),
-    "script ended": Fault(_tell("stop_program"), ("the robot's program was stopped", "the arm was stopped")),
+    "script ended": Fault(_tell("stop_program"), ("the robot's program was stopped or paused", "the arm was stopped")),
+    "program paused": Fault(
+        lambda session: session.at_the_pendant("pause"),
+        ("the robot's program was stopped or paused", "the arm was stopped"),
+        lambda session: session.at_the_pendant("play"),  # too late: what was paused has been ended, and nothing moves
+    ),
 }
 
 
@@ -167,6 +172,37 @@ def test_the_clients_own_inverse_kinematics_of_an_unreachable_pose_ends_the_prog
         assert not client.moveJ_IK([1.5, 0, 0.3, 0, 3.1, 0], 1.0, 1.4)
         assert not client.isProgramRunning() and not controller.ask("truth")["moving"]
         client.disconnect()
+
+
+def test_the_clients_own_motion_goes_on_after_pause_and_play() -> None:
+    """Why the driver ends a program that was paused: played on, it would finish the old motion."""
+    from dashboard_client import DashboardClient
+    from rtde_control import RTDEControlInterface
+
+    with SimulatedController.start(time_scale=4.0) as controller:
+        client, dashboard = RTDEControlInterface(controller.host), DashboardClient(controller.host)
+        dashboard.connect()
+        goal = np.add(controller.ask("truth")["joints"], [0.8, 0, 0, 0, 0, 0])
+        assert client.moveJ(goal.tolist(), 0.5, 1.4, True)
+        _until(lambda: controller.ask("truth")["phase_s"] > 0.3)
+        dashboard.pause()
+        _until(lambda: not controller.ask("truth")["moving"])
+        assert dashboard.programState().startswith("PAUSED") and not dashboard.running() and not client.isProgramRunning()
+        rests = controller.ask("truth")["joints"]
+        assert 0.1 < np.abs(goal - rests).max() < 0.8
+        time.sleep(0.3)
+        np.testing.assert_allclose(controller.ask("truth")["joints"], rests, atol=1e-12)
+        dashboard.play()
+        _until(lambda: client.isProgramRunning() and not controller.ask("truth")["moving"])
+        np.testing.assert_allclose(controller.ask("truth")["joints"], goal, atol=1e-3)  # it may swing for a moment
+        client.disconnect()
+
+
+def _until(happened: Callable[[], bool], within_s: float = 20.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_a_controller_that_hangs_is_left_stopped_by_its_watchdog() -> None:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,6 @@ import pytest
 
 from datasets import files
 from datasets.recording import Recording
-
-TRAJECTORY = """\
-format: koala-trajectory
-version: 1
-name: killed
-views:
-  - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], count: COUNT, roll_deg: [0, 90, 180, 270]}
-target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
-board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
-camera: {exposure_us: 10000, binning: 4, width: 96, height: 64}
-"""
 
 
 def command(trajectory: Path, out: Path) -> list[str]:
@@ -77,9 +67,8 @@ def check_equal(killed: Path, whole: Path) -> None:
         np.testing.assert_array_equal(truths[0][frame.name], truths[1][frame.name])
 
 
-def test_one_kill(tmp_path: Path) -> None:
-    trajectory = tmp_path / "killed.yaml"
-    trajectory.write_text(TRAJECTORY.replace("COUNT", "5"))
+def test_one_kill(tmp_path: Path, trajectory_of: Callable[[int], Path]) -> None:
+    trajectory = trajectory_of(5)
     run_whole(trajectory, tmp_path / "whole")
     assert kill_during(trajectory, tmp_path / "killed", 2, 0.1)
     run_whole(trajectory, tmp_path / "killed")
@@ -88,9 +77,8 @@ def test_one_kill(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_twenty_kills_in_a_row_in_one_recording(tmp_path: Path) -> None:
-    trajectory = tmp_path / "killed.yaml"
-    trajectory.write_text(TRAJECTORY.replace("COUNT", "80"))
+def test_twenty_kills_in_a_row_in_one_recording(tmp_path: Path, trajectory_of: Callable[[int], Path]) -> None:
+    trajectory = trajectory_of(80)
     first = run_whole(trajectory, tmp_path / "whole")
     rng, before = random.Random(0), []
     while len(before) < 20:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from capture.kinematics import UR5E, forward
-from capture.sim.arm import Arm, Safety
+from capture.sim.arm import PAUSE_S, Arm, Safety
 from capture.sim.profiles import Stop
 from datasets import pose
 
@@ -105,6 +105,42 @@ def test_the_speed_slider_stretches_a_motion_under_way():
     assert arm.moving(whole.profile.duration + 0.1) and not arm.moving(0.5 + 4 * (whole.profile.duration - 0.5) + 1e-6)
     arm.slide_speed(1.0, 0.9)
     np.testing.assert_allclose(arm.target(1.0)[0], whole.target(0.7)[0], atol=1e-12)
+
+
+def test_a_paused_motion_rests_on_its_way_and_goes_on_to_its_goal():
+    arm, whole = _arm(), _arm()
+    for one in (arm, whole):
+        one.move_to(GOAL, 1.0, 1.4, 0.0)
+    arm.pause(0.6)
+    assert arm.moving(0.8) and not arm.moving(0.91)
+    angles, speeds, _ = arm.target(0.91)
+    np.testing.assert_allclose(angles, whole.target(0.6 + PAUSE_S / 2)[0], atol=1e-12)  # evenly slower: half as far
+    assert not speeds.any() and np.array_equal(arm.actual(50.0)[0], angles) and not arm.actual(50.0)[1].any()
+    arm.slide_speed(1.0, 60.0)
+    assert not arm.moving(70.0)  # the slider starts nothing
+    arm.go_on(80.0)
+    assert arm.moving(80.0)
+    np.testing.assert_allclose(arm.target(80.5)[0], whole.target(0.6 + 0.5)[0], atol=1e-12)  # twice half the ramp was lost
+    np.testing.assert_array_equal(arm.target(90.0)[0], GOAL)
+
+
+def test_a_paused_motion_is_forgotten_after_a_stop():
+    arm = _arm()
+    arm.move_to(GOAL, 1.0, 1.4, 0.0)
+    arm.pause(0.6)
+    arm.stop(3.0, 5.0)
+    rests = arm.target(5.0)[0]
+    arm.go_on(6.0)
+    assert not arm.moving(6.1) and np.array_equal(arm.target(10.0)[0], rests) and np.abs(rests - GOAL).max() > 0.1
+
+
+def test_an_arm_at_rest_is_neither_paused_nor_moved_on():
+    arm = _arm()
+    now = _visit(arm, GOAL, 0.0)
+    arm.pause(now), arm.go_on(now + 1)
+    assert not arm.moving(now + 2) and np.array_equal(arm.target(now + 2)[0], GOAL)
+    _visit(arm, HOME, now + 3)
+    assert arm.moving(now + 3.1)
 
 
 def test_leaving_a_narrowed_joint_range_is_a_protective_stop():

@@ -11,8 +11,11 @@ from capture.sim.dashboard import reply
 
 @pytest.fixture
 def controller():
-    found = SimpleNamespace(arm=Arm(0, np.zeros(6), 0.0, 0.0), version=(5, 11, 5, 7), program_running=True, stopped=0)
+    found = SimpleNamespace(
+        arm=Arm(0, np.zeros(6), 0.0, 0.0), version=(5, 11, 5, 7), program_running=True, program_paused=False, stopped=0
+    )
     found.stop_program = lambda: setattr(found, "stopped", found.stopped + 1)
+    found.pause_program, found.play_program = lambda: found.program_running, lambda: found.program_paused
     return found
 
 
@@ -37,6 +40,16 @@ def test_the_serial_number_is_digits(controller):
 
 def test_stop_stops(controller):
     assert reply(controller, "stop") == "Stopped" and controller.stopped == 1
+
+
+def test_pause_and_play_say_whether_there_was_anything_to_do(controller):
+    assert reply(controller, "pause") == "Pausing program" and reply(controller, "play") == "Failed to execute: play"
+    controller.program_running, controller.program_paused = False, True
+    assert (
+        reply(controller, "programState") == "PAUSED rtde_control.urp"
+        and reply(controller, "running") == "Program running: false"
+    )
+    assert reply(controller, "pause") == "Failed to execute: pause" and reply(controller, "play") == "Starting program"
 
 
 def test_the_way_back_from_stops(controller):
