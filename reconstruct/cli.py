@@ -28,7 +28,7 @@ def train(
     """Train a model on a scene's training views."""
     from datasets.formats import find, load_scene
     from reconstruct.backend import cache_compilations
-    from reconstruct.config import load_config
+    from reconstruct.models import load_config
     from reconstruct.train import train as run_training
 
     config = load_config(model, preset, set_)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from reconstruct.contraction import contract, contraction_scale, pull_back
-from reconstruct.encodings.lattice import PermutohedralLattice
+from reconstruct.encodings.encoding import Encoding, Scale
 from reconstruct.rays import Rays
 
 GAUSSIAN_SCALE = 0.5
@@ -22,19 +22,17 @@ class Cloud(eqx.Module):
 
     points: Float[Array, "3 n_group"]
     """Scene coordinates."""
-    scale: Float[Array, " n_group"] | None
-    """Standard deviation [scene unit]; None for points without extent."""
+    scale: Float[Array, " n_group"] | Float[Array, "3 n_group"] | None
+    """Standard deviation, of all axes or of each [scene unit]; None for points without extent."""
     bounded: bool = eqx.field(static=True)
     group: int = eqx.field(static=True, default=1)
 
-    def encoded(self, encoding: PermutohedralLattice) -> Float[Array, "channels n"]:
+    def encoded(self, encoding: Encoding) -> Float[Array, "channels n"]:
         """Features of each place."""
         points, scale = jax.lax.optimization_barrier(self.contracted())
         return self._averaged(encoding(points, scale))
 
-    def encoded_with_jacobian(
-        self, encoding: PermutohedralLattice
-    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
+    def encoded_with_jacobian(self, encoding: Encoding) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""
         points, scale = jax.lax.optimization_barrier(self.contracted())
         features, jacobian = encoding.value_and_jacobian(points, scale)
@@ -42,7 +40,7 @@ class Cloud(eqx.Module):
             jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
         return self._averaged(features), self._averaged(jacobian)
 
-    def contracted(self) -> tuple[Float[Array, "3 n_group"], Float[Array, " n_group"] | None]:
+    def contracted(self) -> tuple[Float[Array, "3 n_group"], Scale | None]:
         """Points and scale as the encodings take them."""
         if self.bounded:
             return self.points, self.scale
@@ -59,6 +57,26 @@ def points_on_rays(rays: Rays, ray: Array, t: Float[Array, " n"], bounded: bool)
     """Points at distance t along the given rays."""
     along = rays.directions.at[ray].get(mode="promise_in_bounds") * t[:, None]
     return Cloud((rays.origins.at[ray].get(mode="promise_in_bounds") + along).T, None, bounded)
+
+
+def gaussians_in_frustums(rays: Rays, ray: Array, t: Float[Array, " n"], half: Float[Array, " n"], bounded: bool) -> Cloud:
+    """One Gaussian per conical frustum, of its mean and the diagonal of its covariance (Mip-NeRF, equations 7 to 16).
+
+    Args:
+        ray: index of each frustum's ray.
+        t: middle of the frustum, `half` its half length, both in multiples of the ray's direction.
+    """
+    get = lambda a: a.at[ray].get(mode="promise_in_bounds")  # noqa: E731
+    directions, radius = get(rays.directions), get(rays.radii)
+    spread = jnp.maximum(3 * t**2 + half**2, 1e-12)
+    mean = t + 2 * t * half**2 / spread
+    along = half**2 / 3 - (4 / 15) * half**4 * (12 * t**2 - half**2) / spread**2
+    across = radius**2 * (t**2 / 4 + (5 / 12) * half**2 - (4 / 15) * half**4 / spread)
+    squared = directions**2
+    share = squared / jnp.maximum(jnp.sum(squared, -1, keepdims=True), 1e-12)
+    variance = jnp.maximum(along, 0.0)[:, None] * squared + jnp.maximum(across, 0.0)[:, None] * (1 - share)
+    points = get(rays.origins) + mean[:, None] * directions
+    return Cloud(points.T, jnp.sqrt(jnp.maximum(variance, 1e-16)).T, bounded)
 
 
 def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays edges"], turn: Float[Array, " rays"], bounded: bool) -> Cloud:

@@ -1,41 +1,49 @@
 """What a person may set: one small schema per stage, its defaults and its documentation in one place.
 
-A model file (`configs/models/NAME.yaml`) holds the values that differ from these defaults, one section per
-preset; `--set section.key=value` overrides. The resolved configuration is written beside each result.
+Which model has which values is in `models`; the resolved configuration is written beside each result.
 """
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from datasets.errors import Misuse, nearest
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from datasets.schema import Schema
 
 
-class EncodingConfig(_Section):
-    """Permutohedral lattice."""
+class EncodingConfig(Schema):
+    """What a position is turned into."""
 
+    kind: Literal["lattice", "voxels", "frequencies"] = Field(
+        "lattice", description="Permutohedral lattice, cubic hash grid, or integrated positional encoding."
+    )
     levels: int = Field(8, ge=1, le=32, description="Number of resolutions.")
-    features: int = Field(2, ge=1, le=8, description="Features per level.")
-    log2_size: int = Field(16, ge=4, le=24, description="Rows of each level's table, as a power of two.")
-    coarsest: float = Field(8.0, gt=0, description="Vertices per unit of the normalised scene at the coarsest level.")
+    features: int = Field(2, ge=1, le=8, description="Features per level; frequencies have none of their own.")
+    log2_size: int = Field(16, ge=4, le=24, description="Rows of each level's table, as a power of two; grids only.")
+    coarsest: float = Field(
+        8.0,
+        gt=0,
+        description="Vertices per unit of the normalised scene at the coarsest level; radians per unit for frequencies.",
+    )
     finest: float = Field(256.0, gt=0, description="The same at the finest level.")
 
 
-class FieldConfig(_Section):
+class FieldConfig(Schema):
     """The network behind the encoding."""
 
+    appearance: Literal["reflection", "view", "view_diffuse"] = Field(
+        "reflection", description="Colour by reflected direction (Ref-NeRF), by view direction, or by that and a diffuse colour."
+    )
     spatial_width: int = Field(64, ge=1, description="Width of the spatial layers.")
     spatial_depth: int = Field(1, ge=1, description="Number of spatial layers.")
+    spatial_skip: int = Field(0, ge=0, description="Spatial layer before which the network's input joins again; 0: none.")
     bottleneck: int = Field(12, ge=0, description="Channels handed to the view network.")
     view_width: int = Field(64, ge=1, description="Width of the view layers.")
     view_depth: int = Field(2, ge=1, description="Number of view layers.")
-    view_skip: bool = Field(False, description="Whether the view network's input joins again before its last layer.")
+    view_skip: int = Field(0, ge=0, description="The same of the view network.")
     ide_degree: int = Field(4, ge=1, le=6, description="Harmonics up to l = 2^(degree - 1) encode the reflected direction.")
+    view_degree: int = Field(
+        4, ge=0, le=10, description="Octaves of sines that encode the view direction, where it is not reflected."
+    )
     shading: Literal["sample", "deferred"] = Field(
         "deferred", description="Evaluate the view network at each sample, or once per ray on composited features."
     )
@@ -45,7 +53,7 @@ class FieldConfig(_Section):
     )
 
 
-class SamplerConfig(_Section):
+class SamplerConfig(Schema):
     """Where along a ray the field is evaluated."""
 
     kind: Literal["occupancy", "proposal"] = Field("occupancy", description="Occupancy grid, or two proposal levels.")
@@ -64,16 +72,23 @@ class SamplerConfig(_Section):
     )
     proposals: tuple[int, ...] = Field((64, 64), description="Proposal: samples of each proposal level.")
     final: int = Field(32, ge=2, description="Proposal: samples of the final level.")
+    proposal_width: int = Field(64, ge=1, description="Proposal: width of each level's network.")
+    proposal_depth: int = Field(1, ge=1, description="Proposal: its depth.")
     proposal_finest: tuple[float, ...] = Field((256.0, 1024.0), description="Proposal: finest resolution of each level.")
-    multisamples: Literal[1, 6] = Field(1, description="Proposal: points per conical frustum (Zip-NeRF's hexagon is 6).")
+    frustum: Literal["point", "gaussian", "hexagon"] = Field(
+        "point", description="Proposal: what stands for a conical frustum: its centre, a Gaussian (Mip-NeRF), six (Zip-NeRF)."
+    )
 
 
-class SurfaceConfig(_Section):
+class SurfaceConfig(Schema):
     """The four surface regularisers and their second pass."""
 
     enabled: bool = Field(True, description="Run the second pass at all.")
     rays: int = Field(256, ge=1, description="Rays with a confident surface that the second pass takes.")
     samples: int = Field(32, ge=4, description="Points and directions on the sphere.")
+    sampling: Literal["lattice", "fibonacci", "random"] = Field(
+        "lattice", description="Lattice directions on shells, the same without shells, or independent random directions."
+    )
     kappa: float = Field(0.0, ge=0, description="Concentration of the sphere lattice; 0 is uniform.")
     density: float = Field(0.1, ge=0, description="Weight of density smoothness.")
     normal: float = Field(0.1, ge=0, description="Weight of normal consistency.")
@@ -85,7 +100,7 @@ class SurfaceConfig(_Section):
     last_period: int = Field(4, ge=1, description="The same at the end.")
 
 
-class LossConfig(_Section):
+class LossConfig(Schema):
     """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""
 
     charbonnier: float = Field(1e-3, gt=0, description="Colour error below which the photometric loss is quadratic.")
@@ -96,7 +111,7 @@ class LossConfig(_Section):
     decay: float = Field(0.1, ge=0, description="Mean square of the table's values, per level.")
 
 
-class TrainConfig(_Section):
+class TrainConfig(Schema):
     """Optimisation."""
 
     steps: int = Field(10_000, ge=1, description="Steps where no time budget is given.")
@@ -111,7 +126,7 @@ class TrainConfig(_Section):
     checkpoint_s: float = Field(60.0, gt=0, description="Seconds between checkpoints.")
 
 
-class Config(_Section):
+class Config(Schema):
     """Everything that decides what a training makes of a scene."""
 
     model: str = Field("surfnerf", description="Name of the model file.")
@@ -128,65 +143,3 @@ class Config(_Section):
         """The configuration for a scene that is more than its object's box."""
         field = self.field.model_copy(update={"density_bias": self.field.density_bias + self.field.surroundings_bias})
         return self.model_copy(update={"field": field})
-
-
-def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[str] | None = None) -> Config:
-    """Defaults, then the model file's preset, then `key=value` overrides.
-
-    Raises:
-        Misuse: unknown model, preset or key (with the nearest valid one), or a value out of range.
-    """
-    from importlib.resources import files
-
-    import yaml
-
-    folder = Path(str(files("configs"))) / "models"
-    names = sorted(path.stem for path in folder.glob("*.yaml"))
-    if model not in names:
-        raise Misuse(f"there is no model '{model}'", remedy=nearest(model, names))
-    presets = yaml.safe_load((folder / f"{model}.yaml").read_text(encoding="utf-8"))
-    if preset not in presets:
-        raise Misuse(f"model {model} has no preset '{preset}'", remedy=nearest(preset, presets))
-    tree = {"model": model, "preset": preset, **(presets[preset] or {})}
-    for override in overrides or []:
-        key, separator, value = override.partition("=")
-        if not separator:
-            raise Misuse(f"'{override}' is not key=value", where="--set", remedy="for example --set train.seed=1")
-        try:
-            _assign(tree, key.strip().split("."), yaml.safe_load(value))
-        except yaml.YAMLError as error:
-            raise Misuse(f"cannot read the value of '{override}'", where="--set", why=str(error).splitlines()[0]) from None
-    return _validated(tree)
-
-
-def _assign(tree: dict[str, Any], path: list[str], value: Any) -> None:
-    _refuse_unknown(path, "--set")
-    for name in path[:-1]:
-        section = tree.get(name)
-        tree[name] = dict(section) if isinstance(section, dict) else {}
-        tree = tree[name]
-    tree[path[-1]] = value
-
-
-def _refuse_unknown(path: list[str], where: str) -> None:
-    """Raise Misuse with the nearest valid name if a part of `path` names no setting."""
-    schema: Any = Config
-    for name in path:
-        fields = getattr(schema, "model_fields", {})
-        if name not in fields:
-            raise Misuse(f"there is no setting '{'.'.join(path)}'", where=where, remedy=nearest(name, fields) if fields else "")
-        schema = fields[name].annotation
-
-
-def _validated(tree: dict[str, Any]) -> Config:
-    from pydantic import ValidationError
-
-    try:
-        return Config.model_validate(tree)
-    except ValidationError as error:
-        first = error.errors()[0]
-        path = [str(part) for part in first["loc"]]
-        if first["type"] == "extra_forbidden":
-            _refuse_unknown(path, f"model {tree['model']}, preset {tree['preset']}")
-        key = ".".join(path)
-        raise Misuse(f"setting {key}: {first['msg']}", why=f"got {first.get('input')!r}") from None

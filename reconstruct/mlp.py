@@ -7,30 +7,29 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 
 class Mlp(eqx.Module):
-    """Layers of `width` with ReLU between them; the input joins again before the last hidden layer where `skip` is set."""
+    """Layers of `width` with ReLU between them; the input joins again before layer `skip`, where that is not zero."""
 
     weights: tuple[Float[Array, "_ _"], ...]
     """Of (outputs, inputs) per layer."""
     biases: tuple[Float[Array, " _"], ...]
-    skip: int | None = eqx.field(static=True)
+    skip: int = eqx.field(static=True)
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, *, channels: int, width: int, depth: int, outputs: int, skip: bool = False):
+    def create(cls, key: PRNGKeyArray, *, channels: int, width: int, depth: int, outputs: int, skip: int = 0):
         """`depth` hidden layers of `width`, He-uniform weights, zero biases."""
-        position = depth - 1 if skip and depth > 1 else None
         sizes = [channels] + [width] * depth + [outputs]
         weights = []
         for layer, layer_key in enumerate(jax.random.split(key, depth + 1)):
-            into = sizes[layer] + (channels if layer == position else 0)
+            into = sizes[layer] + (channels if skip and layer == skip else 0)
             bound = (6 / into) ** 0.5 if layer < depth else (3 / into) ** 0.5
             weights.append(jax.random.uniform(layer_key, (sizes[layer + 1], into), minval=-bound, maxval=bound))
-        return cls(tuple(weights), tuple(jnp.zeros(size) for size in sizes[1:]), position)
+        return cls(tuple(weights), tuple(jnp.zeros(size) for size in sizes[1:]), skip)
 
     def __call__(self, inputs: Float[Array, "channels n"]) -> Float[Array, "outputs n"]:
         """Evaluate for n columns."""
         hidden = inputs
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            if layer == self.skip:
+            if self.skip and layer == self.skip:
                 hidden = jnp.concatenate([hidden, inputs])
             hidden = weight @ hidden + bias[:, None]
             if layer < len(self.weights) - 1:

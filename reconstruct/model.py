@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.cloud import Cloud, hexagons_in_frustums, points_on_rays
+from reconstruct.appearance import Material
+from reconstruct.cloud import Cloud, gaussians_in_frustums, hexagons_in_frustums, points_on_rays
 from reconstruct.config import Config
-from reconstruct.field import Field, Material
+from reconstruct.field import Field
 from reconstruct.rays import Rays
 from reconstruct.rendering import composite, sample_weights
 from reconstruct.sampling.proposal import Proposal
@@ -25,7 +26,9 @@ class Model(eqx.Module):
         """Fresh weights; proposals only where the sampler uses them."""
         field_key, *keys = jax.random.split(key, 1 + len(config.sampler.proposal_finest))
         wanted = zip(keys, config.sampler.proposal_finest, strict=True) if config.sampler.kind == "proposal" else ()
-        proposals = tuple(Proposal.create(k, config.encoding, finest, config.field.density_bias) for k, finest in wanted)
+        sampler, bias = config.sampler, config.field.density_bias
+        proposals = tuple(Proposal.create(k, config.encoding, finest, bias, width=sampler.proposal_width, depth=sampler.proposal_depth)
+                          for k, finest in wanted)  # fmt: skip
         return cls(Field.create(field_key, config.encoding, config.field), proposals)
 
 
@@ -52,13 +55,24 @@ class Rendered(eqx.Module):
         return self.rgb + (1 - self.opacity[:, None]) * background
 
 
-def cloud_of(rays: Rays, samples: RaySamples, *, bounded: bool, turn: Float[Array, " rays"] | None = None) -> Cloud:
-    """Places of the samples: points, or where `turn` is given the hexagons of Zip-NeRF."""
-    if turn is None:
+class Footprint(eqx.Module):
+    """What stands for the conical frustum of a sample."""
+
+    kind: str = eqx.field(static=True, default="point")
+    """"point", "gaussian" (Mip-NeRF) or "hexagon" (Zip-NeRF)."""
+    turn: Float[Array, " rays"] | None = None
+    """Angle by which each ray's hexagons are turned about it [rad]."""
+
+
+def cloud_of(rays: Rays, samples: RaySamples, *, bounded: bool, footprint: Footprint) -> Cloud:
+    """Places of the samples."""
+    if footprint.kind == "point":
         return points_on_rays(rays, samples.ray, samples.t, bounded)
+    if footprint.kind == "gaussian":
+        return gaussians_in_frustums(rays, samples.ray, samples.t, samples.length / 2, bounded)
     centre, half = samples.padded(samples.t), samples.padded(samples.length) / 2
     edges = jnp.concatenate([centre - half, centre[:, -1:] + half[:, -1:]], -1)
-    return hexagons_in_frustums(rays, edges, turn, bounded)
+    return hexagons_in_frustums(rays, edges, footprint.turn, bounded)
 
 
 def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud, *, deferred: bool) -> tuple[Rendered, Float[Array, " n"]]:

@@ -1,21 +1,25 @@
 """What training minimises: the photometric loss, the losses taken over, and the four surface regularisers."""
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from reconstruct import losses
+from reconstruct.appearance import Material
 from reconstruct.cloud import Cloud, points_on_rays
-from reconstruct.config import Config, SurfaceConfig
-from reconstruct.field import Field, Material
-from reconstruct.model import Model, Rendered, cloud_of
+from reconstruct.config import LossConfig, SurfaceConfig
+from reconstruct.field import Field
+from reconstruct.model import Footprint, Model, Rendered, cloud_of
 from reconstruct.rays import Rays
 from reconstruct.sampling.proposal import Proposal
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.stepfun import resample_blurred
-from reconstruct.surface import Surface, find_surfaces, random_rotations, shell_radii, sphere_directions
+from reconstruct.surface import HALF_WIDTH, Surface, ball_samples, find_surfaces
 
 Terms = dict[str, Float[Array, ""]]
+PerRay = dict[str, Float[Array, " _"]]
 
 BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
@@ -36,50 +40,84 @@ def photometric(
     return {"photometric": jnp.sum(losses.charbonnier(error, width) * share), "mse": jnp.sum(error * error * share)}
 
 
-def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: Config, bounded: bool) -> Terms:
-    """Orientation and predicted normals at the first surface of each ray."""
-    cloud = points_on_rays(rays, surface.ray, surface.t, bounded)
-    _, material, normals = field.with_normals(cloud)
+@dataclass(frozen=True)
+class Place:
+    """How surface points become places in the field: in a bounded scene or not, as points or as Gaussians."""
+
+    bounded: bool
+    extended: bool = False
+    """Whether each stands for an isotropic Gaussian as wide as its pixel's cone, which looks the same from all sides."""
+
+    def of(self, rays: Rays, surface: Surface, offsets: Float[Array, "n around 3"] | None = None) -> Cloud:
+        """The surface points, or `offsets` [scene unit] around each of them, point after point."""
+        points = points_on_rays(rays, surface.ray, surface.t, self.bounded).points
+        scale = surface.radius / HALF_WIDTH if self.extended else None
+        if offsets is not None:
+            points = (points.T[:, None] + offsets).reshape(-1, 3).T
+            scale = None if scale is None else jnp.repeat(scale, offsets.shape[1])
+        return Cloud(points, scale, self.bounded)
+
+
+def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: LossConfig, place: Place) -> Terms:
+    """Orientation and predicted normals at the first surface of each ray, as far as they have a weight."""
+    if not (config.orientation or (config.predicted_normals and field.appearance.predicts_normals)):
+        return {}
+    _, material, normals = field.with_normals(place.of(rays, surface))
     viewdirs = rays.viewdirs[surface.ray].T
     count = jnp.maximum(jnp.sum(surface.weight > 0), 1)
     mean = lambda v: jnp.sum(surface.weight * v) / count  # noqa: E731
-    facing = losses.orientation(normals, viewdirs) + losses.orientation(material.normals_pred, viewdirs)
-    return {
-        "orientation": config.losses.orientation * mean(facing),
-        "predicted_normals": config.losses.predicted_normals * mean(losses.normal_difference(normals, material.normals_pred)),
-    }
+    facing, terms = losses.orientation(normals, viewdirs), {}
+    if field.appearance.predicts_normals:
+        facing = facing + losses.orientation(material.normals_pred, viewdirs)
+        apart = mean(losses.normal_difference(normals, material.normals_pred))
+        terms["predicted_normals"] = config.predicted_normals * apart
+    return terms | {"orientation": config.orientation * mean(facing)}
 
 
 def second_pass_terms(
-    field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray, config: SurfaceConfig, bounded: bool
+    field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray, config: SurfaceConfig, place: Place
 ) -> Terms:
-    """The four regularisers on a ball of samples around each surface point (paper section 4, supplement A-D)."""
-    count, rays_used = config.samples, surface.ray.shape[0]
-    rotation = random_rotations(key, rays_used)
-    sphere = jnp.einsum("rxy,ny->rnx", rotation, jnp.asarray(sphere_directions(count, config.kappa), jnp.float32))
-    centre = points_on_rays(rays, surface.ray, surface.t, bounded)
-    radius = surface.radius
-    offsets = sphere * jnp.asarray(shell_radii(count), jnp.float32)[:, None] * radius[:, None, None]
-    around = Cloud((centre.points.T[:, None] + offsets).reshape(-1, 3).T, None, bounded)
-
-    _, material, normal = field.with_normals(centre)
-    density, _, normals = field.with_normals(around)
-    normals = normals.T.reshape(rays_used, count, 3)
-    outward = jax.lax.stop_gradient(normal.T)
-    facing = jnp.sum(sphere * outward[:, None], -1, keepdims=True)
-    directions = jnp.where(facing > 0, -sphere, sphere)  # light travels into the surface: d . n <= 0
-    repeated = Material.unstacked(jnp.repeat(material.stacked(), count, axis=1))
-    specular = field.shade(repeated, directions.reshape(-1, 3).T).specular.T.reshape(rays_used, count, 3)
-
-    per_ray = {
-        "density_smoothness": config.density
-        * losses.density_smoothness(density.reshape(rays_used, count), sphere, normal.T, radius, config.density_form),
-        "normal_consistency": config.normal * losses.normal_consistency(normals, normal.T),
-        "lambertian_bias": config.bias * losses.lambertian_bias(specular),
-        "specular_variation": config.variation * losses.specular_variation(specular, directions, config.neighbours),
-    }
+    """Those of the four regularisers that have a weight, on a ball of samples around each surface point (section 4, A-D)."""
+    directions, radii = ball_samples(key, surface.ray.shape[0], config.samples, config.kappa, config.sampling)
+    _, material, normal = field.with_normals(place.of(rays, surface))
+    per_ray = {}
+    if config.density or config.normal:
+        offsets = directions * (radii[:, None] * surface.radius[:, None, None])
+        around = field.with_normals(place.of(rays, surface, offsets))
+        per_ray |= _spatial_terms(around, directions, normal, surface.radius, config)
+    if config.variation or (config.bias and field.appearance.has_diffuse):
+        per_ray |= _directional_terms(field, material, directions, normal, config)
     used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
     return {name: jnp.sum(surface.weight * value) / used for name, value in per_ray.items()}
+
+
+def _spatial_terms(around, directions: Float[Array, "n around 3"], normal: Float[Array, "3 n"], radius, config) -> PerRay:
+    """Density smoothness and normal consistency of each surface point."""
+    density, _, normals = around
+    normals = normals.T.reshape(directions.shape)
+    smoothness = losses.density_smoothness(
+        density.reshape(directions.shape[:2]), directions, normal.T, radius, config.density_form
+    )
+    return {
+        "density_smoothness": config.density * smoothness,
+        "normal_consistency": config.normal * losses.normal_consistency(normals, normal.T),
+    }
+
+
+def _directional_terms(
+    field: Field, material: Material, directions: Float[Array, "n around 3"], normal: Float[Array, "3 n"], config: SurfaceConfig
+) -> PerRay:
+    """Lambertian bias and total variation of each surface point; of the colour itself where nothing is diffuse."""
+    outward = jax.lax.stop_gradient(normal.T)
+    facing = jnp.sum(directions * outward[:, None], -1, keepdims=True)
+    inward = jnp.where(facing > 0, -directions, directions)  # light travels into the surface: d . n <= 0
+    repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
+    shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T), field.appearance.has_diffuse
+    colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
+    terms = {"specular_variation": config.variation * losses.specular_variation(colour, inward, config.neighbours)}
+    if diffuse and config.bias:
+        terms["lambertian_bias"] = config.bias * losses.lambertian_bias(colour)
+    return terms
 
 
 def interlevel_terms(sdist: Float[Array, "rays edges"], weights: Float[Array, "rays n"], levels: list, weight: float) -> Terms:
@@ -104,10 +142,10 @@ def decay_term(model: Model, weight: float) -> Terms:
 
 
 def proposal_density(
-    proposal: Proposal, rays: Rays, tdist: Float[Array, "rays edges"], *, bounded: bool, turn: Float[Array, " rays"] | None
+    proposal: Proposal, rays: Rays, tdist: Float[Array, "rays edges"], *, bounded: bool, footprint: Footprint
 ) -> Float[Array, "rays edges-1"]:
     """Densities of a proposal in the given intervals."""
-    cloud = cloud_of(rays, RaySamples.from_edges(tdist), bounded=bounded, turn=turn)
+    cloud = cloud_of(rays, RaySamples.from_edges(tdist), bounded=bounded, footprint=footprint)
     return proposal.density(cloud).reshape(tdist.shape[0], -1)
 
 

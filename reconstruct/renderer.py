@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
 from datasets.scene import View
-from reconstruct.model import cloud_of, render
+from reconstruct.model import Footprint, cloud_of, render
 from reconstruct.rays import Rays, view_rays
 from reconstruct.rendering import composite
 from reconstruct.safe import normalise
@@ -90,10 +90,10 @@ class Renderer:
 
     def _render(self, state: TrainState, rays: Rays, with_normals: bool) -> tuple[Float[Array, "rays channels"], Array]:
         """All channels side by side, and how many rays from the first on found room."""
-        functions, model, turn = self.functions, state.model, None
+        functions, model, footprint = self.functions, state.model, Footprint()
         bounded = functions.normalisation.bounded
         if state.occupancy is None:
-            samples, _, _, turn = functions.propose(model, rays, None)
+            samples, _, _, footprint = functions.propose(model, rays, None)
             done = jnp.asarray(rays.origins.shape[0])
         else:
             middle = jnp.full(rays.origins.shape[0], 0.5)
@@ -101,7 +101,7 @@ class Renderer:
             samples, fits = functions.sampled(jax.lax.optimization_barrier(depth), rays, middle, middle, CAPACITY)
             done = jnp.sum(fits)
         samples = jax.lax.optimization_barrier(samples)
-        cloud = cloud_of(rays, samples, bounded=bounded, turn=turn)
+        cloud = cloud_of(rays, samples, bounded=bounded, footprint=footprint)
         rendered, _ = render(model.field, rays, samples, cloud, deferred=functions.config.field.shading == "deferred")
         normals = jnp.zeros_like(rendered.normals_pred)
         if with_normals:

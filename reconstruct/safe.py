@@ -49,3 +49,10 @@ def srgb_from_linear(linear: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     above = linear > 0.0031308
     power = jnp.power(jnp.where(above, linear, 1.0), 1.0 / 2.4)
     return jnp.where(above, 1.055 * power - 0.055, 12.92 * linear)
+
+
+def linear_from_srgb(srgb: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Inverse of `srgb_from_linear`, for values >= 0."""
+    above = srgb > 0.04045
+    power = jnp.power((jnp.where(above, srgb, 1.0) + 0.055) / 1.055, 2.4)
+    return jnp.where(above, power, srgb / 12.92)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from reconstruct import objective
 from reconstruct.cloud import Cloud
 from reconstruct.config import Config
-from reconstruct.model import Model, cloud_of, render
+from reconstruct.model import Footprint, Model, cloud_of, render
 from reconstruct.rays import Normalisation, Pixels, Rays
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
@@ -52,6 +52,11 @@ class StepFunctions:
     @property
     def _bounded(self) -> bool:
         return self.normalisation.bounded
+
+    @property
+    def _place(self) -> objective.Place:
+        sampler = self.config.sampler
+        return objective.Place(self._bounded, extended=sampler.kind == "proposal" and sampler.frustum != "point")
 
     def initial(self, key: PRNGKeyArray, possible) -> TrainState:
         """Fresh weights and a full grid (less what masks rule out)."""
@@ -112,7 +117,7 @@ class StepFunctions:
         """The gradient with the regularisers' added where `second` is true; elsewhere nothing is computed."""
 
         def weighted(model: Model):
-            terms = objective.second_pass_terms(model.field, rays, surface, key, self.config.surface, self._bounded)
+            terms = objective.second_pass_terms(model.field, rays, surface, key, self.config.surface, self._place)
             return objective.total(terms), terms
 
         def with_regularisers(gradient: Model):
@@ -162,10 +167,10 @@ class StepFunctions:
 
     def _loss(self, model: Model, batch, keys):
         rays, colour, used, samples = batch
-        config, terms, turn = self.config, {}, None
+        config, terms, footprint = self.config, {}, Footprint()
         if samples is None:
-            samples, sdist, levels, turn = self.propose(model, rays, keys["samples"])
-        cloud = cloud_of(rays, samples, bounded=self._bounded, turn=turn)
+            samples, sdist, levels, footprint = self.propose(model, rays, keys["samples"])
+        cloud = cloud_of(rays, samples, bounded=self._bounded, footprint=footprint)
         rendered, density = render(model.field, rays, samples, cloud, deferred=config.field.shading == "deferred")
         background = jax.random.uniform(keys["background"], (rays.origins.shape[0], 3))
         terms |= objective.photometric(rendered, colour, background, used, config.losses.charbonnier)
@@ -176,22 +181,20 @@ class StepFunctions:
         if config.losses.decay:
             terms |= objective.decay_term(model, config.losses.decay)
         surface = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
-        terms |= objective.surface_point_terms(model.field, rays, surface, config, self._bounded)
+        terms |= objective.surface_point_terms(model.field, rays, surface, config.losses, self._place)
         return objective.total(terms), (terms, jax.lax.stop_gradient(density), surface)
 
     def propose(self, model: Model, rays: Rays, key: PRNGKeyArray | None):
-        """Final samples of the proposal sampler, their sdist, the levels, and the turn of each ray's hexagons."""
+        """Final samples of the proposal sampler, their sdist, the levels, and what stands for the frustums."""
         sampler, spacing = self.config.sampler, Spacing.of(self.normalisation)
         turn = None
-        if sampler.multisamples == 6:
-            turn = (
-                jnp.zeros(rays.origins.shape[0])
-                if key is None
-                else 2 * jnp.pi * jax.random.uniform(key, (rays.origins.shape[0],))
-            )
-        density_at = lambda p, r, t: objective.proposal_density(p, r, t, bounded=self._bounded, turn=turn)  # noqa: E731
+        if sampler.frustum == "hexagon":
+            count = rays.origins.shape[0]
+            turn = jnp.zeros(count) if key is None else 2 * jnp.pi * jax.random.uniform(key, (count,))
+        footprint = Footprint(sampler.frustum, turn)
+        density_at = lambda p, r, t: objective.proposal_density(p, r, t, bounded=self._bounded, footprint=footprint)  # noqa: E731
         sdist, levels = propose(model.proposals, rays, spacing, key, sampler, density_at)
-        return RaySamples.from_edges(spacing.t(sdist)), sdist, levels, turn
+        return RaySamples.from_edges(spacing.t(sdist)), sdist, levels, footprint
 
     def _descend(self, state: TrainState, gradient: Model, progress) -> TrainState:
         """Adam; a gradient that is not finite changes nothing and is counted."""
@@ -212,7 +215,7 @@ class StepFunctions:
     def _note(self, state: TrainState, batch, density) -> TrainState:
         """Keep in the grid what the step met anyway."""
         rays, _, _, samples = batch
-        points, _ = cloud_of(rays, samples, bounded=self._bounded).contracted()
+        points, _ = cloud_of(rays, samples, bounded=self._bounded, footprint=Footprint()).contracted()
         occupancy = state.occupancy.seen(state.occupancy.cell(*points), jnp.where(samples.valid, density, 0.0))
         return eqx.tree_at(lambda s: s.occupancy, state, occupancy)
 

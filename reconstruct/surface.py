@@ -97,6 +97,22 @@ def shell_radii(count: int) -> Float[np.ndarray, " count"]:
     return (1 + np.arange(1, count + 1) % shells) / shells
 
 
+def ball_samples(
+    key: PRNGKeyArray, rays: int, count: int, kappa: float, sampling: str
+) -> tuple[Float[Array, "rays count 3"], Float[Array, " count"]]:
+    """Unit directions from each surface point, turned at random, and their radii in (0, 1].
+
+    "lattice": the Fibonacci-Kronecker lattice on its shells; "fibonacci": the same directions without shells; "random":
+    independent uniform directions on the shells.
+    """
+    radii = jnp.ones(count) if sampling == "fibonacci" else jnp.asarray(shell_radii(count), jnp.float32)
+    if sampling == "random":
+        drawn = jax.random.normal(key, (rays, count, 3))
+        return drawn / jnp.sqrt(jnp.maximum(jnp.sum(drawn**2, -1, keepdims=True), 1e-12)), radii
+    lattice = jnp.asarray(sphere_directions(count, kappa), jnp.float32)
+    return jnp.einsum("rxy,ny->rnx", random_rotations(key, rays), lattice), radii
+
+
 def random_rotations(key: PRNGKeyArray, count: int) -> Float[Array, "count 3 3"]:
     """Rotations uniform on SO(3): normalised Gaussian quaternions are uniform on the 3-sphere."""
     q = jax.random.normal(key, (count, 4))

@@ -27,9 +27,9 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return lambda path: load_description(path.parent, path)
     if folder == "models":
-        from reconstruct.config import load_config
+        from reconstruct.models import PRESETS, load_config
 
-        return lambda path: [load_config(path.stem, preset) for preset in read_yaml(path)[0]]
+        return lambda path: [load_config(path.stem, preset) for preset in PRESETS]
     raise AssertionError(f"configs/{folder} holds files, but no reader is known for them: add it here")
 
 

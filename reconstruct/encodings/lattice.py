@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from reconstruct.encodings.encoding import Scale, blurred
 from reconstruct.encodings.simplex import (
     VERTICES_PER_UNIT_VOLUME,
     barycentric,
@@ -19,9 +20,7 @@ from reconstruct.encodings.simplex import (
     rank_of,
     weight_slopes,
 )
-
-_PRIMES = (2531011, 3674653429, 2097192037)
-_MIXER = np.uint32(2654435769)
+from reconstruct.encodings.tables import PRIMES, combine, mean_squares, resolutions_between, row_of, start_values, starts
 
 
 def table_rows(e: list, code: Int[Array, "levels n"], log2_size: int) -> list[Int[Array, "levels n"]]:
@@ -30,50 +29,17 @@ def table_rows(e: list, code: Int[Array, "levels n"], log2_size: int) -> list[In
     Vertex k is 4 * origin + k, minus 4 in the coordinates whose rank exceeds 3 - k, so that its hash differs from the
     origin's by constants. Level l's rows start at l * 2^log2_size.
     """
-    steps = [np.uint32(4 * p % 2**32) for p in _PRIMES]
+    steps = [np.uint32(4 * p % 2**32) for p in PRIMES]
     base = sum(origin_of(e, code, i).astype(jnp.uint32) * step for i, step in enumerate(steps))
-    start = (jnp.arange(code.shape[0], dtype=jnp.int32) << log2_size)[:, None]
+    start = starts(code.shape[0], log2_size)
     rows = []
     for k in range(4):
-        key = base + np.uint32(k * sum(_PRIMES) % 2**32)
+        key = base + np.uint32(k * sum(PRIMES) % 2**32)
         if k:
             for i, step in enumerate(steps):
                 key = key - jnp.where(rank_of(code, i) > 3 - k, step, np.uint32(0))
-        key = (key ^ (key >> np.uint32(15))) * _MIXER
-        rows.append((key >> np.uint32(32 - log2_size)).astype(jnp.int32) + start)
+        rows.append(row_of(key, log2_size) + start)
     return rows
-
-
-@jax.custom_vjp
-def combine(table: Float[Array, "features rows"], rows: list, coefficients: list) -> list:
-    """For each set of four coefficients and each channel, the sum over the four vertices of coefficient times value.
-
-    The weights give the interpolated value; sets of their slopes give its derivatives. Linear in the table; rows
-    and coefficients are data, each (levels, n).
-    """
-    channels = [jax.lax.optimization_barrier(channel) for channel in table]
-    vertices = [[channel.at[row].get(mode="promise_in_bounds") for row in rows] for channel in channels]
-    return [[sum(v * c for v, c in zip(vertex, one, strict=True)) for vertex in vertices] for one in coefficients]
-
-
-def _combine_forward(table, rows, coefficients):
-    return combine(table, rows, coefficients), (table, rows, coefficients)
-
-
-def _combine_backward(saved, cotangents):
-    """One scatter per channel; ordered by level, so that it works in the part of the table that is in the cache."""
-    table, rows, coefficients = saved
-    all_rows = jax.lax.optimization_barrier(jnp.stack(rows, 1).reshape(-1))
-    table_bar = []
-    for channel in range(table.shape[0]):
-        per_vertex = [sum(one[k] * g[channel] for one, g in zip(coefficients, cotangents, strict=True)) for k in range(4)]
-        update = jax.lax.optimization_barrier(jnp.stack(per_vertex, 1).reshape(-1))
-        table_bar.append(jnp.zeros(table.shape[1], table.dtype).at[all_rows].add(update, mode="promise_in_bounds"))
-    nothing = [np.zeros(row.shape, jax.dtypes.float0) for row in rows]
-    return jnp.stack(table_bar), nothing, jax.tree.map(jnp.zeros_like, coefficients)
-
-
-combine.defvjp(_combine_forward, _combine_backward)
 
 
 class PermutohedralLattice(eqx.Module):
@@ -85,8 +51,7 @@ class PermutohedralLattice(eqx.Module):
     table: Float[Array, "features rows"]
     """Channels of all levels' tables, one level after the other."""
     blur: Float[Array, ""]
-    """Standard deviation that every point has at least; training lowers it, so that shape comes before detail. No
-    gradient goes to it."""
+    """Standard deviation that every point has at least; see `Encoding`."""
     resolutions: tuple[float, ...] = eqx.field(static=True)
     log2_size: int = eqx.field(static=True)
 
@@ -95,16 +60,15 @@ class PermutohedralLattice(eqx.Module):
         cls, key: PRNGKeyArray, *, levels: int, features: int, log2_size: int, coarsest: float, finest: float
     ) -> "PermutohedralLattice":
         """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`."""
-        growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
-        table = jax.random.uniform(key, (features, levels * 2**log2_size), minval=-1e-4, maxval=1e-4)
-        return cls(table, jnp.zeros(()), tuple(float(coarsest * growth**level) for level in range(levels)), log2_size)
+        table = start_values(key, features, levels, log2_size)
+        return cls(table, jnp.zeros(()), resolutions_between(coarsest, finest, levels), log2_size)
 
     @property
     def num_channels(self) -> int:
         """Levels times features."""
         return len(self.resolutions) * self.table.shape[0]
 
-    def __call__(self, points: Float[Array, "3 n"], scale: Float[Array, " n"] | None = None) -> Float[Array, "channels n"]:
+    def __call__(self, points: Float[Array, "3 n"], scale: Scale | None = None) -> Float[Array, "channels n"]:
         """Features of points.
 
         Args:
@@ -115,7 +79,7 @@ class PermutohedralLattice(eqx.Module):
         return self._evaluate(points, scale, with_slopes=False)[0]
 
     def value_and_jacobian(
-        self, points: Float[Array, "3 n"], scale: Float[Array, " n"] | None = None
+        self, points: Float[Array, "3 n"], scale: Scale | None = None
     ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the position, which is constant inside a simplex.
 
@@ -136,15 +100,14 @@ class PermutohedralLattice(eqx.Module):
         e = jax.lax.optimization_barrier(lift(*(points[axis] * units for axis in range(3))))
         code = jax.lax.optimization_barrier(ordering(e))
         coefficients = [barycentric(e, code)] + (weight_slopes(code, units) if with_slopes else [])
-        squared = jnp.square(self.blur)[None] if scale is None else jnp.square(self.blur) + jnp.square(scale)
         resolution = np.array(self.resolutions, np.float32)[:, None]
-        share = jax.lax.optimization_barrier(ball_share(jax.lax.stop_gradient(jnp.sqrt(squared + 1e-24)), resolution))
+        share = jax.lax.optimization_barrier(ball_share(blurred(self.blur, scale), resolution))
         coefficients = [[c * share for c in one] for one in coefficients]
         return jax.lax.optimization_barrier((table_rows(e, code, self.log2_size), coefficients))
 
     def decay(self) -> Float[Array, ""]:
         """Sum over levels of the mean square of the table's values (Zip-NeRF, Barron et al. 2023, section 3)."""
-        return len(self.resolutions) * jnp.mean(jnp.square(self.table))
+        return mean_squares(self.table, len(self.resolutions))
 
 
 def ball_share(sigma: Float[Array, " n"], resolution: Float[np.ndarray, "..."]) -> Float[Array, "... n"]:

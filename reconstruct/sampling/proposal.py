@@ -8,7 +8,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.cloud import Cloud
 from reconstruct.config import EncodingConfig, SamplerConfig
-from reconstruct.encodings.lattice import PermutohedralLattice
+from reconstruct.encodings.create import create_encoding
+from reconstruct.encodings.encoding import Encoding
 from reconstruct.mlp import Mlp
 from reconstruct.rays import Normalisation, Rays
 from reconstruct.rendering import volume_weights
@@ -17,20 +18,22 @@ from reconstruct.stepfun import inverse_power_ladder, power_ladder, sample_inter
 
 
 class Proposal(eqx.Module):
-    """Density alone, from a lattice of one feature per level."""
+    """Density alone, from an encoding of the field's kind (grids with one feature per level)."""
 
-    encoding: PermutohedralLattice
+    encoding: Encoding
     spatial: Mlp
     density_bias: float = eqx.field(static=True)
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, encoding: EncodingConfig, finest: float, density_bias: float) -> "Proposal":
-        """One level whose finest resolution is `finest`; a factor 2 between levels."""
-        lattice_key, spatial_key = jax.random.split(key)
+    def create(
+        cls, key: PRNGKeyArray, encoding: EncodingConfig, finest: float, density_bias: float, *, width: int = 64, depth: int = 1
+    ) -> "Proposal":
+        """One level whose finest resolution is `finest`; a factor 2 between its grids."""
+        encoding_key, spatial_key = jax.random.split(key)
         levels = max(2, round(np.log2(finest / encoding.coarsest)) + 1)
-        lattice = PermutohedralLattice.create(lattice_key, levels=levels, features=1, log2_size=encoding.log2_size,
-                                              coarsest=encoding.coarsest, finest=finest)  # fmt: skip
-        return cls(lattice, Mlp.create(spatial_key, channels=levels, width=64, depth=1, outputs=1), density_bias)
+        encoded = create_encoding(encoding_key, encoding.model_copy(update={"levels": levels, "features": 1, "finest": finest}))
+        network = Mlp.create(spatial_key, channels=encoded.num_channels, width=width, depth=depth, outputs=1)
+        return cls(encoded, network, density_bias)
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:
         """Density [1 / scene unit]."""

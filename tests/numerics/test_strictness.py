@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from reconstruct import losses, objective, surface
-from reconstruct.config import load_config
+from reconstruct.models import load_config
 from reconstruct.contraction import contract, contraction_scale, pull_back
 from reconstruct.encodings.directional import integrated_directional_encoding
 from reconstruct.model import Model, cloud_of, render

@@ -15,10 +15,12 @@ from datasets.camera_model import Camera
 from datasets.formats import koala
 from datasets.scene import Scene, View
 from reconstruct import checkpoint
+from reconstruct.appearance import Material, Shading
 from reconstruct.cloud import Cloud
-from reconstruct.config import Config, load_config
-from reconstruct.field import Field, Material, Shading
+from reconstruct.config import Config
+from reconstruct.field import Field
 from reconstruct.model import Model
+from reconstruct.models import load_config
 from reconstruct.rays import Normalisation
 from reconstruct.renderer import Renderer
 from reconstruct.run import CHECKPOINTS, Run
@@ -144,7 +146,7 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
         jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
     )
     field = state.model.field
-    solid = Ball(field.encoding, field.spatial, field.view, field.ide_degree, field.density_bias, radius)
+    solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, radius)
     state = eqx.tree_at(lambda s: (s.model, s.occupancy), state, (Model(solid, ()), occupancy))
     assert run.normalisation.bounded
     return Trained(run, ball_scene[0], functions, state, Renderer(functions))

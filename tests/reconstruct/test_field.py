@@ -5,8 +5,7 @@ import pytest
 
 from reconstruct.cloud import Cloud
 from reconstruct.config import EncodingConfig, FieldConfig
-from reconstruct.encodings.directional import ide_channels
-from reconstruct.field import Field, Material
+from reconstruct.field import Field
 
 ENCODING = EncodingConfig(levels=3, features=2, log2_size=10, coarsest=2, finest=8)
 FIELD = FieldConfig(spatial_width=16, bottleneck=4, view_width=16, ide_degree=3)
@@ -19,11 +18,6 @@ def field() -> Field:
     return jax.tree_util.tree_map_with_path(
         lambda path, leaf: leaf * 3e3 if "encoding" in jax.tree_util.keystr(path) else leaf, made
     )
-
-
-@jax.jit
-def heads(field: Field, cloud: Cloud):
-    return field(cloud)
 
 
 @jax.jit
@@ -56,40 +50,6 @@ def test_normals_point_against_the_density_s_differences(field: Field, bounded: 
     assert angle[usable].max() < 1
     np.testing.assert_allclose(np.linalg.norm(normals, axis=0), 1, atol=1e-5)
     np.testing.assert_allclose(density, np.exp(here), rtol=1e-5)
-
-
-def test_material_is_in_range_and_stacks(field: Field) -> None:
-    _, material = heads(field, Cloud(jax.random.uniform(jax.random.key(1), (3, 50), minval=-1), None, True))
-    for colour in (material.diffuse, material.tint):
-        assert 0 < colour.min() <= colour.max() < 1
-    assert material.roughness.min() > 0
-    np.testing.assert_allclose(np.linalg.norm(material.normals_pred, axis=0), 1, atol=1e-5)
-    again = Material.unstacked(material.stacked())
-    for name in ("diffuse", "tint", "roughness", "normals_pred", "bottleneck"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(material, name))
-
-
-def test_colour_is_the_curve_of_diffuse_plus_specular(field: Field) -> None:
-    _, material = heads(field, Cloud(jax.random.uniform(jax.random.key(1), (3, 20), minval=-1), None, True))
-    viewdirs = jax.random.normal(jax.random.key(2), (3, 20))
-    viewdirs /= jnp.linalg.norm(viewdirs, axis=0)
-    shading = jax.jit(lambda f, m, d: f.shade(m, d))(field, material, viewdirs)
-    linear = np.asarray(material.diffuse + shading.specular, np.float64)
-    curve = np.where(linear > 0.0031308, 1.055 * linear ** (1 / 2.4) - 0.055, 12.92 * linear)
-    np.testing.assert_allclose(shading.rgb, np.clip(curve, 0, 1) * 1.002 - 0.001, atol=1e-5)
-    assert (shading.specular <= material.tint).all()
-
-
-def test_reflection_follows_the_law_of_reflection(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Looking down at 45 degrees onto a floor one sees what lies ahead and up at 45 degrees."""
-    seen = []
-    monkeypatch.setattr(
-        "reconstruct.field.integrated_directional_encoding", lambda d, r, n: seen.append(d) or jnp.zeros((ide_channels(n), 1))
-    )
-    _, material = heads(field, Cloud(jnp.zeros((3, 1)), None, True))
-    half = np.sqrt(0.5)
-    field.shade(material, jnp.array([[half], [0.0], [-half]]), normals=jnp.array([[0.0], [0.0], [1.0]]))
-    np.testing.assert_allclose(seen[0], [[half], [0], [half]], atol=1e-6)
 
 
 def test_gradients_are_finite_where_the_field_is_flat() -> None:

@@ -6,13 +6,13 @@ import pytest
 from reconstruct.mlp import Mlp
 
 
-@pytest.mark.parametrize(("depth", "skip"), [(1, False), (3, False), (3, True), (1, True)])
-def test_it_equals_layers_written_out(depth: int, skip: bool) -> None:
+@pytest.mark.parametrize(("depth", "skip"), [(1, 0), (3, 0), (3, 2), (4, 2)])
+def test_it_equals_layers_written_out(depth: int, skip: int) -> None:
     network = Mlp.create(jax.random.key(0), channels=5, width=16, depth=depth, outputs=3, skip=skip)
     inputs = np.random.default_rng(0).normal(size=(5, 7))
     hidden = inputs
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-        if skip and depth > 1 and layer == depth - 1:
+        if skip and layer == skip:
             hidden = np.concatenate([hidden, inputs])
         hidden = np.asarray(weight, np.float64) @ hidden + np.asarray(bias)[:, None]
         hidden = np.maximum(hidden, 0) if layer < depth else hidden

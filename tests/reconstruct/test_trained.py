@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import Misuse
-from reconstruct.config import load_config
 from reconstruct.errors import ReconstructError
+from reconstruct.models import load_config
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.trained import Trained
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.encodings import lattice, simplex
+from reconstruct.encodings import simplex, tables
 from reconstruct.encodings.lattice import PermutohedralLattice, ball_share
 
 EVALUATE = jax.jit(lambda grid, points, scale=None: grid.value_and_jacobian(points, scale))
@@ -37,8 +37,8 @@ def hashed(corners: np.ndarray, log2_size: int) -> np.ndarray:
     """Rows within a level's table from whole vertices, with Python's own integers: the hash's definition."""
     rows = []
     for vertex in corners.reshape(-1, 4).tolist():
-        key = sum(v * p for v, p in zip(vertex[:3], lattice._PRIMES, strict=True)) % 2**32
-        key = (key ^ (key >> 15)) * int(lattice._MIXER) % 2**32
+        key = sum(v * p for v, p in zip(vertex[:3], tables.PRIMES, strict=True)) % 2**32
+        key = (key ^ (key >> 15)) * int(tables.MIXER) % 2**32
         rows.append(key >> (32 - log2_size))
     return np.array(rows).reshape(corners.shape[:-1])
 
@@ -98,7 +98,7 @@ def test_own_derivative_rule_equals_autodiff_of_the_obvious(grid: PermutohedralL
     cotangents = jax.random.normal(jax.random.key(3), (4, 2, 3, points.shape[1]))
 
     def ours(table):
-        return jnp.sum(jnp.stack([jnp.stack(one) for one in lattice.combine(table, rows, coefficients)]) * cotangents)
+        return jnp.sum(jnp.stack([jnp.stack(one) for one in tables.combine(table, rows, coefficients)]) * cotangents)
 
     def obvious(table):
         gathered, weights = table[:, jnp.stack(rows)], jnp.stack([jnp.stack(one) for one in coefficients])

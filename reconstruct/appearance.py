@@ -1,0 +1,137 @@
+"""From what the spatial network knows of a point to its colour: one class per way to look at light.
+
+    Reflection    Ref-NeRF (Verbin et al. 2022, section 3): srgb(diffuse + tint * specular(reflected direction, roughness, n . v))
+    ViewColour    NeRF, Mip-NeRF, Zip-NeRF: colour(view direction); with a diffuse colour, srgb(diffuse + specular(view direction))
+
+Points, directions and channels come first: (3, n), (channels, n).
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.config import FieldConfig
+from reconstruct.encodings.directional import ide_channels, integrated_directional_encoding
+from reconstruct.encodings.view import view_channels, view_encoding
+from reconstruct.mlp import Mlp
+from reconstruct.safe import linear_from_srgb, normalise, srgb_from_linear
+
+
+class Material(eqx.Module):
+    """Appearance of points before the view direction is known. Linear colour."""
+
+    diffuse: Float[Array, "3 n"]
+    tint: Float[Array, "3 n"]
+    roughness: Float[Array, "1 n"]
+    normals_pred: Float[Array, "3 n"]
+    """Unit; zero where the model predicts none."""
+    bottleneck: Float[Array, "channels n"]
+
+    def stacked(self) -> Float[Array, "channels n"]:
+        """All of it as one array, to be composited."""
+        return jnp.concatenate([self.diffuse, self.tint, self.roughness, self.normals_pred, self.bottleneck])
+
+    @classmethod
+    def unstacked(cls, channels: Float[Array, "channels n"]) -> "Material":
+        """Inverse of `stacked`."""
+        return cls(channels[0:3], channels[3:6], channels[6:7], channels[7:10], channels[10:])
+
+
+class Shading(eqx.Module):
+    """Colour of points seen from given directions."""
+
+    rgb: Float[Array, "3 n"]
+    """sRGB in [0, 1], padded by 0.001 as Ref-NeRF has it."""
+    specular: Float[Array, "3 n"]
+    """The part that depends on the direction, tint included, linear; all of the colour where nothing is diffuse."""
+
+
+class Reflection(eqx.Module):
+    """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected."""
+
+    view: Mlp
+    ide_degree: int = eqx.field(static=True)
+
+    heads: ClassVar[int] = 10
+    """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
+    has_diffuse: ClassVar[bool] = True
+    predicts_normals: ClassVar[bool] = True
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "Reflection":
+        """Fresh weights for the given sizes."""
+        channels = field.bottleneck + ide_channels(field.ide_degree) + 1
+        return cls(_view_network(key, channels, field), field.ide_degree)
+
+    def material(self, raw: Float[Array, "channels n"]) -> Material:
+        """Heads of the spatial network's outputs."""
+        return Material(
+            diffuse=jax.nn.sigmoid(raw[0:3] - np.log(3.0)), tint=jax.nn.sigmoid(raw[3:6]),
+            roughness=jax.nn.softplus(raw[6:7] - 1.0), normals_pred=-normalise(raw[7:10], axis=0), bottleneck=raw[10:],
+        )  # fmt: skip
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """Colour towards a camera that looks along unit `viewdirs`; `normals` instead of the predicted ones where given."""
+        normals = normalise(material.normals_pred, axis=0) if normals is None else normals
+        facing = -jnp.sum(normals * viewdirs, axis=0)
+        reflected = 2 * facing * normals + viewdirs  # Ref-NeRF equation 4, with the direction towards the camera -viewdirs
+        encoded = integrated_directional_encoding(reflected, material.roughness[0], self.ide_degree)
+        raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None]]))
+        return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw))
+
+
+class ViewColour(eqx.Module):
+    """Colour by the direction of the view, all of it or what is added to a diffuse colour."""
+
+    view: Mlp
+    degree: int = eqx.field(static=True)
+    has_diffuse: bool = eqx.field(static=True)
+
+    predicts_normals: ClassVar[bool] = False
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "ViewColour":
+        """Fresh weights for the given sizes."""
+        network = _view_network(key, field.bottleneck + view_channels(field.view_degree), field)
+        return cls(network, field.view_degree, field.appearance == "view_diffuse")
+
+    @property
+    def heads(self) -> int:
+        """Diffuse (3), where there is one; the bottleneck follows."""
+        return 3 if self.has_diffuse else 0
+
+    def material(self, raw: Float[Array, "channels n"]) -> Material:
+        """Heads of the spatial network's outputs."""
+        count = raw.shape[1]
+        diffuse = jax.nn.sigmoid(raw[0:3] - np.log(3.0)) if self.has_diffuse else jnp.zeros((3, count))
+        return Material(diffuse, jnp.ones((3, count)), jnp.zeros((1, count)), jnp.zeros((3, count)), raw[self.heads :])
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """Colour towards a camera that looks along unit `viewdirs`, whatever the normals."""
+        raw = self.view(jnp.concatenate([material.bottleneck, view_encoding(viewdirs, self.degree)]))
+        colour = jax.nn.sigmoid(raw)
+        if self.has_diffuse:
+            return _sum_of_parts(material.diffuse, colour)
+        return Shading(colour * 1.002 - 0.001, linear_from_srgb(colour))
+
+
+Appearance = Reflection | ViewColour
+
+
+def create_appearance(key: PRNGKeyArray, field: FieldConfig) -> Appearance:
+    """The appearance that a configuration names."""
+    kind = Reflection if field.appearance == "reflection" else ViewColour
+    return kind.create(key, field)
+
+
+def _view_network(key: PRNGKeyArray, channels: int, field: FieldConfig) -> Mlp:
+    return Mlp.create(key, channels=channels, width=field.view_width, depth=field.view_depth, outputs=3, skip=field.view_skip)
+
+
+def _sum_of_parts(diffuse: Float[Array, "3 n"], specular: Float[Array, "3 n"]) -> Shading:
+    rgb = jnp.clip(srgb_from_linear(diffuse + specular), 0.0, 1.0)
+    return Shading(rgb * 1.002 - 0.001, specular)

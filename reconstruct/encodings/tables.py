@@ -1,0 +1,73 @@
+"""Hashed tables of features, whatever the grid whose vertices they belong to.
+
+Vocabulary: a table holds the channels of all levels, one level after the other, 2^log2_size rows each; rows and coefficients
+are lists with one (levels, n) array per vertex around a point.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
+
+PRIMES = (2531011, 3674653429, 2097192037)
+"""Factors of the three coordinates in the hash."""
+MIXER = np.uint32(2654435769)
+
+
+def resolutions_between(coarsest: float, finest: float, levels: int) -> tuple[float, ...]:
+    """`levels` numbers that grow geometrically from `coarsest` to `finest`."""
+    growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
+    return tuple(float(coarsest * growth**level) for level in range(levels))
+
+
+def start_values(key: PRNGKeyArray, features: int, levels: int, log2_size: int) -> Float[Array, "features rows"]:
+    """A table of uniform values within 1e-4."""
+    return jax.random.uniform(key, (features, levels * 2**log2_size), minval=-1e-4, maxval=1e-4)
+
+
+def mean_squares(table: Float[Array, "features rows"], levels: int) -> Float[Array, ""]:
+    """Sum over levels of the mean square of the values (Zip-NeRF, Barron et al. 2023, section 3)."""
+    return levels * jnp.mean(jnp.square(table))
+
+
+def starts(levels: int, log2_size: int) -> Int[Array, "levels 1"]:
+    """First row of each level."""
+    return (jnp.arange(levels, dtype=jnp.int32) << log2_size)[:, None]
+
+
+def row_of(key: UInt32[Array, "..."], log2_size: int) -> Int[Array, "..."]:
+    """Row within its level of a vertex whose coordinates were hashed linearly: a mixing step, then the upper bits."""
+    key = (key ^ (key >> np.uint32(15))) * MIXER
+    return (key >> np.uint32(32 - log2_size)).astype(jnp.int32)
+
+
+@jax.custom_vjp
+def combine(table: Float[Array, "features rows"], rows: list, coefficients: list) -> list:
+    """For each set of coefficients and each channel, the sum over the vertices of coefficient times value.
+
+    The weights give the interpolated value; sets of their slopes give its derivatives. Linear in the table; rows
+    and coefficients are data, each (levels, n).
+    """
+    channels = [jax.lax.optimization_barrier(channel) for channel in table]
+    vertices = [[channel.at[row].get(mode="promise_in_bounds") for row in rows] for channel in channels]
+    return [[sum(v * c for v, c in zip(vertex, one, strict=True)) for vertex in vertices] for one in coefficients]
+
+
+def _combine_forward(table, rows, coefficients):
+    return combine(table, rows, coefficients), (table, rows, coefficients)
+
+
+def _combine_backward(saved, cotangents):
+    """One scatter per channel; ordered by level, so that it works in the part of the table that is in the cache."""
+    table, rows, coefficients = saved
+    all_rows = jax.lax.optimization_barrier(jnp.stack(rows, 1).reshape(-1))
+    table_bar = []
+    for channel in range(table.shape[0]):
+        per_vertex = [sum(one[k] * g[channel] for one, g in zip(coefficients, cotangents, strict=True)) for k in range(len(rows))]
+        update = jax.lax.optimization_barrier(jnp.stack(per_vertex, 1).reshape(-1))
+        table_bar.append(jnp.zeros(table.shape[1], table.dtype).at[all_rows].add(update, mode="promise_in_bounds"))
+    nothing = [np.zeros(row.shape, jax.dtypes.float0) for row in rows]
+    return jnp.stack(table_bar), nothing, jax.tree.map(jnp.zeros_like, coefficients)
+
+
+combine.defvjp(_combine_forward, _combine_backward)

@@ -1,0 +1,102 @@
+"""The models by name: `configs/models/NAME.yaml`, read into a `Config`.
+
+    about: what it is, in one line
+    base: another model, whose presets this one changes (one level deep)
+    fast: {values that differ from the defaults, or from the base}
+    paper: {...}
+
+`--set section.key=value` overrides. The same changes may be laid over the configuration of a run (`over_run`).
+"""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from datasets.errors import Misuse, nearest
+from datasets.schema import Schema, read_yaml, validate
+from reconstruct.config import Config
+
+PRESETS = ("fast", "paper")
+Tree = dict[str, Any]
+
+
+class ModelFile(Schema):
+    """One file of `configs/models`."""
+
+    about: str = Field(description="line that says what the model is")
+    base: str | None = Field(None, description="Model whose presets this one changes; itself without a base.")
+    fast: dict[str, Any] = Field({}, description="Changes for a workstation without GPU.")
+    paper: dict[str, Any] = Field({}, description="Changes for the published sizes.")
+
+
+def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[str] | None = None) -> Config:
+    """Defaults, then the base's preset, then the model file's, then `key=value` overrides.
+
+    Raises:
+        Misuse: unknown model, preset or key (with the nearest valid one), or a value out of range.
+    """
+    if preset not in PRESETS:
+        raise Misuse(f"model {model} has no preset '{preset}'", remedy=nearest(preset, PRESETS))
+    changes, content = _read(model, preset)
+    if content.base is not None:
+        base, below = _read(content.base, preset)
+        if below.base is not None:
+            raise Misuse(f"the base of model {model} has a base itself", where=_path(model), remedy=f"write base: {below.base}")
+        changes = merged(base, changes)
+    return _validated({**changes, "model": model, "preset": preset}, overrides)
+
+
+def over_run(config: Config, model: str, overrides: list[str] | None = None) -> Config:
+    """A run's configuration with the changes of a model file laid over it."""
+    changes, _ = _read(model, config.preset)
+    return _validated(merged(config.model_dump(mode="json"), changes), overrides)
+
+
+def names() -> list[str]:
+    """Names of all models."""
+    return sorted(path.stem for path in _folder().glob("*.yaml"))
+
+
+def overview() -> list[dict[str, Any]]:
+    """Per model: name, encoding, appearance, regularisers (names of those with a weight in the paper preset), about."""
+    rows = []
+    for name in names():
+        config, content = load_config(name, "paper"), _read(name, "paper")[1]
+        surface = config.surface
+        used = [term for term in ("density", "normal", "bias", "variation") if surface.enabled and getattr(surface, term)]
+        rows.append({"name": name, "encoding": config.encoding.kind, "appearance": config.field.appearance,
+                     "regularisers": used, "about": content.about})  # fmt: skip
+    return rows
+
+
+def merged(below: Tree, changes: Tree) -> Tree:
+    """A tree in which the values of `changes` take the place of those of `below`, section by section."""
+    both = {k: merged(below[k], v) if isinstance(v, dict) and isinstance(below.get(k), dict) else v for k, v in changes.items()}
+    return {**below, **both}
+
+
+def _folder() -> Path:
+    from importlib.resources import files
+
+    return Path(str(files("configs"))) / "models"
+
+
+def _path(model: str) -> Path:
+    return _folder() / f"{model}.yaml"
+
+
+def _read(model: str, preset: str) -> tuple[Tree, ModelFile]:
+    """The changes of one preset as they are written, and the whole file; each key is known to be a setting."""
+    if model not in names():
+        raise Misuse(f"there is no model '{model}'", remedy=nearest(model, names()))
+    content, lines = read_yaml(_path(model))
+    file = validate(content, ModelFile, where=_path(model), lines=lines)
+    changes = getattr(file, preset)
+    inside = {place[1:]: line for place, line in lines.items() if place[:1] == (preset,)}
+    validate(changes, Config, where=f"model {model}, preset {preset}", lines=inside)
+    return changes, file
+
+
+def _validated(tree: Tree, overrides: list[str] | None) -> Config:
+    return validate(tree, Config, where="--set" if overrides else f"model {tree['model']}", overrides=overrides or ())
