@@ -2,16 +2,19 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib import handeye
-from calib.bench import BOUND, DRAWN, REFINED, Errors, Point, Result
+from calib.bench import BOUND, EXACT, REFINED, Errors, Point, Result
+from calib.ratios import Ratio
 from datasets import files
 
+Array = NDArray[np.float64]
 TIE = 1.01
 """Methods whose errors differ by less than a hundredth are equal to what a few hundred trials can tell."""
 CLOSE = 1.10
@@ -43,25 +46,40 @@ def _time(errors: Errors) -> float:
 
 def summary(results: Sequence[Result]) -> dict[str, Any]:
     """What the benchmark says as a whole: worst ratios of the refinement, and at how many points it keeps to them."""
-    best = np.array([result.against_best() for result in results])
-    bound = np.array([result.against_bound() for result in results])
+    best, bound = (_table(results, kind) for kind in (Result.against_best, Result.against_bound))
+    plain = np.array([result.plainly_against_bound() for result in results if max(result.methods[REFINED].rms) > EXACT[0]])
     return {
         "points": len(results), "trials": max(len(r.methods[REFINED].time_ms) for r in results),
         "failures_of_refinement": sum(r.methods[REFINED].failures for r in results),
-        "at_or_below_best": int((best <= TIE).all(1).sum()), "worst_against_best": best.max(0).tolist(),
-        "within_tenth_of_bound": int((bound <= CLOSE).all(1).sum()), "worst_against_bound": bound.max(0).tolist(),
+        "at_or_below_best": int((best[..., 0] <= TIE).all(1).sum()), "worst_against_best": best[..., 0].max(0).tolist(),
+        "surely_above_best": int((best[..., 1] > 1.0).any(1).sum()),
+        "within_tenth_of_bound": int((bound[..., 0] <= CLOSE).all(1).sum()), "worst_against_bound": bound[..., 0].max(0).tolist(),
+        "surely_within_tenth_of_bound": int((bound[..., 2] <= CLOSE).all(1).sum()),
+        "worst_upper_end_against_bound": bound[..., 2].max(0).tolist(),
+        "worst_plainly_against_bound": plain.max(0, initial=0.0).tolist(),
     }  # fmt: skip
+
+
+def _table(results: Sequence[Result], kind: Callable[[Result], tuple[Ratio, Ratio]]) -> Array:
+    """(points, 2, 3) value, low and high end of a ratio in translation and rotation."""
+    return np.array([[(r.value, r.low, r.high) for r in kind(result)] for result in results])
 
 
 def describe(results: Sequence[Result]) -> str:
     """`summary` in words."""
     s = summary(results)
+
+    def pair(name: str) -> str:
+        return f"{s[name][0]:.3f} in translation, {s[name][1]:.3f} in rotation"
+
     return (
         f"{s['points']} points of {s['trials']} trials, refinement failed {s['failures_of_refinement']} times\n"
-        f"at or below the best closed form (within {TIE - 1:.0%}): {s['at_or_below_best']} points; "
-        f"worst {s['worst_against_best'][0]:.3f} in translation, {s['worst_against_best'][1]:.3f} in rotation\n"
-        f"within {CLOSE - 1:.0%} of the bound: {s['within_tenth_of_bound']} points; "
-        f"worst {s['worst_against_bound'][0]:.3f} in translation, {s['worst_against_bound'][1]:.3f} in rotation"
+        f"at or below the best closed form (within {TIE - 1:.0%}): {s['at_or_below_best']} points; worst {pair('worst_against_best')}\n"
+        f"above it by more than chance (95 % interval above 1): {s['surely_above_best']} points\n"
+        f"within {CLOSE - 1:.0%} of the bound: {s['within_tenth_of_bound']} points; worst {pair('worst_against_bound')}\n"
+        f"the whole 95 % interval within {CLOSE - 1:.0%}: {s['surely_within_tenth_of_bound']} points; "
+        f"highest end {pair('worst_upper_end_against_bound')}\n"
+        f"plain quotient of drawn error and bound, which 200 trials leave uncertain by 5 %: at most {pair('worst_plainly_against_bound')}"
     )
 
 
@@ -80,7 +98,7 @@ def markdown(results: Sequence[Result]) -> str:
             f"| {p.sigma_px:g} | {p.arm_mm:g} | {p.arm_deg:g} | {p.views} | {'estimated' if p.free else 'given'} "
             f"| {first} {result.methods[first].rms[0]:.4f} | {second} {result.methods[second].rms[1]:.4f} "
             f"| {refined.rms[0]:.4f} | {refined.rms[1]:.4f} | {result.bound[0]:.4f} | {result.bound[1]:.4f} "
-            f"| {best[0]:.2f}, {best[1]:.2f} | {bound[0]:.2f}, {bound[1]:.2f} "
+            f"| {best[0]}, {best[1]} | {bound[0]}, {bound[1]} "
             f"| {min(closed):.1f}–{max(closed):.1f}, {_time(refined):.1f} |"
         )
     return "\n".join(lines) + "\n"
@@ -114,7 +132,7 @@ def _plot(path: Path, results: Sequence[Result]) -> None:
                                   + (", intrinsics estimated" if level[3] else ""))  # fmt: skip
     grid[0][0].legend(fontsize=8, ncols=2)
     for axis, kind in enumerate(("translation", "rotation")):
-        _ratios(grid[2][axis], results, axis, kind)
+        _draw_ratios(grid[2][axis], results, axis, kind)
     grid[2][2].axis("off")
     grid[2][2].text(0, 0.5, describe(results).replace("; ", ";\n"), va="center")
     figure.savefig(path, dpi=100)
@@ -149,10 +167,12 @@ def _error_against_time(axes: Any, results: Sequence[Result], axis: int, unit: s
         direction.set_minor_formatter(lambda value, place: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
 
 
-def _ratios(axes: Any, results: Sequence[Result], axis: int, kind: str) -> None:
-    places = np.arange(len(results))
-    axes.plot(places, [r.against_best()[axis] for r in results], "o", markersize=4, label="refinement / best closed form")
-    axes.plot(places, [r.against_bound()[axis] for r in results], "k.", label=f"refinement / {DRAWN}")
+def _draw_ratios(axes: Any, results: Sequence[Result], axis: int, kind: str) -> None:
+    """Both ratios of all points; that to the bound with its interval."""
+    places, best = np.arange(len(results)), _table(results, Result.against_best)[:, axis]
+    value, low, high = _table(results, Result.against_bound)[:, axis].T
+    axes.plot(places, best[:, 0], "o", markersize=4, label="refinement / best closed form")
+    axes.errorbar(places, value, [value - low, high - value], fmt="k.", elinewidth=1, label=f"refinement / {BOUND}, 95 %")
     axes.axhline(1.0, color="grey", linewidth=1)
     axes.axhline(CLOSE, color="grey", linestyle="--", linewidth=1)
     axes.set(ylim=(0, 1.3), xlabel="point of the benchmark", ylabel="ratio of rms errors", title=kind)

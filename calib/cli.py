@@ -158,7 +158,7 @@ def view_command(
         rms = calibration.residuals.get("rms_px")
         console.report({"url": page.url, "calibration": str(path), "rms_px": rms}, as_json=json,
                        text=f"{page.url} shows {path}; Ctrl-C ends it")  # fmt: skip
-        page.wait()
+        page.serve()
 
 
 @app.command("plan")

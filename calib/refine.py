@@ -7,7 +7,8 @@ With the predictions and the corrections C[i] of `calib.model`, minimised is
 
 by Levenberg-Marquardt with analytic derivatives. A view's correction touches its own corners alone and is eliminated view by
 view (`calib.elimination`).
-The three sigmas are estimated along with the rest (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r
+Where no residual is further out than chance would have it, the loss is the plain square, which wastes nothing; Huber's
+is for sessions in which some are. The three sigmas are estimated along with the rest (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r
 starting from the arm's stated accuracy, which counts as `PRIOR_VIEWS` views' worth of evidence.
 """
 
@@ -22,7 +23,9 @@ from calib.model import Session, State, perturbed, predict
 
 Array = NDArray[np.float64]
 HUBER = 3.0
-"""Residual in sigmas from which on a corner pulls with constant force; a good one gets there once in 90 times."""
+"""Residual in sigmas from which on a corner pulls with constant force, in a session with outliers; a good one gets there once in 90 times."""
+CHANCE = 0.01
+"""Share of honest sessions that are taken to hold outliers: those whose largest residual is a rare one."""
 OUTLIER = 6.0
 """Residual in sigmas from which on a corner is left out."""
 MIN_SIGMA_PX = 1e-4
@@ -38,6 +41,8 @@ class Sigmas:
     pixel: float
     translation_m: float
     rotation_rad: float
+    width: float = np.inf
+    """Residual in sigmas from which on a corner pulls with constant force; infinite: all of them look Gaussian."""
 
     @property
     def correction(self) -> Array:
@@ -75,8 +80,8 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
     Raises:
         CalibrationError: the start is too far off, or nearly all corners are outliers.
     """
-    sigmas = Sigmas(max(sigma_px, MIN_SIGMA_PX), session.accuracy.translation_m, session.accuracy.rotation_rad)
-    state, steps, settled = start, 0, False
+    sigmas = Sigmas(max(sigma_px, MIN_SIGMA_PX), session.accuracy.translation_m, session.accuracy.rotation_rad, HUBER)
+    state, steps, settled, suspicious = start, 0, False, False
     inliers = np.ones(len(session.view), bool)
     linear = _linear(session, state)
     for number in range(rounds):
@@ -85,17 +90,26 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
         steps += count
         linear = fitted if inliers.all() else _linear(session, state)
         last, sigmas = sigmas, _estimated_sigmas(chosen, state, sigmas, fitted)
-        kept = np.linalg.norm(linear.residuals, axis=1) <= OUTLIER * sigmas.pixel
+        distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
+        kept = distance <= OUTLIER
+        honest = _look_gaussian(distance[kept])
+        suspicious |= not (honest or np.isfinite(last.width))  # plain squares were tried: no second time
+        sigmas = replace(sigmas, width=np.inf if honest and not suspicious else HUBER)
         if kept.sum() < 0.5 * len(kept):
             raise CalibrationError("pictures and arm poses do not fit together", why=f"{(~kept).sum()} of {len(kept)} corners are outliers",
                                    remedy="check that poses are flange poses in metres and belong to these images")  # fmt: skip
         ratios = np.log([sigmas.pixel / last.pixel, *(sigmas.correction[[0, 3]] / last.correction[[0, 3]])])
-        settled = number > 0 and bool((kept == inliers).all() and np.abs(ratios).max() < 0.01)
+        settled = number > 0 and bool((kept == inliers).all() and np.abs(ratios).max() < 0.01 and sigmas.width == last.width)
         inliers = kept
         if settled:
             break
     information = _system(session.some(inliers), state, sigmas, linear.some(inliers)).information
     return Refined(state, sigmas, information, linear.residuals, inliers, steps, settled)
+
+
+def _look_gaussian(distances: Array) -> bool:
+    """Whether the largest of (n,) residuals, in sigmas, is no further out than Gaussian ones come: exp(-d^2 / 2) of them pass d."""
+    return bool(distances.max(initial=0.0) <= np.sqrt(2 * np.log(max(len(distances), 1) / CHANCE)))
 
 
 def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
@@ -137,15 +151,15 @@ def _linear(session: Session, state: State) -> _Linear:
 def _cost(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> float:
     """What is minimised."""
     distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
-    cost = np.where(distance <= HUBER, distance**2, 2 * HUBER * distance - HUBER**2).sum()
+    cost = (distance**2 - np.maximum(distance - sigmas.width, 0.0) ** 2).sum()
     cost += ((state.corrections / sigmas.correction) ** 2).sum()
     return float(cost + (_known_rows(session, state)[:, -1] ** 2).sum())
 
 
 def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Eliminated:
-    """The linear problem about `state` with Huber's weights, the corrections eliminated."""
+    """The linear problem about `state`, corners beyond the loss's width weighed down, the corrections eliminated."""
     distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
-    root = (np.sqrt(np.minimum(1.0, HUBER / np.maximum(distance, 1e-12))) / sigmas.pixel)[:, None, None]
+    root = (np.sqrt(np.minimum(1.0, sigmas.width / np.maximum(distance, 1e-12))) / sigmas.pixel)[:, None, None]
     rows = np.concatenate([linear.by_view, linear.by_global, linear.residuals[..., None]], -1) * root
     own = np.zeros((len(state.corrections), 6, 7))
     own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
@@ -226,8 +240,8 @@ def _estimated_sigmas(session: Session, state: State, sigmas: Sigmas, linear: _L
 
     corners = len(linear.residuals)
     freedom = max(2 * corners - len(system.root) - 6 * views + share.sum(), 0.1 * corners)
-    clipped = np.minimum(np.linalg.norm(linear.residuals, axis=1), HUBER * sigmas.pixel)
+    clipped = np.minimum(np.linalg.norm(linear.residuals, axis=1), sigmas.width * sigmas.pixel)
     return Sigmas(
         max(float(np.sqrt((clipped**2).sum() / freedom)), MIN_SIGMA_PX),
-        of_arm(slice(0, 3), session.accuracy.translation_m), of_arm(slice(3, 6), session.accuracy.rotation_rad),
+        of_arm(slice(0, 3), session.accuracy.translation_m), of_arm(slice(3, 6), session.accuracy.rotation_rad), sigmas.width,
     )  # fmt: skip

@@ -48,6 +48,16 @@ def test_gross_corner_errors_are_left_out(simulate):
     assert distance < 2.5e-4 and np.rad2deg(angle) < 0.05
 
 
+def test_plain_squares_where_the_residuals_look_gaussian_and_a_robust_loss_where_they_do_not(simulate):
+    ordinary = simulate(seed=9, views=15)
+    session = ordinary.session(free=FREE)
+    assert refine.refine(session, ordinary.state(), sigma_px=0.3).sigmas.width == np.inf
+    pixels = session.pixels.copy()
+    pixels[::100] += [0.55, 0.0]  # 5.5 deviations: too little to be left out
+    found = refine.refine(replace(session, pixels=pixels), ordinary.state(), sigma_px=0.3)
+    assert found.sigmas.width == refine.HUBER and found.settled
+
+
 def test_a_worse_arm_than_stated_is_noticed(simulate):
     poor = simulate(seed=5, views=25, translation_m=1e-3, rotation_deg=0.1)
     found = refine.refine(poor.session(free=FREE), poor.state(), sigma_px=0.3)
