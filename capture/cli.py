@@ -133,7 +133,7 @@ def view_command(
         stuck = f", {shown['blocked']} cannot be taken" if shown["blocked"] else ""
         console.report({"url": page.url, **shown}, as_json=as_json,
                        text=f"{page.url} shows {shown['name']}, {shown['views']} views{stuck}; Ctrl-C ends it")  # fmt: skip
-        page.wait()
+        page.serve()
 
 
 @app.command("check")

@@ -98,7 +98,7 @@ def view(
         show(page, scene, loaded, quick=quick, data_root=data_root, images=images)
         console.report({"url": page.url, **describe(loaded)}, as_json=as_json,
                        text=f"{page.url} shows {loaded.name}, {len(loaded.views)} views; Ctrl-C ends it")  # fmt: skip
-        page.wait()
+        page.serve()
 
 
 @app.command()
