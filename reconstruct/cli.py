@@ -76,6 +76,35 @@ def render_command(
     console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
 
 
+@app.command("view")
+def view_command(
+    path: Annotated[Path, typer.Argument(metavar="RUN|SCENE", help="Run, finished or under way; or a scene, to see it before.")],
+    mesh: Annotated[
+        Path | None, typer.Option(metavar="FILE.ply", help="Mesh to lay over it, as 'reconstruct mesh' writes it.")
+    ] = None,
+    port: console.Port = 8080,
+    as_json: console.Json = False,
+) -> None:
+    """Fly through a run in the browser, while it trains and afterwards: colour, its parts, normals, depth, beside the photographs."""
+    from datasets.viewer import open_page
+    from reconstruct.backend import cache_compilations
+    from reconstruct.run import RUN, Run
+
+    cache_compilations()
+    with open_page(path.name, port) as page:
+        if (path / RUN).is_file():
+            from reconstruct.view import show
+
+            show(page, Run.open(path), mesh=mesh)
+        else:
+            from datasets.formats import load_scene
+            from datasets.view import show as show_scene
+
+            show_scene(page, path, load_scene(path), quick=True)
+        console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
+        page.serve()
+
+
 @app.command("mesh")
 def mesh_command(
     run: RunFolder,

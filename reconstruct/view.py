@@ -1,0 +1,259 @@
+"""The page of a run: fly through the model while it trains and afterwards.
+
+The newest checkpoint is rendered wherever a browser looks, coarse at once and finer while it holds still; a newer checkpoint takes
+its place. Rendering runs in this process, training in its own.
+"""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser import uplot
+
+from datasets import bounds
+from datasets.scene import View
+from datasets.viewer import Page, PicturePanel, shapes
+from reconstruct import checkpoint
+from reconstruct.errors import ReconstructError
+from reconstruct.rays import view_rays
+from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.trained import Trained
+from reconstruct.view_eyes import LEVELS, Cancelled, Eyes
+from reconstruct.view_frame import (
+    CHANNELS,
+    NORMALS,
+    Eye,
+    Values,
+    enlarged,
+    hiding_depth,
+    nearest_view,
+    picture_of,
+    seen_from,
+    wiped,
+)
+
+SLICE = 2048
+"""Rays between two looks at whether a picture is still wanted; one compiled program serves all sizes."""
+WIDTH = 640
+"""Pictures are sent at least this wide: coarse ones enlarged [px]."""
+POLL_S = 1.0
+"""Between two looks at the run's folder."""
+MESH_RESOLUTION = 128
+NOTHING = "nothing"
+"""Channel that leaves the page to cameras and mesh."""
+logger = logging.getLogger(__name__)
+
+
+class RunView:
+    """What is on the page of one run."""
+
+    def __init__(self, page: Page, run: Run, mesh: Path | None) -> None:
+        self.page, self.run, self.scene = page, run, run.scene()
+        self.train_views = self.scene.split("train")
+        self.trained: Trained | None = None
+        matrices = np.stack([view.world_from_camera for view in self.scene.views])
+        centre, spread = bounds.focus(matrices)
+        self.centre = centre if spread > bounds.PARALLEL else self.scene.box.mean(0)
+        self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
+        self._photograph: tuple[str, NDArray[np.float32]] | None = None
+        self.eyes = Eyes(page, self._paint)
+        first = self.train_views[0]
+        self.page.look(first.world_from_camera[:3, 3], self.centre, up=shapes.upright(list(matrices)), size=self.reach)
+        self._panel()
+        self._draw(mesh)
+
+    def _panel(self) -> None:
+        gui = self.page.gui
+        self._state = gui.add_markdown("*waiting for a checkpoint*")
+        self.channel = gui.add_dropdown("channel", (*CHANNELS, NOTHING))
+        self.sharpest = gui.add_slider("sharpness", 1, len(LEVELS), 1, 4)
+        self.wipe = gui.add_checkbox("wipe against the nearest training image", False)
+        self.share = gui.add_slider("wipe at", 0.0, 1.0, 0.01, 0.5)
+        for element in (self.channel, self.sharpest, self.wipe, self.share):
+            element.on_update(lambda event: self._changed())
+        gui.add_button("go to the nearest training view").on_click(lambda event: self._go(event.client))
+        self.cameras = gui.add_checkbox("cameras", True)
+        self.cameras.on_update(lambda event: self._show_cameras(event.target.value))
+        self._mesh_button = gui.add_button("extract the mesh")
+        self._mesh_button.on_click(lambda event: self.page.in_background(self._extract))
+        self.panel = PicturePanel(self.page, "Picture", "click a camera")
+        self._log_folder = gui.add_folder("Training")
+        self._curve: viser.GuiUplotHandle | None = None
+        with self._log_folder:
+            self._log = gui.add_markdown("")
+
+    def _changed(self) -> None:
+        self.eyes.levels = 0 if self.channel.value == NOTHING else self.sharpest.value
+        if self.channel.value == NOTHING:
+            for client in self.page.server.get_clients().values():
+                client.scene.set_background_image(None)
+        self.eyes.again()
+
+    def _draw(self, mesh: Path | None) -> None:
+        """Bounds, cameras, and the mesh of a file where one is given."""
+        shapes.add_box(self.page, "/bounds", self.scene.box, colour=shapes.COLOURS["box"])
+        self._frusta = []
+        for view in self.scene.views:
+            handle = shapes.add_camera(self.page, f"/cameras/{view.split}/{view.name}", view.world_from_camera, view.camera,
+                                       colour=shapes.colour_of(view.split), length=0.08 * self.reach)  # fmt: skip
+            handle.on_click(lambda event, view=view: self._chosen(event.client, view))
+            self._frusta.append(handle)
+        if mesh is not None:
+            import trimesh
+
+            self.page.scene.add_mesh_trimesh("/mesh", trimesh.load_mesh(mesh, process=False))
+
+    def _show_cameras(self, visible: bool) -> None:
+        for handle in self._frusta:
+            handle.visible = visible
+
+    def _chosen(self, client: viser.ClientHandle | None, view: View) -> None:
+        if client is None:
+            return
+        shapes.look_through(client, view.world_from_camera, view.camera, distance=self.reach)
+        self.panel.show(client, f"**view {view.name}** ({view.split})", view.read())
+
+    def _go(self, client: viser.ClientHandle | None) -> None:
+        if client is not None:
+            from reconstruct.view_eyes import eye_of
+
+            self._chosen(client, nearest_view(eye_of(client), self.train_views, self.reach))
+
+    def _extract(self) -> None:
+        """Put the model's surface on the page, as it is now."""
+        from reconstruct import mesh
+
+        if self.trained is None:
+            return
+        self._mesh_button.disabled = True
+        try:
+            surface = mesh.extract(self.trained, resolution=MESH_RESOLUTION)
+            self.page.scene.add_mesh_trimesh("/mesh", surface)
+        finally:
+            self._mesh_button.disabled = False
+
+    def render(self, eye: Eye, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
+        """What the model shows of an eye in about so many pixels, (height, width, channels) by the renderer's names.
+
+        Depth is in world units. None where it was cancelled, or there is no model yet.
+        """
+        trained = self.trained
+        if trained is None:
+            return None
+        camera = eye.camera(rays)
+        origins, directions, radii = view_rays(eye.view(camera), trained.functions.normalisation, camera)
+        parts: list[Values] = []
+        for start in range(0, len(origins), SLICE):
+            if cancelled():
+                return None
+            rows = np.minimum(np.arange(start, start + SLICE), len(origins) - 1)
+            parts.append(trained.renderer.rays(trained.state, origins[rows], directions[rows], radii[rows], normals=normals))
+        joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
+        shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}
+        shaped["depth"] = shaped["depth"] / trained.functions.normalisation.scale
+        return shaped
+
+    def _paint(self, client: viser.ClientHandle, eye: Eye, rays: int, cancelled: Cancelled) -> None:
+        channel = self.channel.value
+        if channel == NOTHING:
+            return
+        values = self.render(eye, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
+        if values is None:
+            return
+        picture = enlarged(picture_of(channel, values), WIDTH)
+        if self.wipe.value:
+            picture = wiped(picture, self._photograph_from(eye, picture), self.share.value)
+        shown = (255 * picture + 0.5).astype(np.uint8)
+        client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=hiding_depth(values))
+        client.flush()
+
+    def _photograph_from(self, eye: Eye, like: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The nearest training image as if it had been turned to where `eye` looks, of the size of another picture."""
+        view = nearest_view(eye, self.train_views, self.reach)
+        if self._photograph is None or self._photograph[0] != view.name:
+            self._photograph = (view.name, view.read())
+        height, width = like.shape[:2]
+        camera = eye.camera(width * height).scaled(width, height)
+        return seen_from(eye, camera, view, self._photograph[1])
+
+    def follow(self) -> None:
+        """Take the newest checkpoint whenever there is one, and keep the curves up to date, until the page ends."""
+        newest = None
+        while not self.page.stopping.is_set():
+            found = checkpoint.steps(self.run.path / CHECKPOINTS)
+            if found and found[-1] != newest and self._take():
+                newest = found[-1]
+                self.eyes.again()
+            self._say()
+            self.page.stopping.wait(POLL_S)
+
+    def _take(self) -> bool:
+        """Load the newest checkpoint. False where it went away meanwhile: a running training keeps the last two."""
+        try:
+            if self.trained is None:
+                self.trained = Trained.open(self.run.path)
+            else:
+                state, _ = checkpoint.load(self.run.path / CHECKPOINTS, self.trained.state)
+                self.trained = replace(self.trained, state=state)
+        except (OSError, ReconstructError) as error:
+            logger.info("checkpoint not taken: %s", error)
+            return False
+        return True
+
+    def _say(self) -> None:
+        """Step, error and what was left out, in words and as curves."""
+        log = self.run.log()
+        if self.trained is not None:
+            self._state.content = f"**{self.scene.name}**, {self.run.config.model}, step {int(self.trained.state.step)}"
+        words = words_on(log, self.run)
+        if words == self._log.content:
+            return
+        self._log.content = words
+        if len(log) < 2:
+            return
+        data, series = curves(log)
+        if self._curve is None:
+            with self._log_folder:
+                self._curve = self.page.gui.add_uplot(data, series, scales={"x": uplot.Scale(time=False)}, aspect=1.6)
+        else:
+            self._curve.data = data
+
+
+def words_on(log: list[dict[str, Any]], run: Run) -> str:
+    """Markdown on how far a training is and what it left out."""
+    if not log:
+        return "*no line in the log yet*"
+    last = log[-1]
+    unseen = f", unseen {last['psnr_unseen']:.2f} dB" if "psnr_unseen" in last else ""
+    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): "
+             f"training rays {last['psnr_train']:.2f} dB{unseen}",
+             f"{last['skipped']} steps left out because their gradient was not finite"]  # fmt: skip
+    if "occupied" in last:
+        lines.append(f"{100 * last['occupied']:.2f} % of the cells hold anything; the others are skipped")
+    return "  \n".join([*lines, *(f"*{note}*" for note in run.content.get("notes", []))])
+
+
+def curves(log: list[dict[str, Any]]) -> tuple[tuple[NDArray[np.float64], ...], tuple[uplot.Series, ...]]:
+    """PSNR [dB] on training rays and unseen pixels over the seconds of training: columns, and how to draw them."""
+    columns = [np.array([line.get(key, np.nan) for line in log], np.float64) for key in ("seconds", "psnr_train", "psnr_unseen")]
+    series = (uplot.Series(label="seconds"), uplot.Series(label="training rays [dB]", stroke="#d98324", width=1.5),
+              uplot.Series(label="unseen [dB]", stroke="#2f6fde", width=2))  # fmt: skip
+    return tuple(columns), series
+
+
+def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunView:
+    """Put a run on a page; the model follows as soon as it is loaded.
+
+    Args:
+        page: to draw on.
+        run: finished, or one that another process trains.
+        mesh: file of a mesh in world coordinates to lay over it.
+    """
+    shown = RunView(page, run, mesh)
+    page.in_background(shown.follow)
+    page.in_background(shown.eyes.run)
+    return shown
