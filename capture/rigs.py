@@ -51,6 +51,10 @@ class Rig:
 
 def describe(name: str) -> RigDescription:
     """The description of a rig by name; raises Misuse where its file is missing or wrong."""
+    if name != SIMULATED and not Path(name).exists():
+        raise Misuse(
+            "no such file", where=name, remedy=f"--rig takes {SIMULATED} or the file of a rig, as configs/rigs/ur5e_basler.yaml"
+        )
     return RigDescription() if name == SIMULATED else load_rig(name)
 
 

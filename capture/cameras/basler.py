@@ -130,8 +130,8 @@ class Basler:
         if self.serial:
             devices = [device for device in devices if device.GetSerialNumber() == self.serial]
         if not devices:
-            raise RigConnectionError("no such Basler camera", where=self._name(), why=f"connected: {', '.join(serials) or 'none'}",
-                                     remedy="check cable, power and the serial number in the rig file")  # fmt: skip
+            raise RigConnectionError("no Basler camera was found", where=self._name(), why=f"connected: {', '.join(serials) or 'none'}",
+                                     remedy="check cable and power, and camera.serial in the rig file")  # fmt: skip
         if len(devices) > 1 and not self.emulated:
             raise RigConnectionError("several Basler cameras are connected", why=", ".join(serials),
                                      remedy="write the serial number into the rig file")  # fmt: skip

@@ -5,6 +5,7 @@ never outlives who started it.
 """
 
 import asyncio
+import errno
 import json
 import os
 import random
@@ -24,19 +25,22 @@ from capture.sim.session import CYCLE_HZ
 async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
     """Open all ports on the address `wanted`, or on a loopback address that nobody uses; returns it and the side channel's port."""
     handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
+    ports = ", ".join(map(str, handlers))
     for _ in range(1 if wanted else 50):
         host = wanted or f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
         opened = []
         try:
             for port, handler in handlers.items():
                 opened.append(await asyncio.start_server(handler, host, port))
-        except OSError:
+        except OSError as error:
             for listener in opened:
                 listener.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
             continue
         side = await asyncio.start_server(partial(side_channel.serve, server), "127.0.0.1", 0)
         return host, side.sockets[0].getsockname()[1]
-    raise OSError(f"ports {', '.join(map(str, handlers))} are not free{' there' if wanted else ' on any loopback address'}")
+    raise OSError(f"ports {ports} are not free {'there: another controller runs' if wanted else 'on any loopback address'}")
 
 
 async def _run(options: dict[str, Any]) -> None:

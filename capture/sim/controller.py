@@ -5,6 +5,7 @@ with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UR5e(simul
     simulated.true_base_from_flange()
 """
 
+import ipaddress
 import json
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from capture.errors import SimulationError
 from capture.sim.handle import ControllerHandle
+from datasets.errors import Misuse
 
 START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
@@ -54,8 +56,11 @@ class SimulatedController(ControllerHandle):
             host: loopback address; empty: one that nobody uses.
 
         Raises:
+            Misuse: `host` is no loopback address; nothing simulated listens to other computers.
             SimulationError: it did not start.
         """
+        if host and not _is_loopback(host):
+            raise Misuse("is no loopback address", where=host, remedy="give one of 127.0.0.1 to 127.255.255.254")
         options = {
             "host": host, "seed": int(seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
             "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
@@ -75,7 +80,8 @@ class SimulatedController(ControllerHandle):
         if not line:
             process.kill()
             process.communicate()
-            raise SimulationError("the simulated controller did not start", where=host, why=_last_line(words))
+            raise SimulationError("the simulated controller did not start", where=host, why=_last_line(words).removeprefix("OSError: "),
+                                  remedy="end what holds it up, or choose another --host")  # fmt: skip
         ready = json.loads(line)
         return cls(process, ready["host"], ready["side_port"], words)
 
@@ -95,6 +101,13 @@ class SimulatedController(ControllerHandle):
     def last_words(self) -> str:
         """What the process printed last."""
         return _last_line(self._words)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.IPv4Address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _last_line(words: IO[bytes]) -> str:

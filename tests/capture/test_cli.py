@@ -80,7 +80,7 @@ def test_ctrl_c_keeps_what_was_taken_and_says_how_to_go_on(tmp_path):
         (("binning", "binnning"), [], "line 9: unknown key 'camera.binnning'; did you mean 'binning'?"),
         (("", ""), ["--scene", "gold_hed"], "unknown scene 'gold_hed'; did you mean 'gold_head'?"),
         (("", ""), ["--scene", "charuco_board"], "needs a trajectory with 'target'"),
-        (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file"),
+        (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file; --rig takes sim or the file of a rig"),
         (("distance: 0.4", "distance: 2.0"), [], "views cannot be taken"),
         (("width: 48", "width: wide"), [], "camera.width"),
     ],
@@ -96,6 +96,15 @@ def test_camera_that_refuses_leaves_nothing(session, tmp_path):
     session.write_text(session.read_text().replace("binning: 4", "binning: 5"))
     done = capture("run", session, "--scene", "shiny_ball", "--out", tmp_path / "rec")
     assert done.returncode == 1 and "BinningHorizontal (requested 5" in done.stderr
+    assert not (tmp_path / "rec").exists()
+
+
+def test_camera_that_is_not_there_is_one_line_and_leaves_nothing(session, tmp_path, configs):
+    done = capture("run", session, "--rig", configs / "rigs" / "ur5e_basler.yaml", "--out", tmp_path / "rec")
+    if "cannot be reached" in done.stderr or "several" in done.stderr:
+        pytest.skip("a Basler camera is connected to this computer")
+    assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
+    assert "camera: no Basler camera was found (connected: none); check cable and power" in done.stderr
     assert not (tmp_path / "rec").exists()
 
 

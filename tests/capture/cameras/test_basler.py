@@ -104,7 +104,7 @@ def test_setting_that_is_not_taken_is_told_and_the_camera_closed(changed, words)
 
 
 def test_missing_camera_is_told():
-    with pytest.raises(RigConnectionError, match=r"camera 123: no such Basler camera .*check cable"):
+    with pytest.raises(RigConnectionError, match=r"camera 123: no Basler camera was found .*check cable"):
         Basler(SMALL, serial="123", emulated=True).__enter__()
 
 

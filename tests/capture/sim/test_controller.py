@@ -13,6 +13,7 @@ import pytest
 from capture.errors import SimulationError
 from capture.kinematics import forward
 from capture.sim.controller import HOME, SimulatedController
+from datasets.errors import Misuse
 
 
 def _accepts(host, port):
@@ -29,6 +30,18 @@ def test_ports_accept_while_it_lives_and_not_after():
     assert not _accepts(simulated.host, 30004)
     with pytest.raises(SimulationError, match="does not answer"):
         simulated.true_base_from_flange()
+
+
+@pytest.mark.parametrize("host", ["192.168.77.5", "0.0.0.0", "localhost", "nonsense", "::1"])
+def test_it_listens_to_nobody_but_this_computer(host):
+    with pytest.raises(Misuse, match=r"no loopback address; give one of 127\.0\.0\.1 to"):
+        SimulatedController.start(host=host)
+
+
+def test_a_busy_port_is_told():
+    with SimulatedController.start() as simulated:
+        with pytest.raises(SimulationError, match=rf"{simulated.host}.*30004, 30003, 29999 are not free there.*another --host"):
+            SimulatedController.start(host=simulated.host)
 
 
 def test_unknown_requests_name_the_known_ones():
