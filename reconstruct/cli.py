@@ -14,31 +14,76 @@ RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder made by '
 
 @app.command()
 def train(
-    scene: Annotated[str, typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the run; must be new, unless --resume.")],
-    model: Annotated[str, typer.Option(help="Name of a file in configs/models.")] = "surfnerf",
+    scene: Annotated[
+        str | None,
+        typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
+    ] = None,
+    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.")] = "surfnerf",
     preset: Annotated[str, typer.Option(help="fast: a workstation without GPU; paper: the published sizes.")] = "fast",
     budget: Annotated[float | None, typer.Option(help="Seconds of training proper; without it, train.steps steps.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting: key=value, e.g. scale=0.5; repeatable.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
+    from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Begin with what a run has learned.")] = None,
+    finetune: Annotated[bool, typer.Option("--finetune", help="With --from: go on with the surface regularisers.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Train a model on a scene's training views."""
+    from datasets.errors import Misuse
     from datasets.formats import find, load_scene
     from reconstruct.backend import cache_compilations
-    from reconstruct.models import load_config
+    from reconstruct.models import finetuned, load_config
+    from reconstruct.run import Run
     from reconstruct.train import train as run_training
 
-    config = load_config(model, preset, set_)
-    loaded = load_scene(scene, measure=not resume)  # a run keeps the bounds that it began with
+    if (scene is None) == (from_ is None) or finetune != (from_ is not None):
+        raise Misuse("give either a scene, or --from RUN --finetune")
+    start_from = None if from_ is None else Run.open(from_)
+    if start_from is None:
+        config, where = load_config(model, preset, set_), find(scene)
+        loaded = load_scene(scene, measure=not resume)  # a run keeps the bounds that it began with
+    else:
+        config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
     cache_compilations()
-    result = run_training(loaded, find(scene), config, out, budget_s=budget, resume=resume)
+    result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
     unseen = f", {result['psnr_unseen']:.2f} dB on unseen pixels" if result["psnr_unseen"] is not None else ""
     console.report(result, as_json=as_json, text=(
         f"trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
         f"{result['compilation_s']:.0f} s to compile): {result['psnr_train']:.2f} dB on training rays{unseen}\n{out}"))  # fmt: skip
+
+
+@app.command("models")
+def models_command(as_json: console.Json = False) -> None:
+    """List the models: encoding, appearance, regularisers, what each is."""
+    from reconstruct.models import overview
+
+    rows = overview()
+    lines = [("model", "encoding", "appearance", "regularisers", "about")]
+    lines += [(r["name"], r["encoding"], r["appearance"], ", ".join(r["regularisers"]) or "-", r["about"]) for r in rows]
+    widths = [max(len(line[column]) for line in lines) for column in range(4)]
+    text = ["  ".join([*(cell.ljust(width) for cell, width in zip(line, widths, strict=False)), line[-1]]) for line in lines]
+    console.report({"models": rows}, as_json=as_json, text="\n".join(text))
+
+
+@app.command("table")
+def table_command(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Measured runs.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write to FILE.md, FILE.csv or FILE.tex.")] = None,
+    columns: Annotated[list[str] | None, typer.Option("--column", help="Figure to show; repeatable.")] = None,
+    per_image: Annotated[bool, typer.Option("--per-image", help="A row per image instead of one per run.")] = False,
+    as_json: console.Json = False,
+) -> None:
+    """Put the results of runs beside each other, in the paper's layout."""
+    from reconstruct import table
+
+    rows = table.rows_of_runs(runs, per_image=per_image)
+    chosen = table.chosen_columns(rows, columns or ())
+    if out is not None:
+        table.write(rows, chosen, out)
+    content = [{"scene": row.scene, "model": row.label, **{c: row.values.get(c) for c in chosen}} for row in rows]
+    console.report({"rows": content}, as_json=as_json, text=table.markdown(rows, chosen).rstrip() + (f"\n{out}" if out else ""))
 
 
 @app.command("eval")

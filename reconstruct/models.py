@@ -53,6 +53,22 @@ def over_run(config: Config, model: str, overrides: list[str] | None = None) -> 
     return _validated(merged(config.model_dump(mode="json"), changes), overrides)
 
 
+def finetuned(config: Config, overrides: list[str] | None = None) -> Config:
+    """A run's configuration for going on with the surface regularisers (supplement F), as `configs/models/finetune.yaml` says.
+
+    The encoding keeps the blur that the run ended with, and rays are drawn anew.
+    """
+    train = config.train
+    blur = train.last_blur if train.first_blur else 0.0
+    kept = {"seed": train.seed + 1, "first_blur": blur, "last_blur": blur}
+    return over_run(merged_config(config, {"train": kept}), "finetune", overrides)
+
+
+def merged_config(config: Config, changes: Tree) -> Config:
+    """A configuration with the values of `changes`."""
+    return Config.model_validate(merged(config.model_dump(), changes))
+
+
 def names() -> list[str]:
     """Names of all models."""
     return sorted(path.stem for path in _folder().glob("*.yaml"))

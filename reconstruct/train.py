@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -128,7 +129,14 @@ class Training:
 
 
 def train(
-    scene: Scene, scene_path: Path, config: Config, out: Path, *, budget_s: float | None = None, resume: bool = False
+    scene: Scene,
+    scene_path: Path,
+    config: Config,
+    out: Path,
+    *,
+    budget_s: float | None = None,
+    resume: bool = False,
+    start_from: Run | None = None,
 ) -> dict[str, Any]:
     """Train on the scene's train views and leave a run in `out`.
 
@@ -136,6 +144,7 @@ def train(
         budget_s: seconds of training proper, after images are read and the step is compiled; None trains
             `config.train.steps` steps, which is what repeats bit for bit.
         resume: continue the run in `out`, to the result that an undisturbed training would have had.
+        start_from: begin with what this run has learned, optimiser and occupancy grid included, instead of fresh weights.
 
     Raises:
         Misuse: no train views, `out` holds something else, or nothing to resume.
@@ -144,7 +153,7 @@ def train(
     if budget_s is not None and not budget_s > 0:
         raise Misuse("budget is not a positive time", why=f"{budget_s} s")
     started = time.perf_counter()
-    training = _resumed(scene, out, budget_s) if resume else _fresh(scene, scene_path, config, out, budget_s)
+    training = _resumed(scene, out, budget_s) if resume else _fresh(scene, scene_path, config, out, budget_s, start_from)
     prepared = time.perf_counter() - started
     try:
         compiled = training.compile()
@@ -201,12 +210,14 @@ def _interrupt_between_chunks() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _fresh(scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None) -> Training:
+def _fresh(
+    scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None, start_from: Run | None = None
+) -> Training:
     from datasets.files import refuse_existing
 
     refuse_existing(out)
-    normalisation = Normalisation.of(scene)
-    parts = _prepare(scene, config, normalisation)
+    normalisation = Normalisation.of(scene) if start_from is None else start_from.normalisation
+    functions, state, pixels, probe = _prepare(scene, config, normalisation)
     about = {
         "scene_name": scene.name,
         "box": scene.box.tolist(),
@@ -216,8 +227,21 @@ def _fresh(scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: 
         "device": jax.devices()[0].device_kind,
         "versions": {"jax": jax.__version__, "numpy": np.__version__},
     }
+    if start_from is not None:
+        state = _continued(state, start_from)
+        about["from"] = str(start_from.path.resolve())
     run = Run.create(out, config, scene_path, normalisation, about)
-    return Training(run, *parts, Clock(config.train.steps, budget_s), Renderer(parts[0]))
+    return Training(run, functions, state, pixels, probe, Clock(config.train.steps, budget_s), Renderer(functions))
+
+
+def _continued(fresh: TrainState, run: Run) -> TrainState:
+    """The newest state of a run, its steps counted from zero again.
+
+    Raises:
+        ReconstructError: the run was trained with other sizes, or has no checkpoint.
+    """
+    state, _ = checkpoint.load(run.path / CHECKPOINTS, fresh)
+    return eqx.tree_at(lambda s: (s.step, s.skipped), state, (fresh.step, fresh.skipped))
 
 
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:

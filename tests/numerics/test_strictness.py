@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from reconstruct import losses, objective, surface
-from reconstruct.models import load_config
 from reconstruct.contraction import contract, contraction_scale, pull_back
 from reconstruct.encodings.directional import integrated_directional_encoding
-from reconstruct.model import Model, cloud_of, render
+from reconstruct.model import Footprint, Model, cloud_of, render
+from reconstruct.models import load_config
 from reconstruct.rays import Rays
 from reconstruct.rendering import volume_weights
 from reconstruct.safe import normalise, safe_exp, safe_norm, srgb_from_linear
@@ -85,18 +85,22 @@ def rays_of(count: int) -> Rays:
 def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
     """A small model, and a compiled function of (model, edges of 16 rays' intervals) to ((total, terms), gradient)."""
     config = load_config(overrides=[*SMALL, f"field.shading={request.param}"])
-    rays = rays_of(16)
+    rays, place = rays_of(16), objective.Place(bounded=False)
 
     def total(model: Model, edges: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         samples = RaySamples.from_edges(edges)
         rendered, _ = render(
-            model.field, rays, samples, cloud_of(rays, samples, bounded=False), deferred=request.param == "deferred"
+            model.field,
+            rays,
+            samples,
+            cloud_of(rays, samples, bounded=False, footprint=Footprint()),
+            deferred=request.param == "deferred",
         )
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
         terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), 0.01) | objective.decay_term(model, 0.1)
         found = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
-        terms |= objective.surface_point_terms(model.field, rays, found, config, False)
-        terms |= objective.second_pass_terms(model.field, rays, found, jax.random.key(1), config.surface, False)
+        terms |= objective.surface_point_terms(model.field, rays, found, config.losses, place)
+        terms |= objective.second_pass_terms(model.field, rays, found, jax.random.key(1), config.surface, place)
         return objective.total(terms), terms
 
     return Model.create(jax.random.key(0), config), jax.jit(jax.value_and_grad(total, has_aux=True))
