@@ -1,0 +1,74 @@
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from datasets.errors import Misuse
+from reconstruct import metrics, surface_distance, table
+from reconstruct.run import Run
+from reconstruct.table import Row
+
+ROWS = [
+    Row("car", "zip_refnerf", {"psnr": 30.371, "ssim": 0.955, "normal_mae_alpha_acc_deg": 16.37, "disparity_rmse": 0.205}),
+    Row("car", "surfnerf", {"psnr": 29.854, "ssim": 0.9552, "normal_mae_alpha_acc_deg": 11.08, "disparity_rmse": None}),
+    Row("toaster", "surfnerf", {"psnr": 20.76, "ssim": 0.869, "normal_mae_alpha_acc_deg": 20.55}),
+]
+COLUMNS = ["psnr", "ssim", "normal_mae_alpha_acc_deg", "disparity_rmse"]
+
+
+def test_markdown_has_a_block_per_scene_and_the_best_bold() -> None:
+    lines = table.markdown(ROWS, COLUMNS).splitlines()
+    assert lines[0] == "| scene | model | PSNR [dB] | SSIM | MAE (alpha × opacity) [deg] | RMSE |"
+    assert lines[2] == "| car | zip_refnerf | **30.37** | 0.955 | 16.37 | 0.205 |"
+    assert lines[3] == "|  | surfnerf | 29.85 | **0.955** | **11.08** | – |"
+    assert lines[4] == "| toaster | surfnerf | 20.76 | 0.869 | 20.55 | – |"
+    assert any("weighted by true alpha times rendered opacity" in line for line in lines[5:])
+
+
+def test_latex_has_the_paper_s_layout() -> None:
+    text = table.latex(ROWS, COLUMNS)
+    assert r"\multirow{2}{*}{car} & zip\_refnerf & \textbf{30.37} & 0.955 & 16.37 & 0.205 \\" in text
+    assert text.count(r"\midrule") == 2 and text.count(r"\begin{tabular}{llrrrr}") == 1 == text.count(r"\bottomrule")
+    assert r"MAE (alpha $\times$ opacity) [deg]" in text
+
+
+def test_csv_keeps_all_digits() -> None:
+    read = list(csv.DictReader(io.StringIO(table.csv_text(ROWS, COLUMNS))))
+    assert [float(row["psnr"]) for row in read] == [30.371, 29.854, 20.76]
+    assert read[2]["disparity_rmse"] == "" and read[0]["model"] == "zip_refnerf"
+
+
+def test_columns_without_values_are_left_out_and_wrong_ones_refused() -> None:
+    assert table.chosen_columns(ROWS) == COLUMNS
+    assert table.chosen_columns(ROWS, ["ssim", "chamfer_mm"]) == ["ssim"]
+    with pytest.raises(Misuse, match="did you mean 'psnr'"):
+        table.chosen_columns(ROWS, ["psrn"])
+
+
+def test_every_figure_has_a_heading_and_a_meaning() -> None:
+    assert set(table.HEADINGS) == set(metrics.DEFINITIONS) | set(surface_distance.DEFINITIONS)
+    assert all(table.definition(name) for name in table.HEADINGS)
+    assert set(table.HEADINGS) > table.HIGHER_IS_BETTER
+
+
+def test_rows_of_runs(make_run: Callable[..., Run], tmp_path: Path) -> None:
+    run = make_run(checkpointed=False)
+    with pytest.raises(Misuse, match=r"was not measured yet.*reconstruct eval"):
+        table.rows_of_runs([run.path])
+    views = [{"name": "000", "psnr": 20.0}, {"name": "003", "psnr": 22.0}]
+    content = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 21.0}, "per_view": views, "mesh": {"f_score": 0.5}}
+    (run.path / "metrics.json").write_text(json.dumps(content))
+    twice = table.rows_of_runs([run.path, run.path])
+    assert [row.values for row in twice] == [{"psnr": 21.0, "f_score": 0.5}] * 2
+    assert [row.label for row in twice] == ["surfnerf", "surfnerf (run)"], "two runs of one model are told apart"
+    images = table.rows_of_runs([run.path], per_image=True)
+    assert [(row.label, row.values["psnr"]) for row in images] == [("000", 20.0), ("003", 22.0)]
+    table.write(twice, ["psnr"], tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_text().startswith("scene,model,psnr\n")
+    with pytest.raises(Misuse, match="already exists"):
+        table.write(twice, ["psnr"], tmp_path / "t.csv")
+    with pytest.raises(Misuse, match=r"end --out in \.md, \.csv, \.tex"):
+        table.write(twice, ["psnr"], tmp_path / "t.html")
