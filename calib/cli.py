@@ -5,94 +5,63 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calib.options import Arm, JointDeg, Lens, Pictures, Rig, check_lens, spread
 from datasets import console
 from datasets.console import Json
 
 if TYPE_CHECKING:
-    from calib.model import Accuracy
-    from calib.session import TargetSession
     from datasets.calibration import Calibration
 
 app = console.make_app("calib", "Calibrate the camera and its place on the arm from a recording of a target.")
 
-RecordingPath = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
-]
-Import = Annotated[
-    Path | None, typer.Option("--import", help="How to read a folder of images and poses (YAML); default: import.yaml in it.")
-]
-Intrinsics = Annotated[
-    Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
-]
-ArmMm = Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
-ArmDeg = Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
-Lens = Annotated[str, typer.Option("--lens", help="auto, brown, rational or fisheye.")]
 Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSON).")]
 
 
 @app.command("intrinsics")
-def intrinsics_command(
-    recording: RecordingPath, out: Out, description: Import = None, lens: Lens = "auto", json: Json = False
-) -> None:
+@spread
+def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: Json = False) -> None:
     """Camera alone: focal lengths, centre, distortion."""
     from calib.calibrate import calibrate_intrinsics
 
     _check_out(out)
-    _check_lens(lens)
-    _finish(calibrate_intrinsics(_observe(recording, description)[0], lens), out, json)
+    check_lens(lens)
+    _finish(calibrate_intrinsics(pictures.observe()[0], lens), out, json)
 
 
 @app.command("handeye")
-def handeye_command(
-    recording: RecordingPath,
-    out: Out,
-    intrinsics: Intrinsics = None,
-    arm_mm: ArmMm = 0.05,
-    arm_deg: ArmDeg = 0.01,
-    description: Import = None,
-    lens: Lens = "auto",
-    json: Json = False,
-) -> None:
+@spread
+def handeye_command(rig: Rig, out: Out, joint_deg: JointDeg = 0.0, json: Json = False) -> None:
     """Whole rig: camera, its place on the flange, the target's.
 
     Everything is estimated together, with its uncertainty, and checked on views left out of the fit.
     """
     from calib.calibrate import calibrate_handeye
 
-    accuracy = _accuracy(arm_mm, arm_deg)
+    accuracy = rig.accuracy(joint_deg)
     _check_out(out)
-    _check_lens(lens)
-    given = _load(intrinsics)
-    session, camera = _observe(recording, description)
-    _finish(calibrate_handeye(session, given or camera, accuracy, lens), out, json)
+    session, given = rig.read()
+    _finish(calibrate_handeye(session, given, accuracy, rig.lens), out, json)
 
 
 @app.command("compare")
-def compare_command(
-    recording: RecordingPath,
-    intrinsics: Intrinsics = None,
-    arm_mm: ArmMm = 0.05,
-    arm_deg: ArmDeg = 0.01,
-    description: Import = None,
-    json: Json = False,
-) -> None:
+@spread
+def compare_command(rig: Rig, json: Json = False) -> None:
     """All hand-eye methods on one session.
 
     With their error on views that they have not seen; prints a table (Markdown).
     """
     from calib import compare
 
-    accuracy, given = _accuracy(arm_mm, arm_deg), _load(intrinsics)
-    session, camera = _observe(recording, description)
-    rows = compare.compare(session, given or camera, accuracy)
+    accuracy = rig.accuracy()
+    rows = compare.compare(*rig.read(), accuracy, rig.lens)
     console.report({"methods": [vars(row) for row in rows]}, as_json=json, text=compare.markdown(rows))
 
 
 @app.command("verify")
+@spread
 def verify_command(
-    recording: RecordingPath,
+    pictures: Pictures,
     calibration: Annotated[Path, typer.Option("--calibration", help="Calibration file made by 'calib handeye'.")],
-    description: Import = None,
     json: Json = False,
 ) -> None:
     """How well a calibration predicts a recording.
@@ -103,19 +72,16 @@ def verify_command(
     from calib.verify import verify
     from datasets.calibration import Calibration
 
-    result = verify(_observe(recording, description)[0], Calibration.load(calibration))
+    result = verify(pictures.observe()[0], Calibration.load(calibration))
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
 
 
 @app.command("report")
+@spread
 def report_command(
-    recording: RecordingPath,
+    rig: Rig,
     out: Annotated[Path, typer.Option("--out", help="HTML page to write.")],
-    intrinsics: Intrinsics = None,
-    arm_mm: ArmMm = 0.05,
-    arm_deg: ArmDeg = 0.01,
-    description: Import = None,
-    lens: Lens = "auto",
+    joint_deg: JointDeg = 0.0,
     json: Json = False,
 ) -> None:
     """A page with figures of a calibration.
@@ -124,53 +90,24 @@ def report_command(
     """
     from calib import calibrate, page
 
-    accuracy = _accuracy(arm_mm, arm_deg)
+    accuracy = rig.accuracy(joint_deg)
     _check_out(out)
-    _check_lens(lens)
-    given = _load(intrinsics)
-    session, camera = _observe(recording, description)
-    solution = calibrate.solve(session, given or camera, accuracy, lens)
-    calibration = calibrate.finished(solution, accuracy, (given or camera) is not None)
+    session, given = rig.read()
+    solution = calibrate.solve(session, given, accuracy, rig.lens)
+    calibration = calibrate.finished(solution, accuracy, given is not None)
     page.write(out, calibration, solution)
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
-@app.command("view")
-def view_command(
-    path: Annotated[Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")],
-    recording: Annotated[
-        Path | None, typer.Option("--recording", help="Where its recording is now, if not where it was.")
-    ] = None,
-    port: console.Port = 8080,
-    json: Json = False,
-) -> None:
-    """Look at a calibration in the browser.
-
-    Target and cameras, residuals over the image before and after the refinement, coverage, error ellipses.
-    """
-    from calib.view import show
-    from datasets.calibration import Calibration
-    from datasets.viewer import open_page
-
-    calibration = Calibration.load(path)
-    with open_page(path.stem, port) as page:
-        show(page, calibration, recording=recording)
-        rms = calibration.residuals.get("rms_px")
-        console.report({"url": page.url, "calibration": str(path), "rms_px": rms}, as_json=json,
-                       text=f"{page.url} shows {path}; Ctrl-C ends it")  # fmt: skip
-        page.serve()
-
-
 @app.command("plan")
+@spread
 def plan_command(
-    recording: RecordingPath,
+    rig: Rig,
     out: Annotated[Path, typer.Option("--out", help="Trajectory file to write (YAML), for 'capture plan' and 'capture run'.")],
     count: Annotated[int, typer.Option("--count", min=1, max=100, help="Number of views.")] = 5,
     grow_mm: Annotated[
         float, typer.Option("--grow-mm", min=0, help="How far beyond the recorded camera positions to go.")
     ] = 50.0,
-    arm_mm: ArmMm = 0.05,
-    arm_deg: ArmDeg = 0.01,
     json: Json = False,
 ) -> None:
     """The next views that tell most.
@@ -180,11 +117,13 @@ def plan_command(
     from calib import advice, calibrate
     from datasets.recording import Recording
 
-    accuracy = _accuracy(arm_mm, arm_deg)
+    accuracy = rig.accuracy()
     _check_out(out)
-    solution = calibrate.solve(_observe(recording)[0], None, accuracy)
+    session, given = rig.read()
+    solution = calibrate.solve(session, given, accuracy, rig.lens)
     found = advice.advise(solution, count, grow_m=1e-3 * grow_mm)
-    advice.write_trajectory(out, found, Recording.open(recording).manifest)
+    manifest = Recording.open(rig.recording).manifest if "recording" in session.provenance else {}
+    advice.write_trajectory(out, found, manifest)
     (before_mm, before_deg), (after_mm, after_deg) = found.before, found.after[-1]
     text = (f"hand-eye pose known to {before_mm:.4f} mm, {before_deg:.5f} deg now; {after_mm:.4f} mm, {after_deg:.5f} deg expected "
             f"with {count} views more\nwritten to {out}")  # fmt: skip
@@ -192,13 +131,13 @@ def plan_command(
 
 
 @app.command("refine")
+@spread
 def refine_command(
     scene: Annotated[
         Path, typer.Argument(metavar="SCENE", help="Scene made by 'datasets build', or any other that Koala reads.")
     ],
     out: Annotated[Path, typer.Option("--out", help="Scene to write where the poses become better.")],
-    arm_mm: ArmMm = 0.05,
-    arm_deg: ArmDeg = 0.01,
+    arm: Arm,
     enough_px: Annotated[float, typer.Option("--enough-px", min=0, help="Poses that explain the pictures so well stay.")] = 0.5,
     json: Json = False,
 ) -> None:
@@ -210,7 +149,7 @@ def refine_command(
     from datasets.files import refuse_existing
     from datasets.formats import koala, load_scene
 
-    accuracy = _accuracy(arm_mm, arm_deg)
+    accuracy = arm.accuracy()
     refuse_existing(out)
     found = sfm.refine_scene(load_scene(scene), prior=accuracy, enough_px=enough_px)
     if found.used:
@@ -297,58 +236,6 @@ def study_command(
     console.report({"sessions": sessions, "aim": study.AIM, "kinds": rows}, as_json=json, text=study.markdown(outcomes))
 
 
-def _observe(recording: Path, description: Path | None = None) -> "tuple[TargetSession, Calibration | None]":
-    """Find the target in every frame, with a progress bar; and the camera, where an imported session brings its own."""
-    from calib import importer
-    from calib.session import observe_recording
-    from datasets.calibration import Calibration
-    from datasets.errors import Misuse
-    from datasets.recording import Recording
-
-    imported = importer.load_description(recording, description) if importer.describes(recording, description) else None
-    if imported is None and recording.is_dir() and not (recording / "manifest.json").is_file():
-        raise Misuse("is neither a recording nor a folder to import", where=recording, why="no manifest.json and no import.yaml in it",
-                     remedy="describe images and poses in a file, see docs/calibration.md, and give it as --import")  # fmt: skip
-    number = len(importer.matching(recording, imported.images)) if imported else len(Recording.open(recording).frames)
-    with console.progress("finding the target", number, "views") as bar:
-
-        def seen(words: str) -> None:
-            bar.note(words)
-            bar.advance()
-
-        if imported is None:
-            return observe_recording(recording, seen=seen), None
-        session = importer.import_session(recording, imported, seen=seen)
-        return session, Calibration(imported.camera.camera(), {}) if imported.camera else None
-
-
-def _accuracy(arm_mm: float, arm_deg: float) -> "Accuracy":
-    """The arm's accuracy as given on the command line. Raises Misuse where it cannot be."""
-    import math
-
-    from calib.model import Accuracy
-    from datasets.errors import Misuse
-
-    for name, value in (("--arm-mm", arm_mm), ("--arm-deg", arm_deg)):
-        if not (math.isfinite(value) and value > 0):
-            raise Misuse("accuracy must be a positive number", where=name, why=f"{value:g} given")
-    return Accuracy(1e-3 * arm_mm, math.radians(arm_deg))
-
-
-def _load(path: Path | None) -> "Calibration | None":
-    from datasets.calibration import Calibration
-
-    return Calibration.load(path) if path is not None else None
-
-
-def _check_lens(lens: str) -> None:
-    from calib.intrinsics import LENSES
-    from datasets.errors import Misuse, nearest
-
-    if lens not in LENSES:
-        raise Misuse(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))
-
-
 def _check_out(out: Path) -> None:
     """Refuse before the work what would fail after it."""
     from datasets.errors import Misuse
@@ -374,6 +261,8 @@ def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
             result[name] = {
                 **value.to_json(), "translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg,
             }  # fmt: skip
+    if calibration.joint_offsets is not None:
+        result["joint_offsets"] = calibration.joint_offsets.to_json()
     console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")
 
 

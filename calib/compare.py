@@ -39,12 +39,14 @@ class Judged:
     """That took part."""
 
 
-def compare(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED) -> list[Judged]:
+def compare(
+    session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
+) -> list[Judged]:
     """Closed forms and refinement, on all views and without those that disagree.
 
     Raises what `calibrate.calibrate_handeye` raises.
     """
-    solution = calibrate.solve(session, given, accuracy)
+    solution = calibrate.solve(session, given, accuracy, lens)
     first, fit = solution.first, solution.fit
     session, boards, camera = first.session, solution.boards, first.camera
     measured = session.measured(first.free, first.known, accuracy, camera.fisheye)

@@ -51,6 +51,7 @@ def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
         (["handeye", "{recording}", "--out", "{tmp}/c.json", "--intrinsics", "{tmp}/no.json"], "no such file"),
         (["handeye", "{recording}", "--out", "{tmp}/c.json", "--arm-mm", "nan"], "--arm-mm"),
         (["handeye", "{recording}"], "--out"),
+        (["handeye", "{recording}", "--out", "{tmp}/c.json", "--joint-deg", "-1"], "--joint-deg"),
         (["verify", "{recording}"], "--calibration"),
         (["handeyes"], "handeyes"),
         (["handeye", "{recording}", "--out", "{tmp}/c.json", "--lens", "brawn"], "did you mean 'brown'"),
@@ -73,6 +74,12 @@ def test_an_existing_file_is_not_overwritten(handeye, recorded):
     result = calib("handeye", recorded[0], "--out", handeye[1])
     assert result.returncode == 2 and "already exists" in result.stderr
     assert handeye[1].read_bytes() == before
+
+
+def test_joint_offsets_need_joint_angles_of_this_arm(recorded, tmp_path):
+    result = calib("handeye", recorded[0], "--joint-deg", "0.05", "--out", tmp_path / "c.json")
+    assert result.returncode == 1 and "joint angles are not those of the poses" in result.stderr
+    assert not (tmp_path / "c.json").exists()
 
 
 def test_a_board_is_printed(tmp_path):

@@ -71,8 +71,25 @@ def test_two_views_are_refused(small):
         uncertainty.check_motion(small.reported[:2])
 
 
-def test_ordinary_motion_passes(small):
-    uncertainty.check_motion(small.reported)
+@pytest.mark.parametrize(("tilt_deg", "refused"), [(2.5, True), (2.7, False)], ids=["too little", "enough"])
+def test_the_line_between_weak_and_ordinary_motion_is_at_a_few_degrees(tilt_deg, refused):
+    """Four views tilted to four sides, without a turn: about each axis two of them differ by sqrt(8 / 6) tilts rms: 2.9 and 3.1 degrees."""
+    tilts = np.deg2rad(tilt_deg) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    views = pose.from_rotation_vector(tilts, np.zeros((4, 3)))
+    if refused:
+        with pytest.raises(Unobservable, match="not observable"):
+            uncertainty.check_motion(views)
+    else:
+        uncertainty.check_motion(views)
+
+
+def test_ordinary_motion_passes_and_determines_the_rig(simulate):
+    """What the motion check lets through is known to a fraction of a millimetre; what it refuses is not (see below)."""
+    ordinary = simulate(seed=33, views=12)
+    uncertainty.check_motion(ordinary.reported)
+    session, refined = solved(ordinary)
+    flange_from_camera, _ = uncertainty.poses(session, refined, uncertainty.covariance(session, refined))
+    assert flange_from_camera.translation_std_mm.max() < 0.3 and flange_from_camera.rotation_std_deg.max() < 0.05
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,142 @@
+"""Options that several `calib` commands share, each written once: a command that takes one of these classes has all its options."""
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import typer
+
+from datasets import console
+from datasets.errors import Misuse, nearest
+
+if TYPE_CHECKING:
+    from calib.model import Accuracy
+    from calib.session import TargetSession
+    from datasets.calibration import Calibration
+
+RecordingPath = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
+]
+Import = Annotated[
+    Path | None, typer.Option("--import", help="How to read a folder of images and poses (YAML); default: import.yaml in it.")
+]
+Lens = Annotated[str, typer.Option("--lens", help="auto, brown, rational or fisheye.")]
+Intrinsics = Annotated[
+    Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
+]
+ArmMm = Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
+ArmDeg = Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
+JointDeg = Annotated[
+    float, typer.Option("--joint-deg", help="Stated accuracy of the joints' zeros [deg]; above 0 their offsets are estimated.")
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """How accurate the arm is."""
+
+    arm_mm: ArmMm = 0.05
+    arm_deg: ArmDeg = 0.01
+
+    def accuracy(self, joint_deg: float = 0.0) -> "Accuracy":
+        """The arm's accuracy as given on the command line. Raises Misuse where it cannot be."""
+        from calib.model import Accuracy
+
+        for name, value, least in (
+            ("--arm-mm", self.arm_mm, 1e-9),
+            ("--arm-deg", self.arm_deg, 1e-9),
+            ("--joint-deg", joint_deg, 0),
+        ):
+            if not (math.isfinite(value) and value >= least):
+                raise Misuse("accuracy must be a positive number", where=name, why=f"{value:g} given")
+        return Accuracy(1e-3 * self.arm_mm, math.radians(self.arm_deg), math.radians(joint_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pictures:
+    """A recording of a target, or a folder to import."""
+
+    recording: RecordingPath
+    description: Import = None
+
+    def observe(self) -> "tuple[TargetSession, Calibration | None]":
+        """Find the target in every frame, with a progress bar; and the camera, where an imported session brings its own."""
+        from calib import importer
+        from calib.session import observe_recording
+        from datasets.calibration import Calibration
+        from datasets.recording import Recording
+
+        folder, imported = self.recording, None
+        if importer.describes(folder, self.description):
+            imported = importer.load_description(folder, self.description)
+        elif folder.is_dir() and not (folder / "manifest.json").is_file():
+            raise Misuse("is neither a recording nor a folder to import", where=folder, why="no manifest.json and no import.yaml in it",
+                         remedy="describe images and poses in a file, see docs/calibration.md, and give it as --import")  # fmt: skip
+        number = len(importer.matching(folder, imported.images)) if imported else len(Recording.open(folder).frames)
+        with console.progress("finding the target", number, "views") as bar:
+
+            def seen(words: str) -> None:
+                bar.note(words)
+                bar.advance()
+
+            if imported is None:
+                return observe_recording(folder, seen=seen), None
+            session = importer.import_session(folder, imported, seen=seen)
+            return session, Calibration(imported.camera.camera(), {}) if imported.camera else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig(Arm, Pictures):
+    """A session from which the whole rig is to be found."""
+
+    intrinsics: Intrinsics = None
+    lens: Lens = "auto"
+
+    def read(self) -> "tuple[TargetSession, Calibration | None]":
+        """The session, and the camera that is given for it; what is wrong with the options is said before the pictures are searched."""
+        from datasets.calibration import Calibration
+
+        check_lens(self.lens)
+        given = Calibration.load(self.intrinsics) if self.intrinsics is not None else None
+        session, camera = self.observe()
+        return session, given or camera
+
+
+def check_lens(lens: str) -> None:
+    """Raise Misuse where there is no such lens."""
+    from calib.intrinsics import LENSES
+
+    if lens not in LENSES:
+        raise Misuse(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))
+
+
+def spread(command: Callable[..., None]) -> Callable[..., None]:
+    """`command` with each parameter that is one of these classes spread out into its fields, as typer reads them."""
+    grouped = {name: kind for name, kind in get_type_hints(command).items() if is_dataclass(kind)}
+    parameters: dict[str, inspect.Parameter] = {}
+    for name, parameter in inspect.signature(command).parameters.items():
+        for option in _options(grouped[name]) if name in grouped else [parameter]:
+            parameters[option.name] = option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+
+    @wraps(command)
+    def outer(**values: Any) -> None:
+        for name, kind in grouped.items():
+            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        command(**values)
+
+    outer.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined]
+    outer.__annotations__ = {name: parameter.annotation for name, parameter in parameters.items()}
+    return outer
+
+
+def _options(kind: type) -> list[inspect.Parameter]:
+    """The fields of a class as parameters."""
+    return [
+        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, annotation=field.type,
+                          default=inspect.Parameter.empty if field.default is MISSING else field.default)
+        for field in fields(kind)
+    ]  # fmt: skip
