@@ -86,6 +86,50 @@ def table_command(
     console.report({"rows": content}, as_json=as_json, text=table.markdown(rows, chosen).rstrip() + (f"\n{out}" if out else ""))
 
 
+@app.command("ablate")
+def ablate_command(
+    scene: Annotated[str, typer.Argument(help="Scene folder, as for 'train'.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the study; one that was broken off is gone on with.")],
+    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.")] = "surfnerf",
+    preset: Annotated[str, typer.Option(help="fast or paper.")] = "fast",
+    budget: Annotated[float | None, typer.Option(help="Seconds of training per cell; without it, train.steps steps.")] = None,
+    cells: Annotated[list[str] | None, typer.Option("--cell", help="Only this cell (beside the base); repeatable.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Override a setting in all cells: key=value; repeatable.")
+    ] = None,
+    plan_only: Annotated[bool, typer.Option("--plan", help="List the cells and what they change; train nothing.")] = False,
+    as_json: console.Json = False,
+) -> None:
+    """Train a model again and again with one thing changed, into one table and one figure."""
+    from reconstruct import ablate
+    from reconstruct.backend import cache_compilations
+
+    study = ablate.plan(scene, model, preset, set_ or (), budget, cells or ())
+    if plan_only:
+        text = "\n".join(f"{name:<20}{' '.join(changes) or '-'}" for name, changes in study.cells.items())
+        return console.report({"cells": study.cells}, as_json=as_json, text=text)
+    cache_compilations()
+    result = ablate.run(study, out)
+    console.report(result, as_json=as_json, text=f"{(out / 'table.md').read_text(encoding='utf-8').rstrip()}\n{out}")
+
+
+@app.command("figures")
+def figures_command(
+    run: RunFolder,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write; must be new.")],
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the short training whose weights along a ray are drawn.")] = 600,
+    as_json: console.Json = False,
+) -> None:
+    """Draw the figures of the paper's supplement from the code itself and a trained run."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.figures import draw_all
+    from reconstruct.trained import Trained
+
+    cache_compilations()
+    result = draw_all(Trained.open(run), out, steps=steps)
+    console.report(result, as_json=as_json, text="\n".join(result["figures"]))
+
+
 @app.command("eval")
 def eval_command(
     run: RunFolder,

@@ -52,7 +52,7 @@ class Run:
         content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
         try:
             normalisation = Normalisation(**{**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])})
-            return cls(path, Config.model_validate(content["config"]), content["scene"], normalisation, content)
+            return cls(path, Config.model_validate(_current(content["config"])), content["scene"], normalisation, content)
         except (KeyError, TypeError, ValueError) as error:
             raise DatasetError("run is not complete", where=path / RUN, why=str(error).splitlines()[0]) from None
 
@@ -75,3 +75,13 @@ class Run:
         """Add a line to the log."""
         with open(self.path / LOG, "a", encoding="utf-8") as file:
             file.write(json.dumps(line, allow_nan=False, default=float) + "\n")
+
+
+def _current(config: dict[str, Any]) -> dict[str, Any]:
+    """A run's configuration in today's terms: at first it counted the points that stand for a frustum."""
+    if "multisamples" not in config["sampler"]:
+        return config
+    sampler = {**config["sampler"], "frustum": "hexagon" if config["sampler"]["multisamples"] == 6 else "point"}
+    del sampler["multisamples"]
+    field = {**config["field"], "view_skip": config["field"]["view_depth"] - 1 if config["field"]["view_skip"] else 0}
+    return {**config, "sampler": sampler, "field": field}

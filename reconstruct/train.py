@@ -153,7 +153,7 @@ def train(
     if budget_s is not None and not budget_s > 0:
         raise Misuse("budget is not a positive time", why=f"{budget_s} s")
     started = time.perf_counter()
-    training = _resumed(scene, out, budget_s) if resume else _fresh(scene, scene_path, config, out, budget_s, start_from)
+    training = _resumed(scene, out, budget_s) if resume else start(scene, scene_path, config, out, budget_s, start_from)
     prepared = time.perf_counter() - started
     try:
         compiled = training.compile()
@@ -210,9 +210,10 @@ def _interrupt_between_chunks() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _fresh(
-    scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None, start_from: Run | None = None
+def start(
+    scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None = None, start_from: Run | None = None
 ) -> Training:
+    """A training that is about to begin, its run written into `out`; see `train`."""
     from datasets.files import refuse_existing
 
     refuse_existing(out)

@@ -9,7 +9,7 @@ from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.train import _fresh, train
+from reconstruct.train import start, train
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path]
     whole = train(scene, folder, config, tmp_path / "whole")
     assert whole["steps"] == 40 and whole["skipped_steps"] == 0 and np.isfinite(whole["psnr_train"])
 
-    broken = _fresh(scene, folder, config, tmp_path / "broken", None)
+    broken = start(scene, folder, config, tmp_path / "broken")
     broken.compile()
     while broken.clock.step < 17:
         broken.chunk()

@@ -1,0 +1,186 @@
+"""Ablations: one model trained again and again with one thing changed, into one table and one figure.
+
+OUT/study.json        scene, model, preset, common overrides, and the cells: name and what it changes
+OUT/cells/NAME/       a run per cell
+OUT/table.md .csv .tex, OUT/figure.png
+
+A cell that was measured is not run again, one that was broken off is gone on with, so that a study can be stopped at any time,
+and further cells can be added to it.
+"""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datasets import files
+from datasets.console import progress
+from datasets.errors import Misuse, nearest
+from datasets.formats import find, load_scene
+from reconstruct import checkpoint, table
+from reconstruct.config import Config, SurfaceConfig
+from reconstruct.evaluate import METRICS, evaluate
+from reconstruct.models import load_config
+from reconstruct.run import CHECKPOINTS, RUN
+from reconstruct.table import Row
+from reconstruct.train import train
+from reconstruct.trained import Trained
+
+FORMAT, VERSION = "koala-study", 1
+STUDY, CELLS = "study.json", "cells"
+BASE = "base"
+FIGURES = ("psnr", "normal_mae_alpha_acc_deg")
+"""Columns that the figure draws."""
+LOSSES = ("density", "normal", "bias", "variation")
+Cells = dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What an ablation trains."""
+
+    scene: str
+    """Path of the scene."""
+    model: str
+    preset: str
+    overrides: tuple[str, ...]
+    """Common to all cells."""
+    budget_s: float | None
+    cells: Cells
+    """Overrides of each cell, by its name."""
+
+
+def grid(base: Config) -> Cells:
+    """The paper's ablations around a configuration, by name; a cell that would repeat the base is left out.
+
+    Sampling of the sphere, neighbours of the total variation, frequency of the second pass, form of the density smoothness, and
+    each loss without (or, where the base has it off, with the published weight).
+    """
+    cells: Cells = {BASE: ()}
+    surface = base.surface
+    for kind in ("lattice", "fibonacci", "random"):
+        cells[f"sampling {kind}"] = (f"surface.sampling={kind}",)
+    for k in (1, 3, 5, 8):
+        cells[f"k = {k}"] = (f"surface.neighbours={k}",)
+    for first, last in ((2048, 16), (512, 4), (256, 2), (16, 16)):
+        cells[f"every {first}/{last}"] = (f"surface.first_period={first}", f"surface.last_period={last}")
+    for form in ("tangent", "published"):
+        cells[f"{form} density"] = (f"surface.density_form={form}",)
+    cells = {name: changes for name, changes in cells.items() if name == BASE or not _repeats(surface, changes)}
+    for loss in LOSSES:
+        weight = getattr(surface, loss)
+        published = SurfaceConfig.model_fields[loss].default
+        cells[f"without {loss}" if weight else f"with {loss}"] = (f"surface.{loss}={0 if weight else published}",)
+    return cells | {"no regulariser": ("surface.enabled=false",)}
+
+
+def _repeats(surface: SurfaceConfig, changes: Sequence[str]) -> bool:
+    pairs = (change.removeprefix("surface.").split("=") for change in changes)
+    return all(str(getattr(surface, name)) == value for name, value in pairs)
+
+
+def plan(scene: str, model: str, preset: str, overrides: Sequence[str], budget_s: float | None, wanted: Sequence[str]) -> Study:
+    """The study of the wanted cells (all of `grid` where none is named; the base always).
+
+    Raises:
+        Misuse: unknown scene, model, setting or cell.
+    """
+    cells = grid(load_config(model, preset, list(overrides)))
+    for name in wanted:
+        if name not in cells:
+            raise Misuse(f"there is no cell '{name}'", where="--cell", remedy=nearest(name, cells))
+    chosen = {name: changes for name, changes in cells.items() if not wanted or name in wanted or name == BASE}
+    return Study(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s, chosen)
+
+
+def run(study: Study, out: Path) -> dict[str, Any]:
+    """Train and measure every cell that is not finished, then write the table and the figure.
+
+    Raises:
+        Misuse: `out` holds something else, or a study of something else.
+    """
+    _begin(study, out)
+    with progress("ablating", len(study.cells), "cells") as shown:
+        for name, changes in study.cells.items():
+            shown.note(name)
+            finish(out / CELLS / folder_name(name), study, changes)
+            shown.advance()
+    rows = [Row(Path(study.scene).name, name, _figures(out / CELLS / folder_name(name))) for name in _finished(out)]
+    columns = table.chosen_columns(rows)
+    for suffix, write in table.FORMS.items():
+        files.write_text(out / f"table{suffix}", write(rows, columns))
+    with files.atomic_path(out / "figure.png") as temporary:
+        draw(rows, [name for name in FIGURES if name in columns]).savefig(temporary, dpi=150)
+    return {"out": str(out), "cells": len(rows), "table": str(out / "table.md"), "figure": str(out / "figure.png"),
+            "rows": [{"cell": row.label, **{c: row.values.get(c) for c in columns}} for row in rows]}  # fmt: skip
+
+
+def finish(path: Path, study: Study, changes: Sequence[str]) -> None:
+    """Train and measure one run, as far as that was not done yet; `path` is its folder."""
+    if (path / METRICS).is_file():
+        return
+    config = load_config(study.model, study.preset, [*study.overrides, *changes])
+    resume = (path / RUN).is_file() and bool(checkpoint.steps(path / CHECKPOINTS))
+    if path.exists() and not resume:
+        shutil.rmtree(path)  # broken off before its first checkpoint: nothing to go on with
+    scene = load_scene(study.scene, measure=not resume)
+    train(scene, find(study.scene), config, path, budget_s=study.budget_s, resume=resume)
+    evaluate(Trained.open(path))
+
+
+def folder_name(cell: str) -> str:
+    """A cell's name as a folder's."""
+    return cell.replace(" = ", "_").replace(" ", "_").replace("/", "_")
+
+
+def _begin(study: Study, out: Path) -> None:
+    """Note the study in its folder, or check that what is there is the same one; cells may be added."""
+    content = {"scene": study.scene, "model": study.model, "preset": study.preset, "overrides": list(study.overrides),
+               "budget_s": study.budget_s}  # fmt: skip
+    cells = {name: list(changes) for name, changes in study.cells.items()}
+    if (out / STUDY).is_file():
+        before = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)
+        changed = [key for key in content if before.get(key) != content[key]]
+        changed += [name for name in cells if before["cells"].get(name, cells[name]) != cells[name]]
+        if changed:
+            raise Misuse("holds another study", where=out, why=f"{changed[0]} differs", remedy="choose another --out")
+        cells = before["cells"] | cells
+    else:
+        files.refuse_existing(out)
+    files.write_json(out / STUDY, {"format": FORMAT, "version": VERSION, **content, "cells": cells})
+
+
+def _finished(out: Path) -> list[str]:
+    cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
+    return [name for name in cells if (out / CELLS / folder_name(name) / METRICS).is_file()]
+
+
+def _figures(path: Path) -> dict[str, float | None]:
+    (row,) = table.rows_of_runs([path])
+    return row.values
+
+
+def draw(rows: Sequence[Row], columns: Sequence[str]):
+    """A figure with a panel per column: each cell's distance from the base, better to the right.
+
+    Returns:
+        A matplotlib Figure.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5 * max(len(columns), 1), 1 + 0.32 * len(rows)), layout="constrained")
+    base = next((row for row in rows if row.label == BASE), rows[0])
+    for index, column in enumerate(columns):
+        axes = figure.add_subplot(1, len(columns), index + 1)
+        sign = 1 if column in table.HIGHER_IS_BETTER else -1
+        others = [row for row in rows if row is not base and row.values.get(column) is not None]
+        gains = [sign * (row.values[column] - (base.values.get(column) or 0.0)) for row in others]
+        axes.barh([row.label for row in others], gains, color=["#2f6fde" if gain >= 0 else "#d98324" for gain in gains])
+        axes.axvline(0, color="black", linewidth=0.8)
+        axes.invert_yaxis()
+        axes.grid(axis="x", alpha=0.3)
+        axes.set_title(f"{table.heading(column)}, base {table.shown(base.values.get(column), column)}", fontsize=9)
+        axes.set_xlabel("gain over the base (better to the right)", fontsize=8)
+        axes.tick_params(labelsize=8)
+    return figure
