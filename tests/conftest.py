@@ -1,8 +1,12 @@
 """What tests of every package share: real data where it is there, and small made-up scenes."""
 
-from collections.abc import Callable
+import shutil
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from jaxtyping import install_import_hook
@@ -105,3 +109,62 @@ def simulated_session() -> Callable[..., Path]:
         return path
 
     return make
+
+
+class Browsed:
+    """One browser window on a page: what it shows, what it asked for, what went wrong in it."""
+
+    WIDTH, HEIGHT, PANEL = 1000, 560, 400
+    PATIENCE_S = 120.0
+    """Pictures are drawn without a graphics card, on a computer that may be busy with other things."""
+
+    def __init__(self, page: Any, url: str) -> None:
+        self.page, self.url = page, url
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", lambda message: self._heard(message))
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.goto(url)
+        page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # warns of the missing graphics card
+
+    def _heard(self, message: Any) -> None:
+        # the page's own pictures (blob:) may be replaced while the browser still opens them: nothing is missing then
+        if message.type == "error" and not message.location.get("url", "").startswith("blob:"):
+            self.errors.append(message.text)
+
+    def outside(self) -> list[str]:
+        """What was asked for elsewhere than at the page."""
+        own = (self.url, f"blob:{self.url}", "data:")
+        return [url for url in self.requests if not url.startswith(own)]
+
+    def picture(self) -> np.ndarray:
+        """(height, width, 3) sRGB bytes of the window without the panel."""
+        clip = {"x": 0, "y": 0, "width": self.WIDTH - self.PANEL, "height": self.HEIGHT}
+        png = self.page.screenshot(clip=clip, timeout=1e3 * self.PATIENCE_S)
+        return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+    def until(self, holds: Callable[[np.ndarray], Any], what: str) -> np.ndarray:
+        """The first picture for which something holds; fails, saying `what` never came, where there is none."""
+        deadline = time.monotonic() + self.PATIENCE_S
+        while time.monotonic() < deadline:
+            picture = self.picture()
+            if holds(picture):
+                return picture
+            self.page.wait_for_timeout(300)
+        raise AssertionError(f"never came: {what}; errors of the page: {self.errors}")
+
+
+@pytest.fixture
+def browse() -> Iterator[Callable[[str], Browsed]]:
+    """Factory of windows of a headless Chromium that is on this computer already; skips, saying so, where there is none."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install '.[test]'")
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if path is None:
+        pytest.skip("there is no Chromium on this computer: apt install chromium")
+    software = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+    with api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=software, timeout=1e3 * Browsed.PATIENCE_S)
+        size = {"width": Browsed.WIDTH, "height": Browsed.HEIGHT}
+        yield lambda url: Browsed(chromium.new_page(viewport=size), url)
+        chromium.close()
