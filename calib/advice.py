@@ -20,6 +20,7 @@ from calib.model import Session, State
 from calib.refine import Refined
 from calib.simulate import Pattern, Rig, viewpoints
 from datasets import files, pose
+from datasets.calibration import UncertainPose
 
 Array = NDArray[np.float64]
 LEVER_M = 0.4
@@ -125,11 +126,9 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
 
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:
-    covariance = np.linalg.inv(information)[-12:-6, -12:-6]
-    x, y, z = state.flange_from_camera[:3, 3]
-    of_origin = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
-    return (1e3 * float(np.sqrt(np.trace(of_origin @ covariance @ of_origin.T))),
-            float(np.rad2deg(np.sqrt(np.trace(covariance[3:, 3:])))))  # fmt: skip
+    """Standard deviations of the hand-eye pose over all axes: translation [mm], rotation [deg]."""
+    stated = UncertainPose(state.flange_from_camera, np.linalg.inv(information)[-12:-6, -12:-6])
+    return float(np.linalg.norm(stated.translation_std_mm)), float(np.linalg.norm(stated.rotation_std_deg))
 
 
 def _score(information: Array, state: State) -> float:

@@ -21,6 +21,7 @@ from calib.ratios import Ratio
 from calib.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
 from calib.targets import Board
 from datasets import pose
+from datasets.calibration import UncertainPose
 from datasets.errors import KoalaError
 
 Array = NDArray[np.float64]
@@ -165,14 +166,16 @@ def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG)
     """Measure every method at one point."""
     methods = {name: Errors() for name in (*handeye.METHODS, REFINED, DRAWN)}
     variances = []
+    sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
     for _ in range(trials):
         drawn = simulate(rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm,
                          free=point.free)  # fmt: skip
         drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
-        variances.append(_bound(drawn, point, methods[DRAWN]))
+        variances.append(bound(drawn, sigmas))
+        methods[DRAWN].add(drawn.truth.flange_from_camera, efficient(drawn, sigmas), 0.0)
         _compare(drawn, point, methods)
-    bound = np.sqrt(np.mean(variances, axis=0))
-    return Result(point, methods, (1e3 * float(bound[0]), float(np.rad2deg(bound[1]))))
+    least = np.sqrt(np.mean(variances, axis=0))
+    return Result(point, methods, (1e3 * float(least[0]), float(np.rad2deg(least[1]))))
 
 
 def _compare(drawn: Simulated, point: Point, methods: dict[str, Errors]) -> None:
@@ -205,17 +208,14 @@ def _spread(residuals: Array, views: int, free: int) -> float:
     return max(float(np.sqrt((residuals**2).sum() / (residuals.size - 6 * views - free))), refine.MIN_SIGMA_PX)
 
 
-def _bound(drawn: Simulated, point: Point, efficient: Errors) -> tuple[float, float]:
-    """Variances (translation [m^2], rotation [rad^2]) of the hand-eye pose that this session allows; adds the efficient answer."""
-    session, truth = drawn.session, drawn.truth
-    sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
-    system = refine.linear_system(session, truth, sigmas)
-    step, _ = system.step(0.0)
-    efficient.add(
-        truth.flange_from_camera, truth.moved(session.columns, step, np.zeros((point.views, 6))).flange_from_camera, 0.0
-    )
-    covariance = np.linalg.inv(system.root) @ np.linalg.inv(system.root).T
-    of_pose = covariance[-12:-6, -12:-6]
-    x, y, z = truth.flange_from_camera[:3, 3]
-    of_origin = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
-    return float(np.trace(of_origin @ of_pose @ of_origin.T)), float(np.trace(of_pose[3:, 3:]))
+def efficient(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
+    """(4, 4) the hand-eye pose of the truth plus one Gauss-Newton step on the session's noise: what an efficient estimator finds."""
+    step, _ = refine.linear_system(drawn.session, drawn.truth, sigmas).step(0.0)
+    return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).flange_from_camera
+
+
+def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
+    """(2,) variances of the hand-eye pose over all axes that a session allows: translation [m^2], rotation [rad^2]."""
+    inverse = np.linalg.inv(refine.linear_system(drawn.session, drawn.truth, sigmas).root)
+    stated = UncertainPose(drawn.truth.flange_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
+    return np.array([np.sum((1e-3 * stated.translation_std_mm) ** 2), np.sum(np.deg2rad(stated.rotation_std_deg) ** 2)])

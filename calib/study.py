@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import calibrate, handeye, intrinsics
+from calib import advice, calibrate, handeye, intrinsics
 from calib.errors import CalibrationError
 from calib.model import Accuracy
 from calib.session import TargetSession
@@ -38,6 +38,8 @@ class Variant:
     views: int = 25
     separate: int = 0
     """Views of a session of its own for the intrinsics, taken without the arm; 0: estimated along."""
+    planned: int = 0
+    """Of the views, how many are taken where `calib plan` says after the others."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ def _with_board(x: int, y: int, square_m: float) -> Rig:
 
 A3, DENSE = _with_board(12, 9, 0.03), _with_board(18, 13, 0.02)
 TILTED = Pattern(tilt_deg=(25.0, 50.0))
+NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
+"""As configs/trajectories/calibration.yaml has it."""
 VARIANTS = (
     Variant("board of 9x7 squares of 30 mm, tilts to 35 degrees", KOALA),
     Variant("the same, intrinsics from 60 views of their own", KOALA, separate=60),
@@ -76,6 +80,8 @@ VARIANTS = (
         "A3 board of 18x13 squares of 20 mm, tilts of 25 to 50 degrees, 0.3 to 0.6 m", DENSE, Pattern((25.0, 50.0), (0.3, 0.6))
     ),
     Variant("A3 board, tilts of 25 to 50 degrees, intrinsics from 60 views of their own", A3, TILTED, separate=60),
+    Variant("tilts of 20 to 50 degrees at 0.25 to 0.4 m", KOALA, NEAR),
+    Variant("10 views of the first kind, then 15 by `calib plan`", KOALA, planned=15),
 )
 
 
@@ -105,12 +111,12 @@ def target_session(simulated: Simulated, name: str = "simulated") -> TargetSessi
 
 def _once(variant: Variant, rng: np.random.Generator) -> Array:
     """(3, 2) errors of refinement and Park, and what was stated, of one session."""
-    simulated = _draw(variant, rng, variant.views)
-    given = (
-        calibrate.calibrate_intrinsics(target_session(_draw(variant, rng, variant.separate), "alone"))
-        if variant.separate
-        else None
-    )
+    flown = _flown(variant, rng)
+    simulated = _simulated(variant, rng, flown)
+    given = None
+    if variant.separate:
+        alone = viewpoints(rng, variant.rig, variant.separate, variant.pattern)
+        given = calibrate.calibrate_intrinsics(target_session(_simulated(variant, rng, alone), "alone"))
     session = target_session(simulated)
     found = calibrate.calibrate_handeye(session, given, ARM)
     assert found.flange_from_camera is not None  # the camera is on the flange
@@ -122,8 +128,17 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
                      [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)]])  # fmt: skip
 
 
-def _draw(variant: Variant, rng: np.random.Generator, views: int) -> Simulated:
-    return simulate(rng, variant.rig, viewpoints(rng, variant.rig, views, variant.pattern), sigma_px=SIGMA_PX, arm=ARM)
+def _flown(variant: Variant, rng: np.random.Generator) -> Array:
+    """(views, 4, 4) base_from_camera: drawn, and then planned from what these have shown."""
+    drawn = viewpoints(rng, variant.rig, variant.views - variant.planned, variant.pattern)
+    if not variant.planned:
+        return drawn
+    solution = calibrate.solve(target_session(_simulated(variant, rng, drawn)), accuracy=ARM)
+    return np.concatenate([drawn, advice.advise(solution, variant.planned).base_from_camera])
+
+
+def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Array) -> Simulated:
+    return simulate(rng, variant.rig, base_from_camera, sigma_px=SIGMA_PX, arm=ARM)
 
 
 def _plain_camera(session: TargetSession, given: Calibration | None) -> Camera:
