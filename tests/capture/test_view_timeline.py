@@ -1,0 +1,79 @@
+"""The session over time: what is played back is what is planned, or what was recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture import kinematics
+from capture.planning import duration, plan
+from capture.rig_description import RigDescription
+from capture.trajectory import Trajectory, load_trajectory
+from capture.view_timeline import of_recording, of_trajectory
+from datasets.recording import Frame, Recording
+
+MOUNT = RigDescription().flange_from_camera.matrix()
+
+
+def trajectory(x: float = 0.4, count: int = 8) -> Trajectory:
+    views = [{"kind": "orbit", "target": [x, 0.0, 0.14], "distance": 0.4, "elevation_deg": 40, "count": count,
+              "roll_deg": [0, 90, 180, 270]}]  # fmt: skip
+    return Trajectory.model_validate({"name": "ring", "views": views, "split": {"train": count - 2, "test": 2}})
+
+
+def test_each_view_is_taken_where_and_when_the_plan_says() -> None:
+    session = trajectory()
+    timeline, planned = of_trajectory(session, MOUNT), plan(session, MOUNT)
+    assert timeline.end == pytest.approx(duration(session, planned), abs=1e-9)
+    assert (np.diff(timeline.seconds) >= 0).all()
+    for stop, view in zip(timeline.stops, planned, strict=True):
+        assert stop.seconds is not None
+        assert np.allclose(timeline.at(stop.seconds), view.joints, atol=1e-12)
+        assert np.allclose(stop.base_from_camera, view.viewpoint.base_from_camera, atol=1e-5)  # by the closed form and back
+        assert timeline.next_stop(stop.seconds) == stop
+    assert timeline.next_stop(timeline.end + 1) is None
+
+
+def test_no_joint_is_faster_than_the_trajectory_allows() -> None:
+    session = trajectory()
+    timeline = of_trajectory(session, MOUNT)
+    span, moved = np.diff(timeline.seconds), np.abs(np.diff(timeline.joints, axis=0)).max(axis=1)
+    assert (moved[span > 0] / span[span > 0] <= session.motion.speed + 1e-9).all()
+    assert (moved[span == 0] < 1e-12).all()
+
+
+def test_views_out_of_reach_stand_beside_the_plan_with_their_reason() -> None:
+    timeline = of_trajectory(trajectory(0.65), MOUNT)
+    blocked = [stop for stop in timeline.stops if stop.seconds is None]
+    assert 0 < len(blocked) < 8 and len(timeline.stops) == 8
+    assert all("out of reach" in stop.reason or "too near" in stop.reason or "singular" in stop.reason for stop in blocked)
+    assert f"{len(blocked)} cannot be taken" in timeline.notes[0]
+
+
+def test_where_nothing_can_be_taken_there_is_no_time() -> None:
+    timeline = of_trajectory(trajectory(3.0), MOUNT)
+    assert timeline.end == 0 and len(timeline.seconds) == 0 and all(stop.reason for stop in timeline.stops)
+
+
+def test_a_recording_is_played_by_the_controllers_clock(tmp_path: Path) -> None:
+    session = trajectory(count=3)
+    recording = Recording.create(tmp_path / "r", {"trajectory": session.model_dump(mode="json")})
+    angles = np.deg2rad([[10.0 * i, -60, 80, -100, -90, 5] for i in range(2)])
+    for i, joints in enumerate(angles):
+        recording.append(Frame(i, f"{i:03d}", "train", f"images/{i:03d}.png", kinematics.forward(joints), joints, 50.0 + 4 * i,
+                               0, 0, 1e4, 0.3, ""))  # fmt: skip
+    timeline = of_recording(recording, MOUNT)
+    assert [stop.seconds for stop in timeline.stops] == [0, 4] and timeline.end == 4
+    assert np.allclose(timeline.at(2.0), angles.mean(0))  # half way between the two
+    assert np.allclose(timeline.stops[1].base_from_camera, kinematics.forward(angles[1]) @ MOUNT)
+    assert timeline.notes[0].startswith("2 of 3 views")
+
+
+def test_a_recording_that_has_just_begun_shows_nothing_yet(tmp_path: Path) -> None:
+    recording = Recording.create(tmp_path / "r", {"trajectory": trajectory().model_dump(mode="json")})
+    assert of_recording(recording, MOUNT).stops == ()
+
+
+def test_shipped_trajectories_can_be_played(configs: Path) -> None:
+    timeline = of_trajectory(load_trajectory(configs / "trajectories" / "koala_demo.yaml"), MOUNT)
+    assert len(timeline.stops) == 50 and all(stop.seconds is not None for stop in timeline.stops)

@@ -1,0 +1,130 @@
+"""The page of a run, with a ball for a model whose picture is known."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from datasets.viewer import Page, open_page
+from reconstruct import checkpoint
+from reconstruct.run import CHECKPOINTS
+from reconstruct.trained import Trained
+from reconstruct.view import NOTHING, RunView, curves, words_on
+from reconstruct.view_frame import CHANNELS, Eye
+
+pytestmark = pytest.mark.timeout(600)
+
+
+@pytest.fixture
+def shown(ball: Trained) -> Any:
+    """(page, view) of the ball."""
+    with open_page("ball", 0) as page:
+        view = RunView(page, ball.run, None)
+        view.trained = ball
+        yield page, view
+
+
+def eye_at(trained: Trained, index: int = 1) -> Eye:
+    view = trained.scene.views[index]
+    fov = 2 * np.arctan(0.5 * view.camera.height / view.camera.fy)
+    return Eye(view.world_from_camera, float(fov), view.camera.width / view.camera.height)
+
+
+def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ball: Trained) -> None:
+    """Sliced into rays of a fixed number, put together again: the picture that `Trained.picture` gives."""
+    _, view = shown
+    camera = ball.scene.views[1].camera
+    found = view.render(eye_at(ball), camera.width * camera.height, normals=True)
+    whole = ball.picture(ball.scene.views[1])
+    assert found is not None and found["rgb"].shape == whole.rgb.shape
+    for name in ("rgb", "opacity", "depth", "roughness"):
+        assert np.allclose(found[name], getattr(whole, name), atol=2e-3), name  # chunks of another size round differently
+    assert found["opacity"].max() > 0.99 and found["opacity"].min() < 0.01
+
+
+def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: Trained) -> None:
+    _, view = shown
+    looks = iter([False, True])
+    assert view.render(eye_at(ball), 8192, normals=False, cancelled=lambda: next(looks)) is None
+    assert list(looks) == []
+
+
+def test_there_is_nothing_to_see_before_the_first_checkpoint(make_run: Callable[..., Any]) -> None:
+    run = make_run(checkpointed=False)
+    with open_page("new", 0) as page:
+        view = RunView(page, run, None)
+        assert not view._take() and view.trained is None
+        assert view.render(Eye(np.eye(4), 0.7, 1.5), 2048, normals=False) is None
+
+
+def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable[..., Any]) -> None:
+    import equinox as eqx
+
+    run = make_run()
+    with open_page("run", 0) as page:
+        view = RunView(page, run, None)
+        assert view._take() and int(view.trained.state.step) == 0
+        later = eqx.tree_at(lambda state: state.step, view.trained.state, jax.numpy.asarray(41, jax.numpy.int32))
+        checkpoint.save(run.path / CHECKPOINTS, later, {"seconds": 3.0})
+        assert view._take() and int(view.trained.state.step) == 41
+        view._say()
+        assert "step 41" in view._state.content
+
+
+def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    words = words_on(run.log(), run)
+    assert (
+        "step 2 after 2 s" in words and "unseen 11.00 dB" in words and "0 steps left out" in words and "made for a test" in words
+    )
+    (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])
+    assert seconds.tolist() == [0, 1, 2, 3] and train[-1] == 13 and np.isnan(unseen[-1]) and len(series) == 3
+    assert words_on([], run) == "*no line in the log yet*"
+
+
+def middle(picture: np.ndarray) -> np.ndarray:
+    height, width = picture.shape[:2]
+    return np.median(picture[height // 2 - 12 : height // 2 + 12, width // 2 - 12 : width // 2 + 12], axis=(0, 1))
+
+
+def run_eyes(page: Page, view: RunView) -> None:
+    view.sharpest.value = 2
+    view.cameras.value = False
+    page.in_background(view.eyes.run)
+
+
+def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: Trained, browse: Callable[[str], Any]) -> None:
+    """The ball's colour in the middle, white beside it; another channel, another picture; a browser that closes in the midst of all
+    that changes nothing for the other."""
+    from datasets import images
+
+    colour = 255 * images.srgb_from_linear(np.array([0.3, 0.3, 0.35]))
+    with open_page("ball", 0) as page:
+        view = RunView(page, ball.run, None)
+        view.trained = ball
+        run_eyes(page, view)
+        window, leaving = browse(page.url), browse(page.url)
+        seen = lambda picture: np.abs(middle(picture) - colour).max() < 12  # noqa: E731
+        first = window.until(seen, "the ball")
+        assert (first[-30:, 10:40] > 230).mean() > 0.9  # nothing stands in the corner
+        view.sharpest.value = 5  # pictures take long enough now to leave in the midst of one
+        leaving.page.close()
+        window.page.locator('input[value="rgb"]').first.click()
+        window.page.get_by_role("option", name="normals", exact=True).click()
+        window.until(lambda picture: np.abs(middle(picture) - colour).max() > 40, "another channel")
+        view.channel.value = NOTHING
+        window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
+        assert window.errors == [] and window.outside() == []
+        assert set(page.server.get_clients()) and len(page.server.get_clients()) == 1
+
+
+def test_every_channel_can_be_chosen(shown: Any, ball: Trained) -> None:
+    from reconstruct.view_frame import picture_of
+
+    _, view = shown
+    values = view.render(eye_at(ball), 2048, normals=True)
+    pictures = {channel: picture_of(channel, values) for channel in CHANNELS}
+    distinct = {name: p.tobytes() for name, p in pictures.items() if name != "normals (predicted)"}  # the ball predicts its own
+    assert len(set(distinct.values())) == len(distinct)
