@@ -132,18 +132,31 @@ def figures_command(
 
 @app.command("eval")
 def eval_command(
-    run: RunFolder,
+    run: Annotated[Path | None, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")] = None,
     split: Annotated[str, typer.Option(help="Views to measure: train, val or test.")] = "test",
+    renders: Annotated[Path | None, typer.Option(help="Instead of a run: pictures that another program rendered.")] = None,
+    scene: Annotated[str | None, typer.Option(help="With --renders: the scene whose views they show.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.json", help="With --renders: write the figures there.")
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
-    """Measure a run on its test views; writes RUN/metrics.json."""
+    """Measure a run on its test views (writes RUN/metrics.json), or renderings made elsewhere with the same ruler."""
+    from datasets.errors import Misuse
+    from datasets.formats import load_scene
     from reconstruct.backend import cache_compilations
     from reconstruct.evaluate import METRICS, evaluate, table
+    from reconstruct.renders import measure
     from reconstruct.trained import Trained
 
-    cache_compilations()
-    result = evaluate(Trained.open(run), split=split)
-    console.report(result, as_json=as_json, text=f"{table(result)}\n{run / METRICS}")
+    if (run is None) == (renders is None) or (renders is None) != (scene is None) or (out is not None and renders is None):
+        raise Misuse("give either a run, or --renders DIR --scene SCENE")
+    if renders is not None and scene is not None:
+        result, where = measure(renders, load_scene(scene), split=split, out=out), out
+    else:
+        cache_compilations()
+        result, where = evaluate(Trained.open(run), split=split), run / METRICS
+    console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())
 
 
 @app.command("render")

@@ -4,6 +4,7 @@ RUN/metrics.json    each figure per view and on average, what it means, and the 
 """
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ from datasets.scene import View
 from reconstruct import mesh, metrics, surface_distance
 from reconstruct.errors import ReconstructError
 from reconstruct.rays import read_scaled
-from reconstruct.renderer import Picture
 from reconstruct.trained import Trained
 
 FORMAT, VERSION = "koala-metrics", 1
@@ -44,14 +44,13 @@ def evaluate(trained: Trained, *, split: str = "test") -> dict[str, Any]:
             picture = trained.picture(view)
             seconds = time.perf_counter() - start
             truth = read_truth(view, trained.camera(view))
-            measured.append({"name": view.name, **compare(picture, truth, metric=trained.scene.metric), "seconds": seconds})
+            measured.append({"name": view.name, **compare(vars(picture), truth, metric=trained.scene.metric), "seconds": seconds})
             shown.advance()
             shown.note(f"PSNR {measured[-1]['psnr']:.1f} dB")
     result = {
         "format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "scale": trained.run.config.scale,
         "size": [trained.camera(views[0]).width, trained.camera(views[0]).height], "steps": int(trained.state.step),
-        "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s,
-        "definitions": {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()},
+        "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s, "definitions": definitions(),
     }  # fmt: skip
     truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
     if truth_mesh.is_file() and trained.scene.metric:
@@ -104,32 +103,42 @@ def _resampled(channel: str, values: NDArray[np.float32], camera: Camera) -> NDA
     return small[..., :3]
 
 
-def compare(picture: Picture, truth: dict[str, NDArray[np.float32]], *, metric: bool) -> dict[str, float | None]:
-    """Figures of `metrics.DEFINITIONS` for one picture, as far as there is truth to compare with.
+def compare(
+    shown: Mapping[str, NDArray[np.float32]], truth: Mapping[str, NDArray[np.float32]], *, metric: bool
+) -> dict[str, float | None]:
+    """Figures of `metrics.DEFINITIONS` for one picture, as far as there is something to compare.
 
     Args:
+        shown: the maps of a `Picture` by name, as many as there are; "rgb" at least.
+        truth: from `read_truth`.
         metric: whether depths are in metres.
     """
     found: dict[str, float | None] = {
-        "psnr": metrics.psnr(picture.rgb, truth["rgb"]),
-        "ssim": metrics.ssim(picture.rgb, truth["rgb"]),
+        "psnr": metrics.psnr(shown["rgb"], truth["rgb"]),
+        "ssim": metrics.ssim(shown["rgb"], truth["rgb"]),
     }
-    if "normals" in truth:
-        alpha = truth.get("alpha", np.ones_like(picture.opacity))
-        for name, normals in {"normal": picture.normals, "normal_pred": picture.normals_pred}.items():
-            found[f"{name}_mae_alpha_acc_deg"] = metrics.normal_mae_deg(normals, truth["normals"], alpha * picture.opacity)
-            found[f"{name}_mae_deg"] = metrics.normal_mae_deg(normals, truth["normals"], alpha)
-    if "depth" in truth:
-        shown = (truth["alpha"] > 0.5)[..., 0] & (truth["depth"] > 0)[..., 0]
-        found["disparity_rmse"] = metrics.disparity_rmse(picture.depth, truth["depth"], shown)
-        errors = metrics.depth_errors_mm(picture.depth, truth["depth"], shown) if metric else None
+    opacity = shown.get("opacity", np.ones_like(truth["rgb"][..., :1]))
+    alpha = truth.get("alpha", np.ones_like(opacity))
+    for name, channel in {"normal": "normals", "normal_pred": "normals_pred"}.items():
+        if "normals" in truth and channel in shown and np.any(shown[channel]):  # a model may predict none
+            for ending, weight in {"mae_alpha_acc_deg": alpha * opacity, "mae_deg": alpha}.items():
+                found[f"{name}_{ending}"] = metrics.normal_mae_deg(shown[channel], truth["normals"], weight)
+    if "depth" in truth and "depth" in shown:
+        known = (alpha > 0.5)[..., 0] & (truth["depth"] > 0)[..., 0]
+        found["disparity_rmse"] = metrics.disparity_rmse(shown["depth"], truth["depth"], known)
+        errors = metrics.depth_errors_mm(shown["depth"], truth["depth"], known) if metric else None
         if errors is not None:
             found["depth_rmse_mm"], found["depth_median_mm"] = errors
     for name in ("diffuse", "specular"):
-        if name in truth:
-            srgb = (images.srgb_from_linear(np.maximum(part, 0)) for part in (getattr(picture, name), truth[name]))
-            found[f"{name}_psnr"] = metrics.psnr(*srgb)
+        if name in truth and name in shown:
+            srgb = (images.srgb_from_linear(np.maximum(part, 0)) for part in (shown[name], truth[name]))
+            found[f"{name}_psnr"] = metrics.psnr(*srgb, shown=(alpha > 0.5)[..., 0])
     return found
+
+
+def definitions() -> dict[str, str]:
+    """Meaning and unit of each figure of a view, as every file of results has them."""
+    return {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()}
 
 
 def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:
@@ -144,9 +153,8 @@ def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:
 
 def table(result: dict[str, Any]) -> str:
     """The averages for a person, a line each, with units."""
-    lines = [
-        f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}, after {result['steps']} steps"
-    ]
+    trained = f", after {result['steps']} steps" if "steps" in result else ""
+    lines = [f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}{trained}"]
     for name, value in result["mean"].items():
         lines.append(f"  {name:<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
     for name, value in (result.get("mesh") or {}).items():

@@ -4,7 +4,8 @@ DIR/rgb/NAME.png         sRGB
 DIR/diffuse/NAME.png     sRGB of the diffuse part
 DIR/specular/NAME.png    sRGB of the specular part
 DIR/normals/NAME.png     (n + 1) / 2, world frame, from the density's gradient; grey where nothing is seen
-DIR/normals_pred/NAME.png  the same of the predicted normals
+DIR/normals_exr/NAME.exr  the same as numbers: unit vectors, zero where nothing is seen
+DIR/normals_pred/NAME.png  (n + 1) / 2 of the predicted normals
 DIR/depth/NAME.exr       along z [m, or the scene's unit]; 0 where nothing is seen
 DIR/depth_view/NAME.png  the same to look at: near is bright, nothing is black
 DIR/opacity/NAME.png     0..1
@@ -23,6 +24,9 @@ from datasets.formats.koala import file_name
 from reconstruct.renderer import Picture
 from reconstruct.trained import Trained
 
+NUMBERS = {"depth", "normals_exr"}
+"""Channels written as EXR, unscaled."""
+
 
 def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any]:
     """Render the views of one split into the new folder `out`, all or nothing.
@@ -35,19 +39,20 @@ def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any
     with files.atomic_folder(out) as folder, progress("rendering", len(views), "views") as shown:
         for view in views:
             for name, values in channels(trained.picture(view)).items():
-                suffix = ".exr" if name == "depth" else ".png"
+                suffix = ".exr" if name in NUMBERS else ".png"
                 images.write(folder / name / f"{file_name(view)}{suffix}", values)
             shown.advance()
     return {"out": str(out), "split": split, "views": len(views)}
 
 
 def channels(picture: Picture) -> dict[str, NDArray[np.floating]]:
-    """What is written of a picture, by folder: (height, width, 1 or 3), 0..1 but for depth."""
+    """What is written of a picture, by folder: (height, width, 1 or 3), 0..1 but for `NUMBERS`."""
     return {
         "rgb": picture.rgb,
         "diffuse": images.srgb_from_linear(np.maximum(picture.diffuse, 0)),
         "specular": images.srgb_from_linear(np.maximum(picture.specular, 0)),
         "normals": (picture.normals + 1) / 2,
+        "normals_exr": picture.normals,
         "normals_pred": (picture.normals_pred + 1) / 2,
         "depth": picture.depth,
         "depth_view": brightness_of_depth(picture.depth),

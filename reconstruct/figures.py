@@ -189,7 +189,7 @@ def draw_bias(trained: Trained) -> Figure:
         across, up = _tangents(normal)
         place = np.stack([seen["outward"] @ across, seen["outward"] @ up], -1)
         constant = seen["specular"].min(0)
-        specular, diffuse = seen["specular"], np.broadcast_to(seen["diffuse"], place.shape[:1] + (3,))
+        specular, diffuse = seen["specular"], np.broadcast_to(seen["diffuse"], seen["specular"].shape)
         panels = {"colour": specular + diffuse, "specular": specular, "specular less its constant part": specular - constant,
                   "diffuse": diffuse, "diffuse plus that part": diffuse + constant}  # fmt: skip
         for column, (title, light) in enumerate(panels.items()):

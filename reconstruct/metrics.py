@@ -22,8 +22,8 @@ DEFINITIONS = {
     "disparity_rmse": ("", "root mean square error of 1 / (1 + t), t the depth along z in world units, where true alpha > 0.5"),
     "depth_rmse_mm": ("mm", "root mean square error of the depth along z, where true alpha > 0.5 (metric scenes)"),
     "depth_median_mm": ("mm", "median absolute error of the same"),
-    "diffuse_psnr": ("dB", "PSNR of the diffuse part, in clipped sRGB"),
-    "specular_psnr": ("dB", "PSNR of the specular part, in clipped sRGB"),
+    "diffuse_psnr": ("dB", "PSNR of the diffuse part, in clipped sRGB, over the object (true alpha > 0.5, everything where it is not known)"),
+    "specular_psnr": ("dB", "the same of the specular part"),
     "seconds": ("s", "time to render the view, all channels; compilation not counted"),
 }  # fmt: skip
 """Unit and meaning of each figure of a view."""
@@ -32,9 +32,16 @@ BEST_MSE = 1e-10
 """Smaller mean squared errors count as this: 100 dB."""
 
 
-def psnr(rendered: Picture, truth: Picture) -> float:
-    """Peak signal-to-noise ratio [dB] of two pictures after clipping to 0..1; at most 100."""
+def psnr(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = None) -> float | None:
+    """Peak signal-to-noise ratio [dB] of two pictures after clipping to 0..1; at most 100.
+
+    Args:
+        shown: (height, width) pixels that count; None counts all. Where none does, there is no ratio.
+    """
     error = np.clip(rendered, 0, 1).astype(np.float64) - np.clip(truth, 0, 1)
+    error = error if shown is None else error[shown]
+    if not error.size:
+        return None
     return float(-10 * np.log10(max(np.mean(error**2), BEST_MSE)))
 
 

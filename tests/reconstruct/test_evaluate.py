@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+from datasets import images
 from datasets.errors import Misuse
 from datasets.scene import View
 from reconstruct import evaluate
@@ -59,10 +60,27 @@ def test_picture_is_laid_over_white_and_gives_the_alpha(ball: Trained) -> None:
 
 def test_without_truth_only_the_picture_is_compared(ball: Trained) -> None:
     view: View = ball.scene.split("train")[0]
-    found = evaluate.compare(ball.picture(view), evaluate.read_truth(view, view.camera), metric=True)
+    found = evaluate.compare(vars(ball.picture(view)), evaluate.read_truth(view, view.camera), metric=True)
     assert set(found) == {"psnr", "ssim"}
 
 
 def test_mean_leaves_out_what_a_view_lacks() -> None:
     found = evaluate.mean([{"psnr": 20.0, "ssim": None}, {"psnr": 30.0, "ssim": 0.5, "depth_rmse_mm": 2.0}])
     assert found == {"psnr": 25.0, "ssim": 0.5, "depth_rmse_mm": 2.0}
+
+
+def test_the_separation_of_light_is_measured_on_the_object_alone() -> None:
+    """A wall behind the object whose parts are all wrong does not count; on the object an error of 0.1 in sRGB is 20 dB."""
+    alpha = np.zeros((4, 4, 1), np.float32)
+    alpha[1:3, 1:3] = 1
+    true, off = (images.linear_from_srgb(np.full((4, 4, 3), value, np.float32)) for value in (0.5, 0.6))
+    truth = {"rgb": true, "alpha": alpha, "diffuse": true, "specular": true}
+    shown = {"rgb": true, "diffuse": np.where(alpha > 0, off, 0), "specular": np.where(alpha > 0, true, 9)}
+    found = evaluate.compare(shown, truth, metric=True)
+    assert found["diffuse_psnr"] == pytest.approx(20, abs=1e-3) and found["specular_psnr"] == pytest.approx(100)
+
+
+def test_normals_that_nobody_predicts_are_not_measured() -> None:
+    up = np.broadcast_to(np.array([0, 0, 1], np.float32), (4, 4, 3))
+    found = evaluate.compare({"rgb": up, "normals": up, "normals_pred": 0 * up}, {"rgb": up, "normals": up}, metric=False)
+    assert found["normal_mae_deg"] == 0 and "normal_pred_mae_deg" not in found

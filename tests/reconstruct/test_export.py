@@ -12,15 +12,17 @@ from reconstruct.trained import Trained
 def test_every_channel_of_every_view_is_written(ball: Trained, tmp_path: Path) -> None:
     assert export.render(ball, tmp_path / "out")["views"] == 2
     folders = {path.name for path in (tmp_path / "out").iterdir()}
-    assert folders == {"rgb", "diffuse", "specular", "normals", "normals_pred", "depth", "depth_view", "opacity", "roughness"}
+    assert folders == {"rgb", "diffuse", "specular", "normals", "normals_exr", "normals_pred", "depth", "depth_view",
+                       "opacity", "roughness"}  # fmt: skip
     for folder in folders:
-        suffix = ".exr" if folder == "depth" else ".png"
+        suffix = ".exr" if folder in ("depth", "normals_exr") else ".png"
         assert sorted(p.name for p in (tmp_path / "out" / folder).iterdir()) == [f"000{suffix}", f"003{suffix}"]
     view = ball.scene.split("test")[0]
     picture = ball.picture(view)
     assert np.array_equal(images.read(tmp_path / "out/depth/000.exr"), picture.depth), "depth is kept as it is, in metres"
     middle = (20, 24)
     assert picture.depth[middle] == pytest.approx(np.linalg.norm(view.world_from_camera[:3, 3] - [0.4, 0, 0.15]) - 0.08, abs=2e-3)
+    assert np.array_equal(images.read(tmp_path / "out/normals_exr/000.exr"), picture.normals)
     normal = 2 * images.read(tmp_path / "out/normals/000.png")[middle] - 1
     towards = -view.world_from_camera[:3, 2]
     assert np.degrees(np.arccos(np.clip(normal @ towards, -1, 1))) < 2  # 8 bits are 0.2 degrees, half a pixel is 1.3
