@@ -186,11 +186,11 @@ def replay_command(
     found = Recordings.open(recording)
     if out is not None:
         files.refuse_existing(out)
-    if seed is None:
-        seed = int(found.manifest.get("seed") or 0) + 1
+    recorded_seed = int(found.manifest.get("seed") or 0)
+    seed = recorded_seed + 1 if seed is None else seed
     trajectory = Trajectory.model_validate(found.trajectory)
     with console.progress("replay", len(found.frames), "views") as shown:
-        with open_arm(rig, trajectory, seed=seed, time_scale=time_scale) as (robot, controller):
+        with open_arm(rig, trajectory, seed=seed, links_seed=recorded_seed, time_scale=time_scale) as (robot, controller):
             truth = None if controller is None else controller.true_base_from_flange
             deviations = replay(found, robot, truth=truth, advance=lambda one: shown.advance())
     content = {"recording": str(recording), **summary(deviations), "frames": [one.to_json() for one in deviations]}
@@ -218,7 +218,7 @@ def sim_command(
     from capture.sim.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
 
     check_name(scene)
-    with SimulatedController.start(seed=seed, time_scale=time_scale, host=host) as controller:
+    with SimulatedController.as_built(seed=seed, time_scale=time_scale, host=host) as controller:
         if out is not None:
             write_simulated_rig(out, controller, scene, seed)
         ports = {"rtde": RTDE_PORT, "script": SCRIPT_PORT, "dashboard": DASHBOARD_PORT, "side_channel": controller.side_port}

@@ -90,22 +90,27 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
 
 @contextmanager
 def open_arm(
-    name: str, trajectory: Trajectory, *, seed: int, time_scale: float
+    name: str, trajectory: Trajectory, *, seed: int, links_seed: int, time_scale: float
 ) -> Iterator[tuple[Robot, "ControllerHandle | None"]]:
-    """Connect the arm alone; the second is the simulated controller, None for a real arm. Arguments as of `open_rig`."""
+    """Connect the arm alone; the second is the simulated controller, None for a real arm.
+
+    Arguments as of `open_rig`; an arm that is started here has the links of `links_seed` and stops with the errors of `seed`.
+    """
     description = describe(name)
-    with _controller(name, description, seed, time_scale) as controller:
+    with _controller(name, description, seed, time_scale, links_seed) as controller:
         with _arm(description, trajectory, controller) as robot:
             yield robot, controller
 
 
 @contextmanager
-def _controller(name: str, description: RigDescription, seed: int, time_scale: float) -> "Iterator[ControllerHandle | None]":
+def _controller(
+    name: str, description: RigDescription, seed: int, time_scale: float, links_seed: int | None = None
+) -> "Iterator[ControllerHandle | None]":
     """The simulated controller of a rig, started here or found running; None for a real one."""
     if name == SIMULATED:
         from capture.sim.controller import SimulatedController
 
-        with SimulatedController.start(seed=seed, time_scale=time_scale) as started:
+        with SimulatedController.as_built(seed=seed, time_scale=time_scale, links_seed=links_seed) as started:
             yield started
     elif description.simulation is not None:
         from capture.sim.handle import ControllerHandle

@@ -46,7 +46,11 @@ async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
 async def _run(options: dict[str, Any]) -> None:
     seed = int(options["seed"])
     length_m, angle_rad = options["length_error_m"], options["angle_error_rad"]
-    links = UR5E.calibrated(np.random.default_rng([seed, 1]), length_m, angle_rad) if length_m or angle_rad else UR5E
+    links = (
+        UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
+        if length_m or angle_rad
+        else UR5E
+    )
     arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
     server = ControllerServer(arm, options["time_scale"])
     host, side_port = await _listen(server, options["host"])

@@ -23,6 +23,8 @@ from datasets.errors import Misuse
 START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
 """Where the arm stands at first: stretched upwards [rad]."""
+BUILT_MM, BUILT_DEG = 0.5, 0.05
+"""How the links of an arm as it was built differ from the nominal ones, one standard deviation: millimetres at the flange."""
 
 
 class SimulatedController(ControllerHandle):
@@ -42,6 +44,7 @@ class SimulatedController(ControllerHandle):
         repeatability_deg: float = 0.005,
         length_error_mm: float = 0.0,
         angle_error_deg: float = 0.0,
+        links_seed: int | None = None,
         home: NDArray[np.float64] | tuple[float, ...] = HOME,
         host: str = "",
     ) -> Self:
@@ -52,6 +55,7 @@ class SimulatedController(ControllerHandle):
             time_scale: how much faster than the clock on the wall the controller's time runs.
             repeatability_mm, repeatability_deg: one standard deviation per axis of where the flange really stops.
             length_error_mm, angle_error_deg: the same of the arm's links against the nominal ones; the controller knows them.
+            links_seed: of those, None: `seed`; the same one is the same arm.
             home: (6,) joint angles at the start [rad].
             host: loopback address; empty: one that nobody uses.
 
@@ -62,7 +66,7 @@ class SimulatedController(ControllerHandle):
         if host and not _is_loopback(host):
             raise Misuse("is no loopback address", where=host, remedy="give one of 127.0.0.1 to 127.255.255.254")
         options = {
-            "host": host, "seed": int(seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
+            "host": host, "seed": int(seed), "links_seed": int(seed if links_seed is None else links_seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
             "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
             "length_error_m": length_error_mm / 1000, "angle_error_rad": float(np.radians(angle_error_deg)),
         }  # fmt: skip
@@ -84,6 +88,12 @@ class SimulatedController(ControllerHandle):
                                   remedy="end what holds it up, or choose another --host")  # fmt: skip
         ready = json.loads(line)
         return cls(process, ready["host"], ready["side_port"], words)
+
+    @classmethod
+    def as_built(cls, *, seed: int, time_scale: float, links_seed: int | None = None, host: str = "") -> Self:
+        """`start` an arm whose links are not quite the nominal ones, as those of any real arm."""
+        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, length_error_mm=BUILT_MM,
+                         angle_error_deg=BUILT_DEG)  # fmt: skip
 
     def __enter__(self) -> Self:
         return self

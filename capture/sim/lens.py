@@ -4,9 +4,11 @@ A renderer knows pinholes only. `Lens` says which pinhole picture it needs (fine
 averages it over each pixel of the distorting camera. `expose` then counts electrons: shot noise, read noise, 8 or 12 bits.
 """
 
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,15 +66,18 @@ class Lens:
 
     def image(self, picture: Picture) -> Picture:
         """(height, width, channels) means over the camera's pixels of a picture taken by `pinhole`."""
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            total = sum(pool.map(partial(self._seen, picture), self.places()))
+        return np.asarray(total / self.taps**2, np.float32)
+
+    def _seen(self, picture: Picture, place: NDArray[np.float64]) -> Picture:
+        """(height, width, channels) of the pinhole's picture at (height, width, 2) ideal coordinates, interpolated."""
         from scipy.ndimage import map_coordinates
 
-        pinhole, total = self.pinhole, 0.0
-        for place in self.places():
-            columns, rows = np.moveaxis(place * pinhole.fx + [pinhole.cx - 0.5, pinhole.cy - 0.5], -1, 0)
-            total = total + np.stack(
-                [map_coordinates(picture[..., c], [rows, columns], order=1, mode="nearest") for c in range(picture.shape[-1])], -1
-            )
-        return np.asarray(total / self.taps**2, np.float32)
+        pinhole = self.pinhole
+        columns, rows = np.moveaxis(place * pinhole.fx + [pinhole.cx - 0.5, pinhole.cy - 0.5], -1, 0)
+        channels = np.moveaxis(picture, -1, 0)
+        return np.stack([map_coordinates(channel, [rows, columns], order=1, mode="nearest") for channel in channels], -1)
 
 
 def strips(pinhole: Camera, pixels: int) -> Iterator[tuple[slice, Camera]]:

@@ -31,9 +31,11 @@ class View(Protocol):
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """(height, width, 3) linear light on the pixels of the lens's camera, its mean over (n, 4, 4) poses of an exposure."""
+        ...
 
     def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
+        ...
 
     def mesh(self) -> Any:
         """The object [m, base frame], a trimesh; None where there is none."""

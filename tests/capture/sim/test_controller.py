@@ -32,6 +32,16 @@ def test_ports_accept_while_it_lives_and_not_after():
         simulated.true_base_from_flange()
 
 
+def test_an_arm_as_built_is_the_same_arm_with_the_same_links_seed():
+    places = []
+    for seed, links_seed in ((1, None), (1, 2), (3, 2)):
+        with SimulatedController.as_built(seed=seed, links_seed=links_seed, time_scale=1.0) as simulated:
+            places.append(simulated.true_base_from_flange()[:3, 3])
+    away = np.linalg.norm(np.subtract(places, forward(HOME)[:3, 3]), axis=-1)
+    assert (2e-4 < away).all() and (away < 1e-2).all()  # millimetres, a multiple of 0.05 degrees over 0.85 m
+    assert np.linalg.norm(places[1] - places[2]) < 3e-4 < np.linalg.norm(places[0] - places[1])  # the arm's repeatability
+
+
 @pytest.mark.parametrize("host", ["192.168.77.5", "0.0.0.0", "localhost", "nonsense", "::1"])
 def test_it_listens_to_nobody_but_this_computer(host):
     with pytest.raises(Misuse, match=r"no loopback address; give one of 127\.0\.0\.1 to"):
