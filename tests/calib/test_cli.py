@@ -126,6 +126,19 @@ def test_bench_measures_a_few_points(tmp_path):
     assert "within 10% of the bound" in result.stdout and (tmp_path / "bench" / "bench.csv").is_file()
 
 
+def test_importing_calib_does_not_touch_jax():
+    """Float64 is a switch of the whole process: nobody who trains may find it thrown by a calibration."""
+    code = (
+        "import importlib, pkgutil, sys, calib\n"
+        "modules = [importlib.import_module('calib.' + found.name) for found in pkgutil.iter_modules(calib.__path__)]\n"
+        "print(len(modules), 'jax' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0, result.stderr
+    number, touched = result.stdout.split()
+    assert int(number) > 25 and touched == "False"
+
+
 def test_help_is_instant():
     calib("--help")  # the first call compiles
     start = time.perf_counter()
