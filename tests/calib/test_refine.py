@@ -99,8 +99,8 @@ def test_board_alone_is_found_again(small):
 
 
 def test_fifty_views_of_a_hundred_corners_take_less_than_two_seconds():
-    rig, rng = replace(KOALA, board=Board("charuco", 11, 11, 0.02, 0.0146, "DICT_5X5_100")), np.random.default_rng(8)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, 50, Pattern(shift_m=0.01)), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
+    rig, rng = replace(KOALA, board=Board("charuco", 11, 11, 0.016, 0.0117, "DICT_5X5_100")), np.random.default_rng(8)
+    drawn = simulate(rng, rig, viewpoints(rng, rig, 50, Pattern()), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
     assert len(drawn.session.view) == 50 * 100
     first = disturbed(replace(drawn.truth, corrections=np.zeros((50, 6))), rng)
     start = time.process_time()  # of this process alone: others may keep the machine busy
