@@ -207,6 +207,33 @@ def view_command(
         page.serve()
 
 
+@app.command("film")
+def film_command(
+    run: RunFolder,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4", help="Film to write.")],
+    path: Annotated[Path | None, typer.Option(help="YAML file with poses (see docs); without it, an orbit.")] = None,
+    frames: Annotated[int, typer.Option(min=1, help="Frames of the orbit.")] = 120,
+    fps: Annotated[float, typer.Option(min=0.1, max=240, help="Frames per second of the orbit.")] = 30.0,
+    shown: Annotated[
+        list[str] | None,
+        typer.Option("--channel", help="rgb, diffuse, specular, normals, depth_view, ...; repeatable, side by side."),
+    ] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Film a run along an orbit or a camera path, as MP4."""
+    from reconstruct import camera_path
+    from reconstruct.backend import cache_compilations
+    from reconstruct.film import film
+    from reconstruct.trained import Trained
+
+    along = None if path is None else camera_path.from_file(path)
+    cache_compilations()
+    trained = Trained.open(run)
+    places, rate = along or (camera_path.orbit(trained.scene, frames), fps)
+    result = film(trained, places, out, shown=shown or ("rgb",), fps=rate)
+    console.report(result, as_json=as_json, text=f"{result['frames']} frames at {rate:g} per second\n{out}")
+
+
 @app.command("mesh")
 def mesh_command(
     run: RunFolder,

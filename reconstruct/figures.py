@@ -137,6 +137,8 @@ def weights_while_training(trained: Trained, steps: int) -> tuple[list[int], NDA
                     before = training.clock.step
                     training.chunk()
                     shown.advance(training.clock.step - before)
+                if seen and training.clock.step == seen[-1]:
+                    continue  # steps come in chunks
                 seen.append(training.clock.step)
                 weights.append(np.asarray(evaluate(training.state.model.field)))
     stacked = np.stack(weights)
@@ -194,7 +196,7 @@ def draw_bias(trained: Trained) -> Figure:
                   "diffuse": diffuse, "diffuse plus that part": diffuse + constant}  # fmt: skip
         for column, (title, light) in enumerate(panels.items()):
             axes = figure.add_subplot(len(points), len(panels), row * len(panels) + column + 1)
-            axes.scatter(*place.T, c=np.clip(images.srgb_from_linear(np.maximum(light, 0)), 0, 1), s=14)
+            axes.scatter(*place.T, c=np.clip(images.srgb_from_linear(np.maximum(light, 0)), 0, 1), s=40)
             axes.set(title=title, aspect="equal", xticks=[], yticks=[])
     return figure
 

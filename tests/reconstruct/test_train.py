@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -8,7 +9,10 @@ from datasets.errors import Misuse
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
+from reconstruct.errors import ReconstructError
+from reconstruct.models import finetuned, load_config, merged_config
 from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.step import StepFunctions
 from reconstruct.train import start, train
 
 
@@ -56,3 +60,30 @@ def test_a_training_that_cannot_start_leaves_nothing(ball_scene: tuple[Scene, Pa
     with pytest.raises(Misuse, match="is not a run"):
         train(scene, folder, config, tmp_path / "run", resume=True)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_fine_tuning_begins_with_what_the_run_has_learned(
+    ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], tmp_path: Path
+) -> None:
+    scene, folder = ball_scene
+    run = make_run(merged_config(make_run_config(), {"surface": {"enabled": False}}))
+    before = checkpoint.load(
+        run.path / CHECKPOINTS, StepFunctions(run.config, run.normalisation).initial(jax.random.key(0), None)
+    )[0]
+    tuned = finetuned(run.config, ["train.steps=3"])
+    training = start(scene, folder, tuned, tmp_path / "tuned", None, run)
+    for one, other in zip(jax.tree.leaves(before.model), jax.tree.leaves(training.state.model), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert int(training.state.step) == 0 and training.clock.steps == 3
+    assert (
+        training.run.config.surface.enabled and training.run.config.train.rate == training.run.config.train.final_rate == 3.25e-4
+    )
+    assert Run.open(tmp_path / "tuned").content["from"] == str(run.path)
+    with pytest.raises(ReconstructError, match="does not fit"):
+        start(scene, folder, merged_config(tuned, {"encoding": {"levels": 5}}), tmp_path / "other", None, run)
+    assert not (tmp_path / "other").exists()
+
+
+def make_run_config() -> Config:
+    """The fast preset with everything made small."""
+    return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "sampler.grid=16"])

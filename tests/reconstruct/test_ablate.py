@@ -1,0 +1,91 @@
+"""The bookkeeping of studies; the trainings themselves are stand-ins here."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets.errors import Misuse
+from datasets.scene import Scene
+from reconstruct import ablate
+from reconstruct.ablate import Study
+from reconstruct.models import load_config
+from reconstruct.run import Run
+
+
+def test_the_grid_changes_one_thing_at_a_time() -> None:
+    cells = ablate.grid(load_config())
+    assert cells["base"] == () and "sampling lattice" not in cells and "k = 3" not in cells and "every 512/4" not in cells
+    assert {"sampling fibonacci", "sampling random", "k = 5", "every 2048/16", "published density", "without density",
+            "without normal", "without variation", "no regulariser"} <= set(cells)  # fmt: skip
+    assert cells["with bias"] == ("surface.bias=0.03",), "the fast preset has it off: the published weight is tried"
+    base = load_config().surface
+    for name, changes in cells.items():
+        surface = load_config(overrides=list(changes)).surface
+        assert (surface == base) == (name == "base"), name
+
+
+def test_folders_of_cells_are_different() -> None:
+    cells = ablate.grid(load_config())
+    assert len({ablate.folder_name(name) for name in cells}) == len(cells)
+    assert all("/" not in ablate.folder_name(name) for name in cells)
+
+
+@pytest.fixture
+def trainings(monkeypatch: pytest.MonkeyPatch, ball_scene: tuple[Scene, Path]) -> list[str]:
+    """Trainings and evaluations that only note what was asked for; the one of `random` breaks off once."""
+    done: list[str] = []
+
+    def train(scene: Scene, scene_path: Path, config: Any, out: Path, **options: Any) -> None:
+        done.append(out.name)
+        if out.name == "sampling_random" and done.count(out.name) == 1:
+            raise KeyboardInterrupt
+        run = {"format": "koala-run", "version": 1, "scene": str(scene_path), "scene_name": "ball",
+               "config": config.model_dump(mode="json"),
+               "normalisation": {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}}  # fmt: skip
+        out.mkdir(parents=True)
+        (out / "run.json").write_text(json.dumps(run))
+
+    def evaluate(path: Path) -> None:
+        mean = {"psnr": 20.0 + len(done), "normal_mae_alpha_acc_deg": 30.0 - len(done)}
+        (path / "metrics.json").write_text(json.dumps({"format": "koala-metrics", "version": 1, "mean": mean, "per_view": []}))
+
+    monkeypatch.setattr(ablate, "train", train)
+    monkeypatch.setattr(ablate.Trained, "open", lambda path: path)
+    monkeypatch.setattr(ablate, "evaluate", evaluate)
+    return done
+
+
+def test_a_study_goes_on_where_it_was_broken_off(trainings: list[str], ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
+    study = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["sampling random", "k = 1"])
+    assert list(study.cells) == ["base", "sampling random", "k = 1"]
+    with pytest.raises(KeyboardInterrupt):
+        ablate.run(study, tmp_path / "study")
+    result = ablate.run(study, tmp_path / "study")
+    assert trainings == ["base", "sampling_random", "sampling_random", "k_1"], "what was finished is not trained again"
+    assert [row["cell"] for row in result["rows"]] == ["base", "sampling random", "k = 1"]
+    table = (tmp_path / "study/table.md").read_text()
+    assert "| ball | base | 21.00 | 29.00 |" in table, table
+    assert "**24.00** | **26.00**" in table
+    assert {p.name for p in (tmp_path / "study").iterdir()} == {
+        "cells",
+        "study.json",
+        "table.md",
+        "table.csv",
+        "table.tex",
+        "figure.png",
+    }
+    more = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["k = 5"])
+    assert ablate.run(more, tmp_path / "study")["cells"] == 4 and trainings[-1] == "k_5", "cells can be added"
+    other = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=4"], 5.0, [])
+    with pytest.raises(Misuse, match="holds another study"):
+        ablate.run(other, tmp_path / "study")
+
+
+def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> None:
+    with pytest.raises(Misuse, match="did you mean 'k = 5'"):
+        ablate.plan(str(ball_scene[1]), "surfnerf", "fast", [], None, ["k=5"])
+    with pytest.raises(Misuse, match="already exists"):
+        ablate.run(Study(str(ball_scene[1]), "surfnerf", "fast", (), None, {}), make_run(checkpointed=False).path)
