@@ -174,7 +174,6 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     session, measured, refined = fit.session, fit.measured, fit.refined
     covariance = uncertainty.covariance(measured, refined)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
-    names = ("base_from_camera", "flange_from_board") if session.eye_to_hand else ("flange_from_camera", "base_from_board")
     residuals = {
         "rms_px": refined.rms_px, **verify.held_out(measured, refined), "settled": refined.settled, "sigma_px": refined.sigmas.pixel,
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m, "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
@@ -198,7 +197,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     return Calibration(
         projection.with_vector(first.camera, refined.state.intrinsics).checked(where="estimated camera"),
         dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)), residuals=residuals, provenance=provenance,
-        joint_offsets=offsets, **dict(zip(names, (camera_pose, board_pose), strict=True)),
+        joint_offsets=offsets, **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
     )  # fmt: skip
 
 

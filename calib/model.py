@@ -94,6 +94,11 @@ class Session:
         return OFFSET_JOINTS if self.accuracy.joint_rad > 0 and self.joints is not None else []
 
     @property
+    def pose_names(self) -> tuple[str, str]:
+        """What camera_pose and board_pose are called here."""
+        return ("base_from_camera", "flange_from_board") if self.eye_to_hand else ("flange_from_camera", "base_from_board")
+
+    @property
     def columns(self) -> list[int]:
         """Indices of `free` in the intrinsics vector."""
         return [projection.NAMES.index(name) for name in self.free]

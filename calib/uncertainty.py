@@ -56,7 +56,7 @@ def parameter_names(session: Session) -> list[str]:
     """Names of the global parameters, with units, in the order of `Refined.information`."""
     axes = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
     offsets = (f"offset of joint {number + 1}" for number in session.turning)
-    return [*session.free, *offsets, *(f"{p} {a}" for p in ("flange_from_camera", "base_from_board") for a in axes)]
+    return [*session.free, *offsets, *(f"{p} {a}" for p in session.pose_names for a in axes)]
 
 
 def covariance(session: Session, refined: Refined) -> Array:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate, model, projection, verify
+from calib import calibrate, model, projection, refine, uncertainty, verify
+from calib.errors import Unobservable
 from calib.model import Accuracy, Session, State
 from calib.session import TargetSession
 from calib.simulate import KOALA
@@ -88,6 +89,17 @@ def test_it_survives_its_file_and_verifies_another_session(tmp_path):
     np.testing.assert_allclose(again.base_from_camera.matrix, found.base_from_camera.matrix, atol=1e-12)
     result = verify.verify(simulated(21)[0], again)
     assert result.rms_mm < 0.3
+
+
+def test_a_pose_that_no_view_shows_is_named_as_it_is_here():
+    session, errors = simulated(40, views=6)
+    measured = session.measured((), None, ARM)
+    state = State(projection.vector(KOALA.camera), BASE_FROM_CAMERA, FLANGE_FROM_BOARD, errors)
+    refined = refine.refine(measured, state, sigma_px=0.1)
+    information = refined.information.copy()
+    information[2, :] = information[:, 2] = 0.0
+    with pytest.raises(Unobservable, match="base_from_camera translation z is not observable"):
+        uncertainty.covariance(measured, replace(refined, information=information))
 
 
 def test_a_wrong_view_is_left_out():
