@@ -1,7 +1,7 @@
 """Which variant of Mitsuba does the work: the vectorised one where it runs, else the scalar one, which always does.
 
-The vectorised variant is six times faster, but needs a system LLVM, and some versions of it end the whole process on
-some processors. So a child process tries it first. Version 19 is known to work (Debian and Ubuntu: `libllvm19`);
+The vectorised variant takes a third of the time, but needs a system LLVM, and some versions of it end the whole process
+on some processors. So a child process tries it first. Version 19 is known to work (Debian and Ubuntu: `libllvm19`);
 `DRJIT_LIBLLVM_PATH` names a library elsewhere, `KOALA_RENDERER` a variant.
 """
 
@@ -30,5 +30,5 @@ def variant() -> str:
         done = None
     if done is not None and done.returncode == 0:
         return FAST
-    _log.warning("pictures are rendered without LLVM, six times slower than with version 19 (libllvm19); see docs/capture.md")
+    _log.warning("pictures are rendered without LLVM, which takes three times as long: install libllvm19, see docs/capture.md")
     return SURE
