@@ -116,7 +116,7 @@ def check_lens(lens: str) -> None:
 
 def spread(command: Callable[..., None]) -> Callable[..., None]:
     """`command` with each parameter that is one of these classes spread out into its fields, as typer reads them."""
-    grouped = {name: kind for name, kind in get_type_hints(command).items() if is_dataclass(kind)}
+    grouped: dict[str, type] = {name: kind for name, kind in get_type_hints(command).items() if is_dataclass(kind)}
     parameters: dict[str, inspect.Parameter] = {}
     for name, parameter in inspect.signature(command).parameters.items():
         for option in _options(grouped[name]) if name in grouped else [parameter]:
