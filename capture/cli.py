@@ -1,12 +1,18 @@
 """The `capture` command: takes a robot and a camera along a trajectory, real or simulated."""
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from capture.errors import SimulationError
 from datasets import console
+
+if TYPE_CHECKING:
+    from capture.planning import PlannedView
+    from capture.trajectory import Trajectory as Session
 
 app = console.make_app("capture", "Take a robot and a camera along a trajectory, real or simulated, and leave a recording.")
 
@@ -28,6 +34,8 @@ def run_command(
     seed: Annotated[int, typer.Option(min=0, help="Simulation: of everything random; the same seed is the same rig.")] = 0,
     time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation: arm faster than real time.")] = 20.0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a recording that was stopped.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show it in the browser meanwhile: arm, newest frame, exposure, a stop button.")] = False,
+    port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:  # fmt: skip
@@ -51,7 +59,10 @@ def run_command(
     planned = plan(session, mount)
     taken = 0
     try:
-        with console.progress("capture", len(planned), "views") as shown:
+        with ExitStack() as stack:
+            if view:
+                stack.enter_context(_watched(out, session, mount, planned, port))
+            shown = stack.enter_context(console.progress("capture", len(planned), "views"))
             with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale) as opened:
 
                 def advance(name: str) -> None:
@@ -258,6 +269,21 @@ def bench_command(
     console.report(found, as_json=as_json, text="\n".join([
         f"states: {rate:.0f} Hz", f"overhead: median {found['overhead_ms']['median']:.1f} ms, worst {found['overhead_ms']['worst']:.1f} ms",
         "exposed after the end of the motion:", *rows, f"{out}: bench.json, settling.png"]))  # fmt: skip
+
+
+@contextmanager
+def _watched(out: Path, session: "Session", mount: Any, planned: "list[PlannedView]", port: int) -> Iterator[None]:
+    """A page on a recording that is about to be made, for as long as it takes. Its button does what Ctrl-C does."""
+    import os
+    import signal
+
+    from capture.view import watch
+    from datasets.viewer import open_page
+
+    with open_page(session.name, port) as page:
+        watch(page, out, session, mount, planned, stop=lambda: os.kill(os.getpid(), signal.SIGINT))
+        console.hint(f"{page.url} shows what is being taken")
+        yield
 
 
 def _how_to_resume(out: Path) -> str:

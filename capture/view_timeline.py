@@ -1,6 +1,6 @@
 """What happens when in a session: where the arm is at each time, and at which time each view is taken."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,16 +71,22 @@ def of_trajectory(trajectory: Trajectory, flange_from_camera: NDArray[np.float64
         reasons = blocked(trajectory, flange_from_camera)
         left = len(trajectory.viewpoints()) - len(reasons)
         planned = plan(trajectory, flange_from_camera, without=reasons) if left else []
+    timeline = of_planned(trajectory, planned, flange_from_camera)
+    out_of_reach = [viewpoint for viewpoint in trajectory.viewpoints() if viewpoint.name in reasons]
+    stops = [Stop(v.name, v.split, _wanted(v, flange_from_camera), None, reasons[v.name]) for v in out_of_reach]
+    notes = (timeline.notes[0] + (f"; {len(reasons)} cannot be taken" if reasons else ""),)
+    return replace(timeline, stops=(*timeline.stops, *stops), notes=notes)
+
+
+def of_planned(trajectory: Trajectory, planned: list[PlannedView], flange_from_camera: NDArray[np.float64]) -> Timeline:
+    """A plan that is there already."""
     seconds, joints, stops = [], [], []
     for view, arrivals in zip(planned, _arrivals(trajectory, planned), strict=True):
         seconds += arrivals
         joints += [corner for corner in view.way for _ in range(2)]
         base_from_camera = kinematics.forward(view.joints) @ flange_from_camera
         stops.append(Stop(view.viewpoint.name, view.viewpoint.split, base_from_camera, arrivals[-1]))
-    out_of_reach = [viewpoint for viewpoint in trajectory.viewpoints() if viewpoint.name in reasons]
-    stops += [Stop(v.name, v.split, _wanted(v, flange_from_camera), None, reasons[v.name]) for v in out_of_reach]
-    travel = duration(trajectory, planned)
-    notes = (f"{len(planned)} views in about {travel:.0f} s" + (f"; {len(reasons)} cannot be taken" if reasons else ""),)
+    notes = (f"{len(planned)} views in about {duration(trajectory, planned):.0f} s",)
     return Timeline(np.array(seconds), np.array(joints).reshape(-1, 6), tuple(stops), notes)
 
 

@@ -91,6 +91,11 @@ def report(result: dict[str, Any], *, as_json: bool, text: str) -> None:
     print(json.dumps(result, default=_plain) if as_json else text, flush=True)
 
 
+def hint(words: str) -> None:
+    """Tell a person something while a command goes on: one line on stderr, which no program reads."""
+    print(words, file=sys.stderr, flush=True)
+
+
 class Progress:
     """Progress of one long piece of work; `advance` moves it, `note` shows a few words beside it."""
 

@@ -5,6 +5,7 @@ its place. Rendering runs in this process, training in its own.
 """
 
 import logging
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,9 @@ from datasets.viewer import Page, PicturePanel, shapes
 from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
 from reconstruct.rays import view_rays
-from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.run import CHECKPOINTS, LOG, Run
 from reconstruct.trained import Trained
-from reconstruct.view_eyes import LEVELS, Cancelled, Eyes
+from reconstruct.view_eyes import LEVELS, Cancelled, Eyes, eye_of
 from reconstruct.view_frame import (
     CHANNELS,
     NORMALS,
@@ -40,8 +41,8 @@ SLICE = 2048
 """Rays between two looks at whether a picture is still wanted; one compiled program serves all sizes."""
 WIDTH = 640
 """Pictures are sent at least this wide: coarse ones enlarged [px]."""
-POLL_S = 1.0
-"""Between two looks at the run's folder."""
+POLL_S, QUIET_S = 1.0, 300.0
+"""Between two looks at the run's folder; and without news for so long, a training has been stopped."""
 MESH_RESOLUTION = 128
 NOTHING = "nothing"
 """Channel that leaves the page to cameras and mesh."""
@@ -71,9 +72,12 @@ class RunView:
         self._state = gui.add_markdown("*waiting for a checkpoint*")
         self.channel = gui.add_dropdown("channel", (*CHANNELS, NOTHING))
         self.sharpest = gui.add_slider("sharpness", 1, len(LEVELS), 1, 4)
+        self.sharpest_training = gui.add_slider(
+            "sharpness while it trains", 0, len(LEVELS), 1, 2, hint="less leaves more to training"
+        )
         self.wipe = gui.add_checkbox("wipe against the nearest training image", False)
         self.share = gui.add_slider("wipe at", 0.0, 1.0, 0.01, 0.5)
-        for element in (self.channel, self.sharpest, self.wipe, self.share):
+        for element in (self.channel, self.sharpest, self.sharpest_training, self.wipe, self.share):
             element.on_update(lambda event: self._changed())
         gui.add_button("go to the nearest training view").on_click(lambda event: self._go(event.client))
         self.cameras = gui.add_checkbox("cameras", True)
@@ -87,11 +91,17 @@ class RunView:
             self._log = gui.add_markdown("")
 
     def _changed(self) -> None:
-        self.eyes.levels = 0 if self.channel.value == NOTHING else self.sharpest.value
+        self.eyes.levels = self._levels()
         if self.channel.value == NOTHING:
             for client in self.page.server.get_clients().values():
                 client.scene.set_background_image(None)
         self.eyes.again()
+
+    def _levels(self) -> int:
+        """How sharp pictures become: a training that is under way shares the processor with them."""
+        if self.channel.value == NOTHING:
+            return 0
+        return min(self.sharpest.value, self.sharpest_training.value) if is_training(self.run) else self.sharpest.value
 
     def _draw(self, mesh: Path | None) -> None:
         """Bounds, cameras, and the mesh of a file where one is given."""
@@ -119,8 +129,6 @@ class RunView:
 
     def _go(self, client: viser.ClientHandle | None) -> None:
         if client is not None:
-            from reconstruct.view_eyes import eye_of
-
             self._chosen(client, nearest_view(eye_of(client), self.train_views, self.reach))
 
     def _extract(self) -> None:
@@ -162,7 +170,7 @@ class RunView:
         if channel == NOTHING:
             return
         values = self.render(eye, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
-        if values is None:
+        if values is None or cancelled():
             return
         picture = enlarged(picture_of(channel, values), WIDTH)
         if self.wipe.value:
@@ -187,7 +195,9 @@ class RunView:
             found = checkpoint.steps(self.run.path / CHECKPOINTS)
             if found and found[-1] != newest and self._take():
                 newest = found[-1]
-                self.eyes.again()
+                self._changed()
+            elif self.eyes.levels != self._levels():
+                self._changed()  # the training has ended, or goes on
             self._say()
             self.page.stopping.wait(POLL_S)
 
@@ -221,6 +231,14 @@ class RunView:
                 self._curve = self.page.gui.add_uplot(data, series, scales={"x": uplot.Scale(time=False)}, aspect=1.6)
         else:
             self._curve.data = data
+
+
+def is_training(run: Run) -> bool:
+    """Whether a run is neither at its end nor without news for `QUIET_S`."""
+    log = run.log()
+    news = [path.stat().st_mtime for path in (run.path / LOG, *checkpoint.steps(run.path / CHECKPOINTS)) if path.exists()]
+    ended = bool(log) and log[-1].get("progress", 0.0) >= 1
+    return not ended and bool(news) and time.time() - max(news) < QUIET_S
 
 
 def words_on(log: list[dict[str, Any]], run: Run) -> str:

@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NoReturn
@@ -120,7 +121,8 @@ def open_page(title: str, port: int = PORT) -> Iterator[Page]:
         title: shown above the panel.
         port: 1024 to 65535; 0 for any that is free.
     """
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that goes away is no news
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that goes away is no news,
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)  # nor is what it misses
     with contextlib.redirect_stdout(io.StringIO()):  # viser's banner; the command says where the page is
         server = _LocalServer(host=HOST, port=port, label=title, verbose=False)
     page = Page(server)

@@ -1,5 +1,7 @@
 """The page of a run, with a ball for a model whose picture is known."""
 
+import os
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -9,9 +11,9 @@ import pytest
 
 from datasets.viewer import Page, open_page
 from reconstruct import checkpoint
-from reconstruct.run import CHECKPOINTS
+from reconstruct.run import CHECKPOINTS, LOG
 from reconstruct.trained import Trained
-from reconstruct.view import NOTHING, RunView, curves, words_on
+from reconstruct.view import NOTHING, QUIET_S, RunView, curves, is_training, words_on
 from reconstruct.view_frame import CHANNELS, Eye
 
 pytestmark = pytest.mark.timeout(600)
@@ -82,6 +84,19 @@ def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> No
     (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])
     assert seconds.tolist() == [0, 1, 2, 3] and train[-1] == 13 and np.isnan(unseen[-1]) and len(series) == 3
     assert words_on([], run) == "*no line in the log yet*"
+
+
+def test_a_training_that_is_under_way_is_given_room(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    with open_page("run", 0) as page:
+        view = RunView(page, run, None)
+        assert not is_training(run) and view._levels() == view.sharpest.value  # the log says that it has ended
+        run.append_log({"step": 3, "seconds": 3.0, "progress": 0.6, "psnr_train": 13.0, "skipped": 0})
+        assert is_training(run) and view._levels() == view.sharpest_training.value < view.sharpest.value
+        long_ago = time.time() - 2 * QUIET_S
+        for path in (run.path / LOG, *checkpoint.steps(run.path / CHECKPOINTS)):
+            os.utime(path, (long_ago, long_ago))
+        assert not is_training(run)
 
 
 def middle(picture: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ def test_a_trajectory_shows_the_arm_moving_and_what_it_cannot_take(tmp_path: Pat
     from capture.planning.obstacles import PARTS, segments
     from capture.rig_description import RigDescription
     from capture.trajectory import load_trajectory
-    from capture.view import SAFETY, CaptureView
+    from capture.view_session import SAFETY, CaptureView
     from capture.view_timeline import of_trajectory
 
     (tmp_path / "t.yaml").write_text(TRAJECTORY)
