@@ -79,7 +79,8 @@ def describe(results: Sequence[Result]) -> str:
         f"within {CLOSE - 1:.0%} of the bound: {s['within_tenth_of_bound']} points; worst {pair('worst_against_bound')}\n"
         f"the whole 95 % interval within {CLOSE - 1:.0%}: {s['surely_within_tenth_of_bound']} points; "
         f"highest end {pair('worst_upper_end_against_bound')}\n"
-        f"plain quotient of drawn error and bound, which 200 trials leave uncertain by 5 %: at most {pair('worst_plainly_against_bound')}"
+        f"plain quotient of drawn error and bound, which {s['trials']} trials leave uncertain by {(2 * s['trials']) ** -0.5:.0%}: "
+        f"at most {pair('worst_plainly_against_bound')}"
     )
 
 
