@@ -1,0 +1,58 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture.errors import SimulationError
+from capture.sim import views
+from capture.sim.lens import Lens
+from capture.sim.views import BoardView, ObjectView, make_view
+from capture.trajectory import load_trajectory
+from datasets import pose
+from datasets.camera_model import Camera
+
+CAMERA = Camera(48, 40, 50.0, 50.0, 24.3, 19.2, k1=-0.1)
+ABOVE = pose.look_at((0.1, -0.1, 0.4), (0.4, 0.0, 0.1))
+
+
+@pytest.fixture
+def ball(configs: Path, monkeypatch: pytest.MonkeyPatch) -> ObjectView:
+    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
+    found = make_view("shiny_ball", load_trajectory(configs / "trajectories" / "koala_demo.yaml"), 0)
+    assert isinstance(found, ObjectView)
+    return found
+
+
+def test_the_whole_sensor_gets_fewer_paths_per_pixel(configs):
+    """Its pixels have more noise of their own, and there are four times as many of them as with a binning of 2."""
+    path = configs / "trajectories" / "koala.yaml"
+    whole, binned = (make_view("shiny_ball", load_trajectory(path, overrides=[f"camera.binning={n}"]), 0) for n in (1, 2))
+    assert isinstance(whole, ObjectView) and isinstance(binned, ObjectView) and whole.samples < binned.samples < 4 * whole.samples
+
+
+def test_truth_in_strips_is_the_truth(ball, monkeypatch):
+    lens = Lens(CAMERA)
+    ball.radiance(lens, ABOVE[None], 0)
+    whole = ball.truth(lens, ABOVE, 0)
+    monkeypatch.setattr(views, "RAYS_AT_ONCE", 7 * lens.pinhole.width * views.FINE**2)
+    parts = ball.truth(lens, ABOVE, 0)
+    for name, values in whole.items():
+        assert parts[name].shape == values.shape and values.shape[:2] == (40, 48)
+    inside = whole["alpha"][..., 0] == 1
+    assert 0.1 < inside.mean() < 0.9  # the premise
+    assert (parts["alpha"][inside] > 0.9).all()
+    assert (
+        np.abs(parts["depth"] - whole["depth"])[inside].max() < 2e-3
+    )  # one ray in each quarter of a fine pixel, elsewhere in it
+    together = whole["diffuse"] + whole["specular"]
+    np.testing.assert_allclose(parts["diffuse"] + parts["specular"], together, atol=1e-5)  # the same picture, however shared
+
+
+def test_there_is_no_truth_before_a_picture(ball):
+    with pytest.raises(SimulationError, match="no picture has been taken"):
+        ball.truth(Lens(CAMERA), ABOVE, 0)
+
+
+def test_the_board_is_no_object(configs):
+    found = make_view("charuco_board", load_trajectory(configs / "trajectories" / "calibration_demo.yaml"), 0)
+    assert isinstance(found, BoardView) and found.mesh() is None and found.truth(Lens(CAMERA), ABOVE, 0) == {}
