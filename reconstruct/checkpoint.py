@@ -11,8 +11,8 @@ from reconstruct.errors import ReconstructError
 from reconstruct.step import TrainState
 
 KEPT = 2
-SCENE_SIZED = ".visits"
-"""End of the path of the leaf whose length is the scene's, not the configuration's: taken as it was stored."""
+SCENE_SIZED = (".visits", ".per_image")
+"""Ends of the paths of leaves whose length is the scene's, not the configuration's: taken as they were stored."""
 
 
 def save(folder: Path, state: TrainState, clock: dict[str, float]) -> None:

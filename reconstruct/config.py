@@ -123,6 +123,13 @@ class TrainConfig(Schema):
     first_blur: float = Field(0.02, ge=0, description="Standard deviation of every sample at the start [scene unit]; 0: none.")
     last_blur: float = Field(0.001, ge=0, description="The same once `blur_until` of the training is done.")
     blur_until: float = Field(0.5, gt=0, le=1, description="Share of the training over which the blur shrinks.")
+    accumulate: int = Field(1, ge=1, description="Batches whose mean gradient makes one step.")
+    per_image: Literal["none", "exposure", "colour"] = Field(
+        "none", description="What each training image may have of its own: nothing, a gain, or a gain per colour."
+    )
+    patience: float = Field(
+        0.0, ge=0, le=1, description="Stop when held-out training pixels got no better for this share of the training; 0: never."
+    )
     checkpoint_s: float = Field(60.0, gt=0, description="Seconds between checkpoints.")
 
 

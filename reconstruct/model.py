@@ -11,6 +11,7 @@ from reconstruct.config import Config
 from reconstruct.field import Field
 from reconstruct.rays import Rays
 from reconstruct.rendering import composite, sample_weights
+from reconstruct.safe import linear_from_srgb, srgb_from_linear
 from reconstruct.sampling.proposal import Proposal
 from reconstruct.sampling.samples import RaySamples
 
@@ -20,16 +21,19 @@ class Model(eqx.Module):
 
     field: Field
     proposals: tuple[Proposal, ...]
+    per_image: Float[Array, "views gains"] | None = None
+    """Logarithm of each training view's gain, one for all colours or one for each; counted from the views' mean."""
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, config: Config) -> "Model":
-        """Fresh weights; proposals only where the sampler uses them."""
+    def create(cls, key: PRNGKeyArray, config: Config, views: int = 0) -> "Model":
+        """Fresh weights; proposals and the gains of `views` training views only where the configuration wants them."""
         field_key, *keys = jax.random.split(key, 1 + len(config.sampler.proposal_finest))
         wanted = zip(keys, config.sampler.proposal_finest, strict=True) if config.sampler.kind == "proposal" else ()
         sampler, bias = config.sampler, config.field.density_bias
         proposals = tuple(Proposal.create(k, config.encoding, finest, bias, width=sampler.proposal_width, depth=sampler.proposal_depth)
                           for k, finest in wanted)  # fmt: skip
-        return cls(Field.create(field_key, config.encoding, config.field), proposals)
+        gains = {"none": None, "exposure": jnp.zeros((views, 1)), "colour": jnp.zeros((views, 3))}[config.train.per_image]
+        return cls(Field.create(field_key, config.encoding, config.field), proposals, gains)
 
 
 class Rendered(eqx.Module):
@@ -53,6 +57,12 @@ class Rendered(eqx.Module):
     def over(self, background: Float[Array, "*rays 3"]) -> Float[Array, "rays 3"]:
         """sRGB colour over a background."""
         return self.rgb + (1 - self.opacity[:, None]) * background
+
+    def exposed(self, log_gain: Float[Array, "rays gains"]) -> "Rendered":
+        """The same with its light multiplied, as a camera with another exposure or white balance would see it."""
+        opacity = jnp.maximum(self.opacity[:, None], 1e-6)
+        light = linear_from_srgb(jnp.clip(self.rgb / opacity, 0.0, 1.0)) * jnp.exp(log_gain)
+        return eqx.tree_at(lambda r: r.rgb, self, srgb_from_linear(light) * opacity)
 
 
 class Footprint(eqx.Module):

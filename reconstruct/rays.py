@@ -21,6 +21,8 @@ class Rays(eqx.Module):
     directions: Float[Array, "n 3"]
     radii: Float[Array, " n"]
     """Radius of the pixel's cone at t = 1 [scene unit]: 2 / sqrt(12) of the pixel's width (Mip-NeRF, section 3)."""
+    view: Int[Array, " n"] | None = None
+    """Index of the training view; None outside training."""
 
     @property
     def speed(self) -> Float[Array, " n"]:
@@ -116,9 +118,17 @@ class Pixels(eqx.Module):
         return cls(jnp.asarray(np.concatenate(colours)), jnp.asarray(np.concatenate(directions)),
                    jnp.asarray(np.concatenate(owner)), jnp.asarray(np.stack(origins)), jnp.asarray(np.stack(radii)))  # fmt: skip
 
+    def held_out(self, count: int) -> tuple["Pixels", "Pixels"]:
+        """The pixels without up to `count` random ones (a hundredth of all at most), and those; always the same ones."""
+        total = self.directions.shape[0]
+        held = np.random.default_rng(0).choice(total, max(1, min(count, total // 100)), replace=False)
+        rest = np.setdiff1d(np.arange(total), held)
+        part = lambda index: Pixels(self.colour[index], self.directions[index], self.view[index], self.origins, self.radii)  # noqa: E731
+        return part(rest), part(held)
+
     def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
         """Rays and colours (float32) of the given pixels."""
         get = lambda a, i: a.at[i].get(mode="promise_in_bounds")  # noqa: E731
         view = get(self.view, index)
-        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view))
+        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view), view)
         return rays, get(self.colour, index).astype(jnp.float32)

@@ -1,10 +1,13 @@
 """One training step, a pure function of its state: draw rays, choose samples, descend, keep the grid up to date."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
@@ -48,6 +51,8 @@ class StepFunctions:
 
     config: Config
     normalisation: Normalisation
+    mesh: jax.sharding.Mesh | None = None
+    """Devices among which each batch is divided; None for one."""
 
     @property
     def _bounded(self) -> bool:
@@ -58,9 +63,9 @@ class StepFunctions:
         sampler = self.config.sampler
         return objective.Place(self._bounded, extended=sampler.kind == "proposal" and sampler.frustum != "point")
 
-    def initial(self, key: PRNGKeyArray, possible) -> TrainState:
-        """Fresh weights and a full grid (less what masks rule out)."""
-        model = Model.create(key, self.config if self._bounded else self.config.with_surroundings())
+    def initial(self, key: PRNGKeyArray, possible, views: int = 0) -> TrainState:
+        """Fresh weights and a full grid (less what masks rule out), for a training on so many views."""
+        model = Model.create(key, self.config if self._bounded else self.config.with_surroundings(), views)
         sampler, occupancy = self.config.sampler, None
         if sampler.kind == "occupancy":
             occupancy = Occupancy.create(
@@ -92,20 +97,47 @@ class StepFunctions:
 
     def _step(self, state: TrainState, pixels: Pixels, seed, progress, second) -> tuple[TrainState, objective.Terms]:
         state = self._sharpened(state, progress)
-        key = jax.random.fold_in(jax.random.key(seed), state.step)
+        key, count = jax.random.fold_in(jax.random.key(seed), state.step), self.config.train.accumulate
+        if count == 1:
+            gradient, terms, met = self._batch(state, pixels, key, second)
+        else:
+
+            def add(total: Model, key: PRNGKeyArray):
+                gradient, *rest = self._batch(state, pixels, key, second)
+                return jax.tree.map(jnp.add, total, gradient), rest
+
+            nothing = jax.tree.map(jnp.zeros_like, state.model)
+            gradient, (terms, met) = jax.lax.scan(add, nothing, jax.random.split(key, count))
+            gradient = jax.tree.map(lambda g: g / count, gradient)
+            terms, met = jax.tree.map(lambda t: jnp.mean(t, 0), terms), jax.tree.map(jnp.ravel, met)
+        state = self._descend(state, gradient, progress)
+        if met is not None:  # keep in the grid what the step met anyway
+            state = eqx.tree_at(lambda s: s.occupancy, state, state.occupancy.seen(*met))
+        return state, terms
+
+    def _batch(self, state: TrainState, pixels: Pixels, key: PRNGKeyArray, second):
+        """Gradient and terms of one batch; with an occupancy grid also the cells that it met and their densities."""
         keys = dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
         index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
-        rays, colour = _separate(pixels.take(_separate(index)))
-        batch = _separate(self._choose(state, rays, colour, keys["samples"]))
+        rays, colour = _separate(pixels.take(_separate(self._spread(index))))
+        batch = _separate(self._spread(self._choose(state, rays, colour, keys["samples"])))
         loss = lambda model: self._loss(model, batch, keys)  # noqa: E731
         (_, (terms, density, surface)), gradient = _separate(jax.value_and_grad(loss, has_aux=True)(state.model))
         if self.config.surface.enabled:
             gradient, more = self._second_pass(state.model, gradient, batch[0], surface, keys["sphere"], second)
             terms |= more
-        state = self._descend(state, gradient, progress)
-        if state.occupancy is not None:
-            state = self._note(state, batch, density)
-        return state, terms
+        if state.occupancy is None:
+            return gradient, terms, None
+        rays, _, _, samples = batch
+        points, _ = cloud_of(rays, samples, bounded=self._bounded, footprint=Footprint()).contracted()
+        return gradient, terms, (state.occupancy.cell(*points), jnp.where(samples.valid, density, 0.0))
+
+    def _spread(self, tree):
+        """The arrays of a batch divided among the devices along their first axis; everything else is everywhere."""
+        if self.mesh is None:
+            return tree
+        part = jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec(*self.mesh.axis_names))
+        return jax.tree.map(lambda a: jax.lax.with_sharding_constraint(a, part), tree)
 
     def _sharpened(self, state: TrainState, progress) -> TrainState:
         """The state with the blur of its progress."""
@@ -127,6 +159,25 @@ class StepFunctions:
         nothing = {name: jnp.zeros(()) for name in jax.eval_shape(lambda: weighted(model)[1])}
         return jax.lax.cond(second, with_regularisers, lambda gradient: (gradient, nothing), gradient)
 
+    def over(self, devices: Sequence[jax.Device]) -> "StepFunctions":
+        """The same on as many of the devices as divide every batch evenly; on one, nothing is divided."""
+        sampler = self.config.sampler
+        batches = (self._drawn, self._kept) if sampler.kind == "proposal" else (self._drawn, self._kept, sampler.samples)
+        count = math.gcd(len(devices), *batches)
+        mesh = None if count == 1 else jax.sharding.Mesh(np.array(devices[:count]), ("rays",))
+        return replace(self, mesh=mesh)
+
+    @property
+    def everywhere(self) -> jax.sharding.NamedSharding | None:
+        """How states and pixels lie on the devices: whole on each. None for one device."""
+        return None if self.mesh is None else jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec())
+
+    @property
+    def _kept(self) -> int:
+        """Rays of a batch once those that meet nothing are dropped."""
+        sampler = self.config.sampler
+        return self._drawn if sampler.kind == "proposal" else min(self._drawn, sampler.samples // SAMPLES_PER_RAY)
+
     @property
     def _drawn(self) -> int:
         sampler = self.config.sampler
@@ -142,7 +193,7 @@ class StepFunctions:
         jitter, offset = _separate(jax.random.uniform(key, (2, self._drawn)))
         depth = _separate(expected_depth(state.occupancy, rays, self.steps(rays), jitter, self._bounded))
         hit = jnp.any(depth > 0, -1)
-        kept = min(self._drawn, sampler.samples // SAMPLES_PER_RAY)
+        kept = self._kept
         if kept < self._drawn:  # empty rays have nothing to learn from
             (order,) = jnp.nonzero(hit, size=kept, fill_value=0)
             depth = jnp.where((jnp.arange(kept) < jnp.sum(hit))[:, None], depth[order], 0)
@@ -172,6 +223,8 @@ class StepFunctions:
             samples, sdist, levels, footprint = self.propose(model, rays, keys["samples"])
         cloud = cloud_of(rays, samples, bounded=self._bounded, footprint=footprint)
         rendered, density = render(model.field, rays, samples, cloud, deferred=config.field.shading == "deferred")
+        if model.per_image is not None:
+            rendered = rendered.exposed((model.per_image - jnp.mean(model.per_image, 0))[rays.view])
         background = jax.random.uniform(keys["background"], (rays.origins.shape[0], 3))
         terms |= objective.photometric(rendered, colour, background, used, config.losses.charbonnier)
         if model.proposals:
@@ -211,13 +264,6 @@ class StepFunctions:
     def _share(self, path: tuple) -> float:
         """Factor on the learning rate of the parameter at `path`: tables see few samples each, networks all of them."""
         return 1.0 if any(getattr(part, "name", "") == "table" for part in path) else self.config.train.network_share
-
-    def _note(self, state: TrainState, batch, density) -> TrainState:
-        """Keep in the grid what the step met anyway."""
-        rays, _, _, samples = batch
-        points, _ = cloud_of(rays, samples, bounded=self._bounded, footprint=Footprint()).contracted()
-        occupancy = state.occupancy.seen(state.occupancy.cell(*points), jnp.where(samples.valid, density, 0.0))
-        return eqx.tree_at(lambda s: s.occupancy, state, occupancy)
 
     def look_around(self, state: TrainState, seed: Int[Array, ""]) -> TrainState:
         """Look at the next cells of the occupancy grid; wanted every `GRID_PERIOD` steps."""

@@ -34,6 +34,8 @@ LOOKS = 40
 """Lines in the log over a whole training."""
 PROBE = 4096
 """Pixels of unseen views that each look renders; never trained on, not on the training's clock."""
+WORTH_DB = 0.02
+"""Held-out pixels must get better by so much for a training to count as still improving [dB]."""
 MAX_SKIPPED = 100
 """More steps than this with a gradient that is not finite end the training."""
 
@@ -66,6 +68,8 @@ class Training:
     probe: tuple[np.ndarray, ...] | None
     clock: Clock
     renderer: Renderer
+    held: tuple[np.ndarray, ...] | None = None
+    """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
     _advance: Any = field(default=None)
     _look_around: Any = field(default=None)
 
@@ -94,11 +98,15 @@ class Training:
         """Compile the step; returns the seconds that it took."""
         start = time.perf_counter()
         scalar = lambda v, d: jnp.asarray(v, d)  # noqa: E731
-        lowered = jax.jit(self.functions.advance, donate_argnums=(0,)).lower(
+        placed: dict[str, Any] = {}
+        if (everywhere := self.functions.everywhere) is not None:
+            self.state, self.pixels = jax.device_put((self.state, self.pixels), everywhere)
+            placed = {"out_shardings": everywhere}
+        lowered = jax.jit(self.functions.advance, donate_argnums=(0,), **placed).lower(
             self.state, self.pixels, scalar(0, jnp.int32), scalar(0, jnp.float32), scalar(1, jnp.int32), scalar(False, bool))  # fmt: skip
         self._advance = lowered.compile()
         if self.state.occupancy is not None:
-            look = jax.jit(self.functions.look_around, donate_argnums=(0,))
+            look = jax.jit(self.functions.look_around, donate_argnums=(0,), **placed)
             self._look_around = look.lower(self.state, scalar(0, jnp.int32)).compile()
         return time.perf_counter() - start
 
@@ -111,15 +119,28 @@ class Training:
         }
         mse = float(terms["mse"])
         line["psnr_train"] = -10 * float(np.log10(max(mse, 1e-10)))
-        if self.probe is not None:
-            *rays, target = self.probe
-            rendered = self.renderer.rays(self.state, *rays)["rgb"]
-            line["psnr_unseen"] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
+        for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": self.held}.items():
+            if pixels is not None:
+                *rays, target = pixels
+                rendered = self.renderer.rays(self.state, *rays)["rgb"]
+                line[name] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
         line |= {"skipped": int(self.state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
         if self.state.occupancy is not None:
             line["occupied"] = float(jnp.mean(self.state.occupancy.occupied.astype(jnp.float32)))
         self.run.append_log(line)
         return line
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether held-out pixels got no better for as long as the configuration has patience."""
+        seen = [(line["psnr_held_out"], line["progress"]) for line in self.run.log() if "psnr_held_out" in line]
+        if self.held is None or not seen:
+            return False
+        best, since = seen[0]
+        for psnr, done in seen[1:]:
+            if psnr > best + WORTH_DB:
+                best, since = psnr, done
+        return seen[-1][1] - since >= self.run.config.train.patience
 
     def save(self) -> None:
         """Checkpoint state and clock."""
@@ -164,7 +185,7 @@ def train(
         raise
     training.save()
     last = training.run.log()[-1]
-    return {"run": str(out), "steps": training.clock.step, "training_s": training.clock.seconds, "preparation_s": prepared,
+    return {"run": str(out), "steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
             "compilation_s": compiled, "psnr_train": last["psnr_train"], "psnr_unseen": last.get("psnr_unseen"),
             "skipped_steps": last["skipped"]}  # fmt: skip
 
@@ -175,12 +196,14 @@ def _loop(training: Training) -> None:
     total, unit = (clock.steps, "steps") if clock.budget_s is None else (clock.budget_s, "s")
     with progress("training", total, unit) as shown, _interrupt_between_chunks() as interrupted:
         shown.advance(clock.step if clock.budget_s is None else clock.seconds)
-        while clock.progress < 1:
+        stopped = training.exhausted
+        while clock.progress < 1 and not stopped:
             before = (clock.step, clock.seconds)
             terms = training.chunk()
             if clock.progress >= next_look or clock.progress >= 1:
                 line = training.look(terms)
                 next_look = clock.progress + 1 / LOOKS
+                stopped = training.exhausted
                 shown.note(
                     f"PSNR {line['psnr_train']:.1f} dB" + (f", unseen {line['psnr_unseen']:.1f}" if "psnr_unseen" in line else "")
                 )
@@ -218,7 +241,7 @@ def start(
 
     refuse_existing(out)
     normalisation = Normalisation.of(scene) if start_from is None else start_from.normalisation
-    functions, state, pixels, probe = _prepare(scene, config, normalisation)
+    functions, state, pixels, probe, held = _prepare(scene, config, normalisation)
     about = {
         "scene_name": scene.name,
         "box": scene.box.tolist(),
@@ -232,7 +255,7 @@ def start(
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
     run = Run.create(out, config, scene_path, normalisation, about)
-    return Training(run, functions, state, pixels, probe, Clock(config.train.steps, budget_s), Renderer(functions))
+    return Training(run, functions, state, pixels, probe, Clock(config.train.steps, budget_s), Renderer(functions), held)
 
 
 def _continued(fresh: TrainState, run: Run) -> TrainState:
@@ -247,17 +270,17 @@ def _continued(fresh: TrainState, run: Run) -> TrainState:
 
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     run = Run.open(out)
-    functions, state, pixels, probe = _prepare(scene, run.config, run.normalisation)
+    functions, state, pixels, probe, held = _prepare(scene, run.config, run.normalisation)
     state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
     budget_s = budget_s or run.content.get("budget_s")
     clock = Clock(run.config.train.steps, budget_s, clock["seconds"], int(clock["step"]), int(clock["since_second_pass"]),
                   int(clock["since_look"]))  # fmt: skip
-    return Training(run, functions, state, pixels, probe, clock, Renderer(functions))
+    return Training(run, functions, state, pixels, probe, clock, Renderer(functions), held)
 
 
 def _prepare(scene: Scene, config: Config, normalisation: Normalisation):
     views = scene.split("train")
-    functions = StepFunctions(config, normalisation)
+    functions = StepFunctions(config, normalisation).over(jax.devices())
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
     possible = None
@@ -266,8 +289,12 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation):
             possible = cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale)
         else:
             possible = cells_in_sight(views, normalisation, config.sampler.outer_grid)
-    state = functions.initial(jax.random.key(config.train.seed), possible)
-    return functions, state, pixels, _probe(scene, config, normalisation)
+    held = None
+    if config.train.patience:
+        pixels, apart = pixels.held_out(PROBE)
+        held = _over_white(apart, np.arange(apart.directions.shape[0]))
+    state = functions.initial(jax.random.key(config.train.seed), possible, len(views))
+    return functions, state, pixels, _probe(scene, config, normalisation), held
 
 
 def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
@@ -279,6 +306,11 @@ def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[
     with progress("reading unseen pixels", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
     index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
+    return _over_white(pixels, index)
+
+
+def _over_white(pixels: Pixels, index: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(origins, directions, radii, colour over white) of some pixels."""
     rays, colour = pixels.take(jnp.asarray(index))
     colour = np.asarray(colour)
     target = colour[:, :3] * colour[:, 3:] + 1 - colour[:, 3:]
