@@ -99,6 +99,32 @@ def report_command(
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
+@app.command("view")
+def view_command(
+    path: Annotated[Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")],
+    recording: Annotated[
+        Path | None, typer.Option("--recording", help="Where its recording is now, if not where it was.")
+    ] = None,
+    port: console.Port = 8080,
+    json: Json = False,
+) -> None:
+    """Look at a calibration in the browser.
+
+    Target and cameras, residuals over the image before and after the refinement, coverage, error ellipses.
+    """
+    from calib.view import show
+    from datasets.calibration import Calibration
+    from datasets.viewer import open_page
+
+    calibration = Calibration.load(path)
+    with open_page(path.stem, port) as page:
+        show(page, calibration, recording=recording)
+        rms = calibration.residuals.get("rms_px")
+        console.report({"url": page.url, "calibration": str(path), "rms_px": rms}, as_json=json,
+                       text=f"{page.url} shows {path}; Ctrl-C ends it")  # fmt: skip
+        page.serve()
+
+
 @app.command("plan")
 @spread
 def plan_command(
