@@ -49,6 +49,11 @@ def from_file(path: Path) -> tuple[list[NDArray[np.float64]], float]:
         Misuse: the file is missing, or holds something else; a camera would look straight along its up direction.
     """
     content = load_yaml(path, PathFile)
+    return frames_of(content, where=path), content.fps
+
+
+def frames_of(content: PathFile, *, where: object = "") -> list[NDArray[np.float64]]:
+    """(4, 4) `world_from_camera` of each frame of a path. Raises Misuse where a camera would look straight along its up direction."""
     keys = content.poses + (content.poses[:1] if content.closed else ())
     columns = np.array([[*key.position, *key.target, *key.up] for key in keys], np.float64)
     way = CubicSpline(np.arange(len(keys)), columns, bc_type="periodic" if content.closed else "natural")
@@ -58,10 +63,10 @@ def from_file(path: Path) -> tuple[list[NDArray[np.float64]], float]:
     for values in way(at):
         position, target, up = values[:3], values[3:6], values[6:]
         if np.linalg.norm(np.cross(target - position, up)) < 1e-6:
-            raise Misuse("camera looks along its up direction, or at its own place", where=path, why=f"at {position.round(3).tolist()}",
+            raise Misuse("camera looks along its up direction, or at its own place", where=where, why=f"at {position.round(3).tolist()}",
                          remedy="move the pose, or give another up")  # fmt: skip
         frames.append(pose.look_at(position, target, up))
-    return frames, content.fps
+    return frames
 
 
 def orbit(scene: Scene, count: int) -> list[NDArray[np.float64]]:

@@ -23,6 +23,7 @@ from reconstruct.errors import ReconstructError
 from reconstruct.rays import view_rays
 from reconstruct.run import CHECKPOINTS, LOG, Run
 from reconstruct.trained import Trained
+from reconstruct.view_editor import PathEditor
 from reconstruct.view_eyes import LEVELS, Cancelled, Eyes, eye_of
 from reconstruct.view_frame import (
     CHANNELS,
@@ -44,6 +45,8 @@ WIDTH = 640
 POLL_S, QUIET_S = 1.0, 300.0
 """Between two looks at the run's folder; and without news for so long, a training has been stopped."""
 MESH_RESOLUTION = 128
+PATH = "path.yaml"
+"""In the run's folder: what the path editor writes."""
 NOTHING = "nothing"
 """Channel that leaves the page to cameras and mesh."""
 logger = logging.getLogger(__name__)
@@ -80,11 +83,14 @@ class RunView:
         for element in (self.channel, self.sharpest, self.sharpest_training, self.wipe, self.share):
             element.on_update(lambda event: self._changed())
         gui.add_button("go to the nearest training view").on_click(lambda event: self._go(event.client))
+        self.cut = gui.add_slider("cut away nearer than", 0.0, float(2 * self.reach), float(self.reach / 100), 0.0)
+        self.cut.on_update(lambda event: self._changed())
         self.cameras = gui.add_checkbox("cameras", True)
         self.cameras.on_update(lambda event: self._show_cameras(event.target.value))
         self._mesh_button = gui.add_button("extract the mesh")
         self._mesh_button.on_click(lambda event: self.page.in_background(self._extract))
         self.panel = PicturePanel(self.page, "Picture", "click a camera")
+        self.editor = PathEditor(self.page, self.run.path / PATH, self.train_views[0].camera, self.reach)
         self._log_folder = gui.add_folder("Training")
         self._curve: viser.GuiUplotHandle | None = None
         with self._log_folder:
@@ -147,13 +153,15 @@ class RunView:
     def render(self, eye: Eye, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
         """What the model shows of an eye in about so many pixels, (height, width, channels) by the renderer's names.
 
-        Depth is in world units. None where it was cancelled, or there is no model yet.
+        What is nearer than the page's cutting plane is left out. Depth is in world units. None where it was cancelled, or there is no model yet.
         """
         trained = self.trained
         if trained is None:
             return None
         camera = eye.camera(rays)
         origins, directions, radii = view_rays(eye.view(camera), trained.functions.normalisation, camera)
+        cut = max(self.cut.value * trained.functions.normalisation.scale - trained.functions.normalisation.near, 0.0)
+        origins = origins + np.float32(cut) * directions  # rays begin at the plane: their z is 1
         parts: list[Values] = []
         for start in range(0, len(origins), SLICE):
             if cancelled():
@@ -162,7 +170,7 @@ class RunView:
             parts.append(trained.renderer.rays(trained.state, origins[rows], directions[rows], radii[rows], normals=normals))
         joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
         shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}
-        shaped["depth"] = shaped["depth"] / trained.functions.normalisation.scale
+        shaped["depth"] = np.where(shaped["depth"] > 0, shaped["depth"] + cut, 0) / trained.functions.normalisation.scale
         return shaped
 
     def _paint(self, client: viser.ClientHandle, eye: Eye, rays: int, cancelled: Cancelled) -> None:

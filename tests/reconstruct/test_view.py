@@ -46,6 +46,26 @@ def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ba
     assert found["opacity"].max() > 0.99 and found["opacity"].min() < 0.01
 
 
+def test_what_is_cut_away_opens_the_ball(shown: Any, ball: Trained) -> None:
+    """Through a plane in the ball's middle its far wall is seen from inside (the grid holds the wall alone); behind it there is nothing."""
+    _, view = shown
+    eye, centre = eye_at(ball), np.array([0.4, 0.0, 0.15])
+    reach = float((centre - eye.world_from_camera[:3, 3]) @ eye.world_from_camera[:3, 2])
+    whole = view.render(eye, 2048, normals=False)
+    view.cut.value = reach
+    opened = view.render(eye, 2048, normals=False)
+    view.cut.value = reach + 0.1
+    behind = view.render(eye, 2048, normals=False)
+    row, column = (side // 2 for side in whole["depth"].shape[:2])
+    assert whole["depth"][row, column, 0] == pytest.approx(reach - 0.08, abs=4e-3)  # the ball's radius; steps of the sampler
+    wall = 3 / 32 * 0.1  # of the grid's cells that the fixture marks, at the scale of the scene
+    assert (
+        opened["depth"][row, column, 0] == pytest.approx(reach + 0.08 - wall, abs=4e-3)
+        and opened["opacity"][row, column, 0] > 0.9
+    )
+    assert behind["opacity"].max() < 0.01
+
+
 def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: Trained) -> None:
     _, view = shown
     looks = iter([False, True])
