@@ -85,7 +85,8 @@ def gather(calibration: Calibration, path: Path, *, seen: Callable[[str], None] 
     if calibration.flange_from_camera is None and calibration.base_from_camera is None:
         return _of_camera(calibration, session, images, notes)
     stated = calibration.provenance.get("arm_accuracy_stated", {})
-    accuracy = Accuracy(1e-3 * stated.get("translation_mm", 0.05), float(np.deg2rad(stated.get("rotation_deg", 0.01))))
+    degrees = np.deg2rad([stated.get("rotation_deg", 0.01), stated.get("joint_deg", 0.0)])
+    accuracy = Accuracy(1e-3 * stated.get("translation_mm", 0.05), *map(float, degrees))
     given = calibration if calibration.provenance.get("intrinsics_given") else None
     return _of_rig(calibration, calibrate.solve(session, given, accuracy), images, notes)
 
@@ -117,6 +118,7 @@ def at_start(solution: Solution) -> Solution:
     """The solution with the residuals of the closed form, which the refinement started from: the arm is taken at its word."""
     fit = solution.fit
     state = replace(fit.refined.state, intrinsics=projection.vector(solution.first.camera), corrections=0 * fit.refined.state.corrections,
+                    offsets=0 * fit.refined.state.offsets,
                     flange_from_camera=solution.closed.flange_from_camera, base_from_board=solution.closed.base_from_board)  # fmt: skip
     residuals, _ = verify.errors(fit.measured, state)
     return replace(solution, fit=replace(fit, refined=replace(fit.refined, state=state, residuals=residuals)))
