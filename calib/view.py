@@ -4,6 +4,7 @@ What the file holds is there at once; the recording is searched for the target a
 """
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from calib import figures
 from calib.errors import CalibrationError
 from calib.report import describe_calibration
 from calib.targets import Board
-from calib.view_evidence import Evidence, Sighting, gather, recording_of
+from calib.view_evidence import AFTER, Evidence, Sighting, gather, recording_of
 from datasets import images
 from datasets.calibration import Calibration
 from datasets.errors import KoalaError
@@ -43,7 +44,7 @@ class CalibrationView:
         """Whether the camera stands beside the arm."""
         self.evidence: Evidence | None = None
         self._state = page.gui.add_markdown("*reading the recording*")
-        self._stage = page.gui.add_dropdown("residuals", ("after refinement",))
+        self._stage: viser.GuiDropdownHandle[Any] = page.gui.add_dropdown("residuals", (AFTER,))
         self._stage.on_update(lambda event: self._colour())
         self.panel = PicturePanel(
             page, "View", "click a camera: arrows lead from where a corner is predicted to where it was seen"
@@ -173,8 +174,8 @@ def with_arrows(picture: NDArray[np.float32], pixels: Array, residuals: Array | 
         residuals: (n, 2) seen minus predicted [px]; None for rings alone.
     """
     scale = WIDTH / picture.shape[1]
-    drawn = bytes_of(picture, WIDTH) if scale < 1 else cv2.resize(bytes_of(picture, picture.shape[1]), None, fx=scale, fy=scale)
-    drawn = np.ascontiguousarray(drawn)
+    small = bytes_of(picture, WIDTH)
+    drawn = np.asarray(small if scale < 1 else cv2.resize(small, None, fx=scale, fy=scale), np.uint8).copy()
     enlarged = 0.0
     if residuals is not None and len(residuals):
         enlarged = ARROW * picture.shape[1] / max(float(np.percentile(np.linalg.norm(residuals, axis=1), 95)), 1e-6)
@@ -197,7 +198,7 @@ def add_board(page: Page, name: str, board: Board, base_from_board: Array) -> No
     side = board.square_length_m
     columns, rows = np.meshgrid(np.arange(board.squares_x), np.arange(board.squares_y))
     dark = (columns + rows) % 2 == 0
-    vertices, faces = _squares(np.stack([columns[dark], rows[dark]], -1) * side, side, -1e-4)
+    vertices, faces = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
     plate, corners = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
     rotation, place = shapes.placed(base_from_board)
     page.scene.add_mesh_simple(
@@ -224,7 +225,7 @@ def decoded(png: bytes) -> NDArray[np.uint8]:
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise CalibrationError("figure cannot be read")
-    return np.ascontiguousarray(picture[..., ::-1])
+    return np.ascontiguousarray(picture[..., ::-1], np.uint8)
 
 
 def show(page: Page, calibration: Calibration, *, recording: Path | None = None) -> CalibrationView:

@@ -1,15 +1,15 @@
 """What a page shows of a calibration: the recording that it was made from, fitted again, stage by stage."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib import calibrate, figures, intrinsics, projection, verify
 from calib.calibrate import Solution
+from calib.errors import CalibrationError
 from calib.model import Accuracy
 from calib.session import TargetSession, observe_recording
 from datasets import pose
@@ -124,17 +124,21 @@ def at_start(solution: Solution) -> Solution:
     return replace(solution, fit=replace(fit, refined=replace(fit.refined, state=state, residuals=residuals)))
 
 
-def _sightings(calibration: Calibration, solution: Solution, before: Solution, images: dict[str, Path]) -> Any:
+def _sightings(calibration: Calibration, solution: Solution, before: Solution, images: dict[str, Path]) -> Iterator[Sighting]:
     fitted = {observation.name: index for index, observation in enumerate(solution.fit.session.observations)}
     session = solution.first.session
+    if session.eye_to_hand:
+        on_flange, in_base = calibration.flange_from_board, calibration.base_from_camera
+    else:
+        on_flange, in_base = calibration.flange_from_camera, calibration.base_from_board
+    if on_flange is None or in_base is None:
+        raise CalibrationError(
+            "calibration and recording do not belong together", why="one has the camera on the flange, the other beside the arm"
+        )
     for number, observation in enumerate(session.observations):
         base_from_flange, camera_from_board = session.base_from_flange[number], solution.boards[number]
-        if session.eye_to_hand:
-            by_arm = base_from_flange @ calibration.flange_from_board.matrix
-            by_picture = calibration.base_from_camera.matrix @ camera_from_board
-        else:
-            by_arm = base_from_flange @ calibration.flange_from_camera.matrix
-            by_picture = calibration.base_from_board.matrix @ pose.inverse(camera_from_board)
+        by_arm = base_from_flange @ on_flange.matrix
+        by_picture = in_base.matrix @ (camera_from_board if session.eye_to_hand else pose.inverse(camera_from_board))
         residuals, pixels = {}, observation.pixels
         if observation.name in fitted:
             chosen = (solution.fit.measured.view == fitted[observation.name]) & solution.fit.refined.inliers

@@ -107,6 +107,7 @@ def _arrivals(trajectory: Trajectory, planned: list[PlannedView]) -> list[list[f
 def _wanted(viewpoint: Viewpoint, flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
     if viewpoint.base_from_camera is not None:
         return viewpoint.base_from_camera
+    assert viewpoint.joints is not None  # a viewpoint has either
     return kinematics.forward(viewpoint.joints) @ flange_from_camera
 
 

@@ -170,7 +170,9 @@ class RunView:
             parts.append(trained.renderer.rays(trained.state, origins[rows], directions[rows], radii[rows], normals=normals))
         joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
         shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}
-        shaped["depth"] = np.where(shaped["depth"] > 0, shaped["depth"] + cut, 0) / trained.functions.normalisation.scale
+        shaped["depth"] = ((shaped["depth"] + cut) * (shaped["depth"] > 0) / trained.functions.normalisation.scale).astype(
+            np.float32
+        )
         return shaped
 
     def _paint(self, client: viser.ClientHandle, eye: Eye, rays: int, cancelled: Cancelled) -> None:

@@ -82,7 +82,7 @@ def add_lines(page: Page, name: str, segments: ArrayLike, *, colour: Colour, thi
 
 def add_mark(page: Page, name: str, words: str, position: ArrayLike, *, colour: Colour, size: float) -> None:
     """A ball of radius `size` with a few words beside it, at (3,) `position`."""
-    place = tuple(map(float, np.asarray(position)))
+    place = np.asarray(position, np.float64)
     page.scene.add_icosphere(f"{name}/ball", size, colour, subdivisions=2, position=place)
     page.scene.add_label(f"{name}/words", words, position=place, anchor="bottom-left")
 
