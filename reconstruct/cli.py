@@ -27,6 +27,9 @@ def train(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
     from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Begin with what a run has learned.")] = None,
+    rays: Annotated[
+        int | None, typer.Option(min=256, help="Rays per step; rate and steps follow by the linear scaling rule.")
+    ] = None,
     finetune: Annotated[bool, typer.Option("--finetune", help="With --from: go on with the surface regularisers.")] = False,
     as_json: console.Json = False,
 ) -> None:
@@ -34,6 +37,7 @@ def train(
     from datasets.errors import Misuse
     from datasets.formats import find, load_scene
     from reconstruct.backend import cache_compilations
+    from reconstruct.batch import scaled
     from reconstruct.models import finetuned, load_config
     from reconstruct.run import Run
     from reconstruct.train import train as run_training
@@ -46,6 +50,7 @@ def train(
         loaded = load_scene(scene, measure=not resume)  # a run keeps the bounds that it began with
     else:
         config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
+    config = config if rays is None else scaled(config, rays)
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
     unseen = f", {result['psnr_unseen']:.2f} dB on unseen pixels" if result["psnr_unseen"] is not None else ""
@@ -110,6 +115,28 @@ def ablate_command(
         return console.report({"cells": study.cells}, as_json=as_json, text=text)
     cache_compilations()
     result = ablate.run(study, out)
+    console.report(result, as_json=as_json, text=f"{(out / 'table.md').read_text(encoding='utf-8').rstrip()}\n{out}")
+
+
+@app.command("sweep")
+def sweep_command(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the sweep; one that was broken off is gone on with.")],
+    scenes: Annotated[list[str], typer.Option("--scene", help="Scene folder, as for 'train'; repeatable.")],
+    models: Annotated[list[str], typer.Option("--model", help="Name of a model; repeatable.")],
+    preset: Annotated[str, typer.Option(help="fast or paper.")] = "fast",
+    budget: Annotated[float | None, typer.Option(help="Seconds of training per run; without it, train.steps steps.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Override a setting in all runs: key=value; repeatable.")
+    ] = None,
+    ray: Annotated[bool, typer.Option("--ray", help="Run as tasks of Ray (extra 'sweep').")] = False,
+    address: Annotated[str | None, typer.Option("--address", help="Ray's cluster; without it, this machine.")] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Train and measure every model on every scene, into one table."""
+    from reconstruct import sweep
+
+    jobs = sweep.jobs(scenes, models, preset, set_ or (), budget, out)
+    result = sweep.run(jobs, out, use_ray=ray or address is not None, ray_address=address)
     console.report(result, as_json=as_json, text=f"{(out / 'table.md').read_text(encoding='utf-8').rstrip()}\n{out}")
 
 

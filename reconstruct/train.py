@@ -19,6 +19,7 @@ from datasets.console import progress
 from datasets.errors import Misuse
 from datasets.scene import Scene
 from reconstruct import checkpoint
+from reconstruct.batch import fitted
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.hull import cells_in_masks, cells_in_sight
@@ -241,7 +242,8 @@ def start(
 
     refuse_existing(out)
     normalisation = Normalisation.of(scene) if start_from is None else start_from.normalisation
-    functions, state, pixels, probe, held = _prepare(scene, config, normalisation)
+    functions, state, pixels, probe, held = _prepare(scene, config, normalisation, fit=True)
+    config = functions.config
     about = {
         "scene_name": scene.name,
         "box": scene.box.tolist(),
@@ -278,9 +280,9 @@ def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     return Training(run, functions, state, pixels, probe, clock, Renderer(functions), held)
 
 
-def _prepare(scene: Scene, config: Config, normalisation: Normalisation):
+def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fit: bool = False):
+    """Everything that a training needs beside its run; with `fit`, as many rays per step as there is memory for."""
     views = scene.split("train")
-    functions = StepFunctions(config, normalisation).over(jax.devices())
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
     possible = None
@@ -293,6 +295,9 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation):
     if config.train.patience:
         pixels, apart = pixels.held_out(PROBE)
         held = _over_white(apart, np.arange(apart.directions.shape[0]))
+    if fit and config.sampler.kind == "proposal":
+        config = fitted(config, normalisation, pixels)
+    functions = StepFunctions(config, normalisation).over(jax.devices())
     state = functions.initial(jax.random.key(config.train.seed), possible, len(views))
     return functions, state, pixels, _probe(scene, config, normalisation), held
 

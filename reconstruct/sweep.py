@@ -1,0 +1,122 @@
+"""Many scenes and many models: one run each, on this machine or on a cluster (Ray), into one table.
+
+OUT/SCENE/MODEL/      a run per pair
+OUT/table.md .csv .tex
+
+A run that was measured is not trained again, one that was broken off is gone on with: a sweep can be stopped at any time.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datasets import files
+from datasets.console import progress
+from datasets.errors import Misuse
+from datasets.formats import find
+from reconstruct import table
+from reconstruct.ablate import Study, finish
+from reconstruct.errors import ReconstructError
+from reconstruct.evaluate import METRICS
+from reconstruct.models import load_config
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a sweep."""
+
+    path: Path
+    study: Study
+
+    def run(self) -> None:
+        """Train and measure, as far as that was not done."""
+        from reconstruct.backend import cache_compilations
+
+        cache_compilations()
+        finish(self.path, self.study, ())
+
+
+def jobs(
+    scenes: Sequence[str], models: Sequence[str], preset: str, overrides: Sequence[str], budget_s: float | None, out: Path
+) -> list[Job]:
+    """Every model on every scene.
+
+    Raises:
+        Misuse: an unknown scene, model or setting, or two scenes of one name.
+    """
+    for model in models:
+        load_config(model, preset, list(overrides))
+    places = [find(scene).resolve() for scene in scenes]
+    if len({place.name for place in places}) < len(places):
+        raise Misuse("two scenes have one name", why=", ".join(place.name for place in places), remedy="rename a folder")
+    return [
+        Job(out / place.name / model, Study(str(place), model, preset, tuple(overrides), budget_s, {}))
+        for place in places
+        for model in models
+    ]
+
+
+def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use_ray: bool = False) -> dict[str, Any]:
+    """Run all jobs that are not finished, then write the table of what there is.
+
+    Args:
+        use_ray: as tasks of Ray, each with a GPU where the cluster has any; else one after the other in this process.
+        ray_address: cluster to use; None starts Ray on this machine. Workers must see the scenes and `out` under the same paths.
+
+    Raises:
+        ReconstructError: jobs failed; the others are finished and in the table.
+    """
+    todo = [job for job in wanted if not (job.path / METRICS).is_file()]
+    failed: dict[str, str] = {}
+    with progress("sweeping", len(todo), "runs") as shown:
+        for job, problem in _in_turn(todo) if not use_ray else _on_ray(todo, ray_address):
+            if problem:
+                failed[f"{job.path.parent.name}/{job.path.name}"] = problem
+            shown.note(f"{job.path.parent.name}/{job.path.name}")
+            shown.advance()
+    done = [job.path for job in wanted if (job.path / METRICS).is_file()]
+    if done:
+        rows = table.rows_of_runs(done)
+        for suffix, write in table.FORMS.items():
+            files.write_text(out / f"table{suffix}", write(rows, table.chosen_columns(rows)))
+    if failed:
+        name, problem = next(iter(failed.items()))
+        raise ReconstructError(f"{len(failed)} of {len(todo)} runs failed", where=out, why=f"{name}: {problem}",
+                               remedy="mend it and sweep again: what is finished is kept")  # fmt: skip
+    return {"out": str(out), "runs": len(done), "trained": len(todo), "table": str(out / "table.md")}
+
+
+def _in_turn(todo: Sequence[Job]) -> Iterator[tuple[Job, str]]:
+    """Jobs and what went wrong with each, "" for nothing."""
+    for job in todo:
+        try:
+            job.run()
+        except (ReconstructError, OSError) as error:  # one scene's failure must not cost the others
+            yield job, str(error)
+        else:
+            yield job, ""
+
+
+def _on_ray(todo: Sequence[Job], address: str | None) -> Iterator[tuple[Job, str]]:
+    """The same as tasks of Ray, in the order in which they end."""
+    try:
+        import ray
+    except ImportError:
+        raise Misuse("Ray is not installed", remedy="pip install 'koala-capture[sweep]', or sweep without --ray") from None
+    ray.init(address=address, log_to_driver=False)
+    try:
+        gpus = 1 if ray.cluster_resources().get("GPU") else 0
+        task = ray.remote(num_cpus=1, num_gpus=gpus)(Job.run)
+        waiting = {task.remote(job): job for job in todo}
+        while waiting:
+            (ready, *_), _ = ray.wait(list(waiting), num_returns=1)
+            job = waiting.pop(ready)
+            try:
+                ray.get(ready)
+            except ray.exceptions.RayError as error:
+                yield job, str(error).strip().splitlines()[-1]
+            else:
+                yield job, ""
+    finally:
+        ray.shutdown()

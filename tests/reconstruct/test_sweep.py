@@ -1,0 +1,59 @@
+"""The bookkeeping of sweeps; the trainings themselves are stand-ins here."""
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets.errors import Misuse
+from datasets.scene import Scene
+from reconstruct import sweep
+from reconstruct.ablate import Study
+from reconstruct.errors import ReconstructError
+from reconstruct.models import load_config
+
+
+def stand_in(path: Path, study: Study, changes: Any) -> None:
+    """A run on disk as training and evaluation leave it; of `zipnerf` it fails while a file named `broken` lies beside."""
+    if study.model == "zipnerf" and (path.parent.parent / "broken").exists():
+        raise ReconstructError("training does not stay finite")
+    path.mkdir(parents=True)
+    normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
+    run = {"format": "koala-run", "version": 1, "scene": study.scene, "scene_name": Path(study.scene).name,
+           "config": load_config(study.model).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
+    (path / "run.json").write_text(json.dumps(run))
+    metrics = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 20.0}, "per_view": []}
+    (path / "metrics.json").write_text(json.dumps(metrics))
+
+
+@pytest.fixture
+def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("reconstruct.backend.cache_compilations", lambda: None)
+
+
+def test_a_failure_does_not_cost_the_others_and_can_be_mended(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(sweep, "finish", stand_in)
+    (tmp_path / "broken").write_text("")
+    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, tmp_path)
+    assert [job.path for job in wanted] == [tmp_path / "ball/zipnerf", tmp_path / "ball/surfnerf"]
+    with pytest.raises(ReconstructError, match=r"1 of 2 runs failed \(ball/zipnerf: training does not stay finite\)"):
+        sweep.run(wanted, tmp_path)
+    assert "surfnerf" in (tmp_path / "table.md").read_text() and "zipnerf" not in (tmp_path / "table.md").read_text()
+    (tmp_path / "broken").unlink()
+    assert sweep.run(wanted, tmp_path) == {"out": str(tmp_path), "runs": 2, "trained": 1, "table": str(tmp_path / "table.md")}
+    assert "zipnerf" in (tmp_path / "table.tex").read_text()
+
+
+def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
+    scene = str(ball_scene[1])
+    with pytest.raises(Misuse, match="did you mean 'zipnerf'"):
+        sweep.jobs([scene], ["zipnrf"], "fast", [], None, tmp_path)
+    with pytest.raises(Misuse, match="two scenes have one name"):
+        sweep.jobs([scene, scene], ["zipnerf"], "fast", [], None, tmp_path)
+    if importlib.util.find_spec("ray") is None:
+        with pytest.raises(Misuse, match="Ray is not installed; pip install"):
+            sweep.run(sweep.jobs([scene], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)
