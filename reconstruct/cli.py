@@ -264,29 +264,37 @@ def film_command(
 @app.command("mesh")
 def mesh_command(
     run: RunFolder,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.ply", help="Mesh to write.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.ply, FILE.glb or FILE.obj to write.")],
     resolution: Annotated[
         int, typer.Option(min=16, max=768, help="Grid points along the longest side of the object's box.")
     ] = 256,
     level: Annotated[
         float, typer.Option(min=0.001, max=0.999, help="The surface is where 1/128 of the box absorbs this share of light.")
     ] = 0.5,
+    watertight: Annotated[bool, typer.Option("--watertight", help="Close the surface where it leaves the box.")] = False,
+    faces: Annotated[int | None, typer.Option(min=4, help="Simplify to about so many triangles.")] = None,
+    points: Annotated[int | None, typer.Option(min=1, help="Write so many points on the surface instead (PLY).")] = None,
     as_json: console.Json = False,
 ) -> None:
-    """Take the object's surface out of a run, as a coloured triangle mesh in world coordinates."""
+    """Take the object's surface out of a run, as a coloured triangle mesh or points in world coordinates."""
     from datasets.errors import Misuse
     from datasets.files import refuse_existing
     from reconstruct import mesh
     from reconstruct.backend import cache_compilations
     from reconstruct.trained import Trained
 
-    if out.suffix.lower() != ".ply":
-        raise Misuse("meshes are written as PLY", where=out, remedy="end --out in .ply")
+    suffixes = mesh.SUFFIXES if points is None else (".ply",)
+    if out.suffix.lower() not in suffixes:
+        raise Misuse(f"{'meshes' if points is None else 'points'} are not written as '{out.suffix}'", where=out,
+                     remedy=f"end --out in {', '.join(suffixes)}")  # fmt: skip
     refuse_existing(out)
     cache_compilations()
     trained = Trained.open(run)
-    surface = mesh.extract(trained, resolution=resolution, level=level)
-    mesh.save(surface, out)
+    surface = mesh.extract(trained, resolution=resolution, level=level, watertight=watertight, faces=faces)
+    if points is None:
+        mesh.save(surface, out)
+    else:
+        mesh.save_points(mesh.points_on(surface, points), out)
     size = surface.extents.tolist()
     unit = "m" if trained.scene.metric else "units"
     result = {

@@ -36,12 +36,16 @@ SMALLEST_PART = 0.05
 """Pieces with less than this share of the largest piece's area are noise."""
 
 
-def extract(trained: Trained, *, resolution: int = RESOLUTION, level: float = LEVEL) -> "trimesh.Trimesh":
+def extract(
+    trained: Trained, *, resolution: int = RESOLUTION, level: float = LEVEL, watertight: bool = False, faces: int | None = None
+) -> "trimesh.Trimesh":
     """Mesh of the object: world coordinates, outward vertex normals, colours as seen straight on.
 
     Args:
         resolution: grid points along the longest side of the object's box.
         level: see `LEVEL`; above 0 and below 1.
+        watertight: close the surface where it leaves the box, for printing and for volumes.
+        faces: simplify to about so many triangles (quadric error, Garland and Heckbert 1997); None keeps all.
 
     Raises:
         ReconstructError: there is no surface in the box.
@@ -57,15 +61,36 @@ def extract(trained: Trained, *, resolution: int = RESOLUTION, level: float = LE
                                why=f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}",
                                remedy="train longer, or check the scene's box")  # fmt: skip
     spacing = axes[0][1] - axes[0][0]
+    first = np.array([axis[0] for axis in axes])
+    if watertight:
+        density, first = np.pad(filled(density, threshold), 1), first - spacing
     # Density grows exponentially into the surface: interpolating its logarithm does not pull the surface to the empty side.
     # 'ascent' makes faces point outward, since skimage counts axes backwards.
-    vertices, faces, _, _ = marching_cubes(np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold)),
+    vertices, triangles, _, _ = marching_cubes(np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold)),
                                            spacing=(spacing,) * 3, gradient_direction="ascent")  # fmt: skip
-    vertices = vertices + np.array([axis[0] for axis in axes])
-    mesh = main_parts(trimesh.Trimesh(vertices, faces, process=False))
+    mesh = main_parts(trimesh.Trimesh(vertices + first, triangles, process=False))
+    if faces is not None and faces < len(mesh.faces):
+        mesh = mesh.simplify_quadric_decimation(face_count=faces)
     colours = colours_straight_on(trained, mesh.vertices, mesh.vertex_normals)
     world = mesh.vertices / trained.run.normalisation.scale + trained.run.normalisation.centre
     return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)
+
+
+def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
+    """The density with solid matter wherever the surface and the sides of the box shut it in.
+
+    Nobody sees the inside of a solid, so that a model may leave it empty; where the object is cut by a side of the box, what its
+    outline there encloses is its inside.
+    """
+    from scipy.ndimage import binary_fill_holes
+
+    solid = density > threshold
+    for axis in range(3):
+        for side in (0, -1):
+            face = tuple(side if i == axis else slice(None) for i in range(3))
+            solid[face] = binary_fill_holes(solid[face])
+    inside = binary_fill_holes(solid) & (density <= threshold)
+    return np.where(inside, max(float(density.max()), threshold), density)
 
 
 def grid_axes(trained: Trained, resolution: int) -> tuple[NDArray[np.float64], ...]:
@@ -132,10 +157,43 @@ def colours_straight_on(trained: Trained, points: NDArray, normals: NDArray) -> 
     return colours
 
 
+def points_on(mesh: "trimesh.Trimesh", count: int, seed: int = 0) -> "trimesh.PointCloud":
+    """`count` points spread evenly over a mesh, with its colours, and its normals as `metadata["normals"]`."""
+    import trimesh
+    from trimesh.sample import sample_surface
+
+    places, triangles = sample_surface(mesh, count, seed=seed)
+    shares = trimesh.triangles.points_to_barycentric(mesh.triangles[triangles], places)[..., None]
+    corners = mesh.faces[triangles]
+    colours = np.sum(mesh.visual.vertex_colors[corners][..., :3] * shares, axis=1)
+    normals = np.sum(mesh.vertex_normals[corners] * shares, axis=1)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    rounded = np.clip(np.round(colours), 0, 255).astype(np.uint8)
+    return trimesh.PointCloud(np.asarray(places), colors=rounded, metadata={"normals": normals})
+
+
+SUFFIXES = (".ply", ".glb", ".obj")
+"""Forms of mesh files."""
+
+
 def save(mesh: "trimesh.Trimesh", path: Path) -> None:
-    """Write a mesh atomically as binary PLY with normals and colours."""
+    """Write a mesh atomically with normals and colours, in the form that the suffix names."""
     with atomic_path(path) as temporary:
-        mesh.export(temporary, file_type="ply", vertex_normal=True)
+        options = {"include_normals": True} if path.suffix.lower() in (".glb", ".obj") else {"vertex_normal": True}
+        mesh.export(temporary, file_type=path.suffix.lower()[1:], **options)
+
+
+def save_points(cloud: "trimesh.PointCloud", path: Path) -> None:
+    """Write points with normals and colours atomically as binary PLY."""
+    kinds = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]
+    rows = np.zeros(len(cloud.vertices), kinds)
+    columns = [*cloud.vertices.T, *cloud.metadata["normals"].T, *np.asarray(cloud.colors)[:, :3].T]
+    for (name, _), values in zip(kinds, columns, strict=True):
+        rows[name] = values
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    header += [f"property {'float' if kind == '<f4' else 'uchar'} {name}" for name, kind in kinds]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes("\n".join([*header, "end_header\n"]).encode() + rows.tobytes())
 
 
 def _chunks(

@@ -23,7 +23,7 @@ DEFINITIONS = {
     "depth_rmse_mm": ("mm", "root mean square error of the depth along z, where true alpha > 0.5 (metric scenes)"),
     "depth_median_mm": ("mm", "median absolute error of the same"),
     "diffuse_psnr": ("dB", "PSNR of the diffuse part, in clipped sRGB, over the object (true alpha > 0.5, everything where it is not known)"),
-    "specular_psnr": ("dB", "the same of the specular part"),
+    "specular_psnr": ("dB", "PSNR of the specular part, in clipped sRGB, over the same pixels as diffuse_psnr"),
     "seconds": ("s", "time to render the view, all channels; compilation not counted"),
 }  # fmt: skip
 """Unit and meaning of each figure of a view."""

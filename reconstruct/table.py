@@ -51,8 +51,9 @@ def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
             raise Misuse("was not measured yet", where=run.path, remedy=f"run: reconstruct eval {run.path}")
         result = files.read_json(run.path / METRICS, kind=FORMAT, version=VERSION)
         scene, label = run.content.get("scene_name", Path(run.scene_path).name), run.config.model
+        label += ", fine-tuned" if "from" in run.content else ""
         while (scene, label) in labels:  # two runs of one model are told apart by their folders
-            label = f"{label} ({run.path.name})" if label == run.config.model else f"{label}'"
+            label = f"{label} ({run.path.name})" if "(" not in label else f"{label}'"
         labels.add((scene, label))
         try:
             if per_image:

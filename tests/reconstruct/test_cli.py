@@ -38,7 +38,10 @@ def test_help_is_instant_and_names_the_commands() -> None:
     start = time.perf_counter()
     shown = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
     assert time.perf_counter() - start < 1.0  # 0.2 s on an idle core; importing JAX alone takes longer than this
-    assert all(name in shown for name in ("train", "eval", "render", "mesh", "report"))
+    assert all(
+        name in shown
+        for name in ("train", "models", "table", "ablate", "sweep", "figures", "eval", "render", "film", "mesh", "report")
+    )
 
 
 def test_eval_render_mesh_and_report_of_a_run(
@@ -63,9 +66,17 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
     run = make_run().path
     cases = {
         ("eval", tmp_path / "nothing"): "is not a run",
+        ("eval",): "give either a run, or --renders DIR --scene SCENE",
+        ("eval", run, "--renders", tmp_path): "give either a run",
+        ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
+        ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
+        ("table", run): "was not measured yet",
+        ("film", run, "--out", tmp_path / "film.avi"): "end --out in .mp4",
+        ("ablate", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
+        ("sweep", "--out", tmp_path / "r", "--scene", tmp_path, "--model", "surfnrf"): "did you mean 'surfnerf'",
         ("eval", run, "--split", "val"): "scene has no val views",
         ("eval", run, "--splat", "val"): "No such option",
-        ("mesh", run, "--out", tmp_path / "mesh.obj"): "end --out in .ply",
+        ("mesh", run, "--out", tmp_path / "mesh.stl"): "end --out in .ply, .glb, .obj",
         ("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", "5"): "Invalid value",
         ("report", run, "--out", tmp_path / "r", "--calibration", tmp_path / "none.json"): "no such file",
     }
@@ -85,3 +96,29 @@ def test_a_scene_that_is_gone_is_named(
     (run.path / "run.json").write_text(text)
     code, _, err = command("eval", run.path)
     assert code == 2 and "gone" in err and "no such scene" in err
+
+
+def test_models_are_listed_with_their_parts(command: Callable[..., tuple[int, str, str]]) -> None:
+    code, out, _ = command("models")
+    lines = out.splitlines()
+    assert code == 0 and len(lines) == 11 and lines[0].split() == ["model", "encoding", "appearance", "regularisers", "about"]
+    assert any(line.split()[:4] == ["zipnerf", "voxels", "view", "-"] for line in lines)
+    code, out, _ = command("models", "--json")
+    assert code == 0 and {row["name"] for row in json.loads(out)["models"]} >= {"surfnerf", "mipnerf", "finetune"}
+
+
+def test_a_plan_of_ablations_trains_nothing(
+    command: Callable[..., tuple[int, str, str]], ball_scene: tuple, tmp_path: Path
+) -> None:
+    code, out, _ = command("ablate", ball_scene[1], "--out", tmp_path / "study", "--plan")
+    assert code == 0 and "sampling random" in out and "surface.neighbours=5" in out and not (tmp_path / "study").exists()
+
+
+def test_measured_runs_become_a_table(
+    command: Callable[..., tuple[int, str, str]], make_run: Callable[..., Run], tmp_path: Path
+) -> None:
+    run = make_run(checkpointed=False).path
+    content = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 21.0, "ssim": 0.5}, "per_view": []}
+    (run / "metrics.json").write_text(json.dumps(content))
+    code, out, _ = command("table", run, "--out", tmp_path / "table.csv", "--column", "psnr")
+    assert code == 0 and "| ball | surfnerf | 21.00 |" in out and (tmp_path / "table.csv").read_text().endswith("surfnerf,21.0\n")

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -95,3 +96,41 @@ def test_no_surface_is_one_clear_error(make_run: Callable[..., Run]) -> None:
 
     with pytest.raises(ReconstructError, match="no surface in the object's box"):
         mesh.extract(replace(trained, state=empty), resolution=32)
+
+
+def test_a_surface_that_leaves_the_box_can_be_closed(ball: Trained) -> None:
+    """Half of the ball is outside a box that ends at its middle."""
+    low, high = ball.scene.box
+    half = replace(ball, scene=replace(ball.scene, box=np.stack([low, [high[0], high[1], CENTRE[2]]])))
+    surface, closed = mesh.extract(half, resolution=64), mesh.extract(half, resolution=64, watertight=True)
+    assert not surface.is_watertight and closed.is_watertight
+    assert closed.volume == pytest.approx(2 / 3 * np.pi * RADIUS**3, rel=0.1)
+
+
+def test_a_simpler_mesh_keeps_the_shape_and_its_colours(ball: Trained) -> None:
+    fine = mesh.extract(ball, resolution=96)
+    simple = mesh.extract(ball, resolution=96, faces=1000)
+    assert len(fine.faces) > 5000 and len(simple.faces) <= 1000 and len(simple.visual.vertex_colors) == len(simple.vertices)
+    radii = np.linalg.norm(simple.vertices - CENTRE, axis=-1)
+    assert np.abs(radii - expected_radius(0.5)).max() < 2e-3  # edges of 1000 triangles are 13 mm long and sag by 0.3 mm
+    assert simple.is_watertight
+
+
+@pytest.mark.parametrize("suffix", mesh.SUFFIXES)
+def test_every_form_is_read_back(ball: Trained, tmp_path: Path, suffix: str) -> None:
+    surface = mesh.extract(ball, resolution=32)
+    mesh.save(surface, tmp_path / f"ball{suffix}")
+    again = trimesh.load_mesh(tmp_path / f"ball{suffix}", process=False)
+    assert len(again.faces) == len(surface.faces)
+    np.testing.assert_allclose(again.bounds, surface.bounds, atol=1e-6)
+
+
+def test_points_lie_on_the_surface_with_colours_and_normals(ball: Trained, tmp_path: Path) -> None:
+    surface = mesh.extract(ball, resolution=96)
+    cloud = mesh.points_on(surface, 2000)
+    outward = (cloud.vertices - CENTRE) / np.linalg.norm(cloud.vertices - CENTRE, axis=-1, keepdims=True)
+    assert (np.sum(outward * cloud.metadata["normals"], -1) > 0.97).all()
+    mesh.save_points(cloud, tmp_path / "points.ply")
+    again = trimesh.load(tmp_path / "points.ply")
+    np.testing.assert_allclose(again.vertices, cloud.vertices, atol=1e-6)
+    np.testing.assert_array_equal(np.asarray(again.colors)[:, :3], np.asarray(cloud.colors)[:, :3])
