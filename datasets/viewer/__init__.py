@@ -1,6 +1,7 @@
 """What the pages of all four commands share: a server for this machine alone, shapes, and a picture panel.
 
-The only place that knows viser; a page itself is made in the `view` module of each package.
+Built on viser: `open_page` starts it and sees to it that it stays on this machine; the `view` modules of the packages draw with its scene
+and its panel.
 """
 
 from datasets.viewer.panel import PicturePanel
