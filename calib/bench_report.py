@@ -2,6 +2,7 @@
 
 import csv
 import io
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -129,13 +130,16 @@ def _plot(path: Path, results: Sequence[Result]) -> None:
         chosen = [r for r in results if _level(r.point) == level]
         for axis, unit in enumerate(("mm", "°")):
             _error_against_time(grid[axis][column], chosen, axis, unit)
-        grid[0][column].set_title(f"corners {level[0]:g} px, arm {level[1]:g} mm, {level[2]:g}°"
-                                  + (", intrinsics estimated" if level[3] else ""))  # fmt: skip
+        along = "\nintrinsics estimated" if level[3] else ""
+        grid[0][column].set_title(f"corners {level[0]:g} px, arm {level[1]:g} mm, {level[2]:g}°{along}")
     grid[0][0].legend(fontsize=8, ncols=2)
     for axis, kind in enumerate(("translation", "rotation")):
         _draw_ratios(grid[2][axis], results, axis, kind)
     grid[2][2].axis("off")
-    grid[2][2].text(0, 0.5, describe(results).replace("; ", ";\n"), va="center")
+    words = "\n\n".join(textwrap.fill(line, 60) for line in describe(results).splitlines())
+    grid[2][2].text(0, 0.5, words, va="center", fontsize=9).set_in_layout(
+        False
+    )  # else it takes its width from the other pictures
     figure.savefig(path, dpi=100)
 
 
