@@ -238,7 +238,9 @@ def view_command(
 def film_command(
     run: RunFolder,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4", help="Film to write.")],
-    path: Annotated[Path | None, typer.Option(help="YAML file with poses (see docs); without it, an orbit.")] = None,
+    path: Annotated[
+        Path | None, typer.Option(help="YAML file with fps, seconds and poses (position, target, up); without it, an orbit.")
+    ] = None,
     frames: Annotated[int, typer.Option(min=1, help="Frames of the orbit.")] = 120,
     fps: Annotated[float, typer.Option(min=0.1, max=240, help="Frames per second of the orbit.")] = 30.0,
     shown: Annotated[

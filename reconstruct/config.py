@@ -3,6 +3,7 @@
 Which model has which values is in `models`; the resolved configuration is written beside each result.
 """
 
+import math
 from typing import Literal
 
 from pydantic import Field
@@ -46,6 +47,11 @@ class FieldConfig(Schema):
     )
     shading: Literal["sample", "deferred"] = Field(
         "deferred", description="Evaluate the view network at each sample, or once per ray on composited features."
+    )
+    diffuse_bias: float = Field(-math.log(3), description="Added to the raw diffuse colour before the sigmoid.")
+    specular_bias: float = Field(0.0, description="Added to the raw reflected colour before the sigmoid.")
+    outward: float = Field(
+        0.0, ge=0, description="Predicted normals start as those of a ball about the object: weight of the position in them."
     )
     density_bias: float = Field(0.5, description="Added to the raw density before the exponential.")
     surroundings_bias: float = Field(
@@ -109,6 +115,15 @@ class LossConfig(Schema):
     orientation: float = Field(0.1, ge=0, description="Visible normals face the camera.")
     predicted_normals: float = Field(3e-4, ge=0, description="Predicted normals follow the density's.")
     decay: float = Field(0.1, ge=0, description="Mean square of the table's values, per level.")
+    bounded_distortion: float | None = Field(
+        None, ge=0, description="Distortion where the object is all there is; none: the same."
+    )
+    bounded_decay: float | None = Field(None, ge=0, description="Decay where the object is all there is; none: the same.")
+
+    def in_scene(self, *, bounded: bool) -> "LossConfig":
+        """The weights that count in a scene with surroundings, or without."""
+        own = {"distortion": self.bounded_distortion, "decay": self.bounded_decay} if bounded else {}
+        return self.model_copy(update={name: weight for name, weight in own.items() if weight is not None})
 
 
 class TrainConfig(Schema):

@@ -268,5 +268,7 @@ def _commands(run: Run, out: Path, calibration: Path | None) -> str:
     budget = run.content.get("budget_s")
     scale = f" --set scale={run.config.scale:g}" if run.config.scale != 1 else ""
     train = f"reconstruct train {run.scene_path} --model {run.config.model} --preset {run.config.preset}{scale}"
+    if "from" in run.content:
+        train = f"reconstruct train --from {run.content['from']} --finetune"
     lines = [f"{train}{f' --budget {budget:g}' if budget else ''} --out {path}", f"reconstruct eval {path}"]
     return "\n".join([*lines, f"reconstruct report {path}{f' --calibration {calibration}' if calibration else ''} --out {out}"])

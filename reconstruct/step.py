@@ -219,6 +219,7 @@ class StepFunctions:
     def _loss(self, model: Model, batch, keys):
         rays, colour, used, samples = batch
         config, terms, footprint = self.config, {}, Footprint()
+        weights = config.losses.in_scene(bounded=self._bounded)
         if samples is None:
             samples, sdist, levels, footprint = self.propose(model, rays, keys["samples"])
         cloud = cloud_of(rays, samples, bounded=self._bounded, footprint=footprint)
@@ -226,15 +227,15 @@ class StepFunctions:
         if model.per_image is not None:
             rendered = rendered.exposed((model.per_image - jnp.mean(model.per_image, 0))[rays.view])
         background = jax.random.uniform(keys["background"], (rays.origins.shape[0], 3))
-        terms |= objective.photometric(rendered, colour, background, used, config.losses.charbonnier)
+        terms |= objective.photometric(rendered, colour, background, used, weights.charbonnier)
         if model.proposals:
-            terms |= objective.interlevel_terms(sdist, rendered.weights, levels, config.losses.interlevel)
-        if config.losses.distortion:
-            terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), config.losses.distortion)
-        if config.losses.decay:
-            terms |= objective.decay_term(model, config.losses.decay)
+            terms |= objective.interlevel_terms(sdist, rendered.weights, levels, weights.interlevel)
+        if weights.distortion:
+            terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), weights.distortion)
+        if weights.decay:
+            terms |= objective.decay_term(model, weights.decay)
         surface = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
-        terms |= objective.surface_point_terms(model.field, rays, surface, config.losses, self._place)
+        terms |= objective.surface_point_terms(model.field, rays, surface, weights, self._place)
         return objective.total(terms), (terms, jax.lax.stop_gradient(density), surface)
 
     def propose(self, model: Model, rays: Rays, key: PRNGKeyArray | None):

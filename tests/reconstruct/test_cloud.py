@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.cloud import GAUSSIAN_SCALE, Cloud, _perpendicular, hexagons_in_frustums, points_on_rays
+from reconstruct.cloud import GAUSSIAN_SCALE, Cloud, _perpendicular, gaussians_in_frustums, hexagons_in_frustums, points_on_rays
 from reconstruct.contraction import contract, contraction_scale
 from reconstruct.encodings.lattice import PermutohedralLattice
 from reconstruct.rays import Rays
@@ -90,3 +90,18 @@ def test_features_are_averaged_over_groups_in_contracted_space() -> None:
     averaged, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, scale, False, 6))
     np.testing.assert_allclose(averaged, features, atol=1e-9)
     assert jacobian.shape == (4, 3, 3)
+
+
+@pytest.mark.parametrize(("t0", "t1"), [(1.0, 1.2), (0.5, 3.0), (1e-3, 1.0), (2.0, 2.0)])
+def test_one_gaussian_has_the_frustum_s_mean_and_variances(t0: float, t1: float) -> None:
+    """Mean, and the diagonal of the covariance, of a uniform conical frustum by numerical integration."""
+    rays = some_rays()
+    middle, half = jnp.full(5, (t0 + t1) / 2), jnp.full(5, (t1 - t0) / 2)
+    cloud = jax.jit(gaussians_in_frustums, static_argnums=4)(rays, jnp.arange(5), middle, half, True)
+    mean_t, var_t, var_r = frustum_moments(t0, t1, 0.05)
+    origins, directions = (np.asarray(a, np.float64) for a in (rays.origins, rays.directions))
+    np.testing.assert_allclose(cloud.points.T, origins + mean_t * directions, atol=3e-6)
+    squared = directions**2
+    expected = var_t * squared + var_r * (1 - squared / squared.sum(-1, keepdims=True))
+    np.testing.assert_allclose(np.asarray(cloud.scale.T) ** 2, expected, rtol=2e-3, atol=2e-8)  # at (2, 2) of float32 rounding
+    assert cloud.scale.shape == (3, 5) and cloud.group == 1

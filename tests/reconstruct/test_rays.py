@@ -63,3 +63,14 @@ def test_pixels_come_with_their_own_ray_and_colour(make_scene: Callable[..., Sce
         np.testing.assert_allclose(rays.origins[row], origins[i % size], atol=1e-6)
         np.testing.assert_allclose(rays.directions[row], directions[i % size], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(rays.viewdirs, axis=-1), 1, atol=1e-6)
+
+
+def test_held_out_pixels_are_not_among_the_others(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(count=2)
+    pixels = Pixels.load(scene.views, Normalisation.of(scene), 0.5, Silent())
+    rest, held = pixels.held_out(20)
+    assert len(held.directions) == 20 and len(rest.directions) == len(pixels.directions) - 20
+    keys = lambda p: {(int(v), *d.tolist()) for v, d in zip(p.view, np.asarray(p.directions), strict=True)}  # noqa: E731
+    assert not keys(rest) & keys(held) and keys(rest) | keys(held) == keys(pixels)
+    assert keys(pixels.held_out(20)[1]) == keys(held), "the same ones when a training is resumed"
+    assert len(pixels.held_out(10**6)[1].directions) == len(pixels.directions) // 100

@@ -7,6 +7,7 @@ from scipy.stats import kstest
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.surface import (
     HALF_WIDTH,
+    ball_samples,
     find_surfaces,
     first_surface,
     neighbourhood_radius,
@@ -137,3 +138,16 @@ def test_random_rotations_are_uniform() -> None:
     turn = rotations[0] @ rotations
     angle = np.arccos(np.clip((np.trace(turn[1:], axis1=1, axis2=2) - 1) / 2, -1, 1))
     assert kstest(angle, lambda a: (a - np.sin(a)) / np.pi).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("sampling", ["lattice", "fibonacci", "random"])
+def test_ball_samples_are_unit_directions_and_radii(sampling: str) -> None:
+    directions, radii = ball_samples(jax.random.key(0), 400, 32, 0.0, sampling)
+    assert directions.shape == (400, 32, 3) and radii.shape == (32,)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-5)
+    np.testing.assert_allclose(radii, 1 if sampling == "fibonacci" else shell_radii(32), atol=1e-6)
+    # uniform over rays and samples: means of 12 800 (dependent within a ray: at most 400 free) directions
+    assert np.abs(np.asarray(directions).mean((0, 1))).max() < 5 / np.sqrt(3 * 400)
+    nearest = np.sort(np.asarray(directions @ directions.transpose(0, 2, 1)), -1)[..., -2]
+    closest = np.degrees(np.arccos(np.clip(nearest.max(-1), -1, 1))).min()
+    assert (closest < 5) == (sampling == "random"), "a lattice keeps its directions apart, chance does not"
