@@ -47,6 +47,8 @@ POLL_S, QUIET_S = 1.0, 300.0
 MESH_RESOLUTION = 128
 PATH = "path.yaml"
 """In the run's folder: what the path editor writes."""
+DEPTHS = (0.01, 50.0)
+"""Distances of cameras from what they look at [world unit] whose depths the browser can tell apart; it counts to 167 in steps of 1e-5."""
 NOTHING = "nothing"
 """Channel that leaves the page to cameras and mesh."""
 logger = logging.getLogger(__name__)
@@ -186,7 +188,8 @@ class RunView:
         if self.wipe.value:
             picture = wiped(picture, self._photograph_from(eye, picture), self.share.value)
         shown = (255 * picture + 0.5).astype(np.uint8)
-        client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=hiding_depth(values))
+        depth = hiding_depth(values) if DEPTHS[0] < self.reach < DEPTHS[1] else None
+        client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
         client.flush()
 
     def _photograph_from(self, eye: Eye, like: NDArray[np.float32]) -> NDArray[np.float32]:
