@@ -174,9 +174,9 @@ def draw(rows: Sequence[Row], columns: Sequence[str]):
     for index, column in enumerate(columns):
         axes = figure.add_subplot(1, len(columns), index + 1)
         sign = 1 if column in table.HIGHER_IS_BETTER else -1
-        others = [row for row in rows if row is not base and row.values.get(column) is not None]
-        gains = [sign * (row.values[column] - (base.values.get(column) or 0.0)) for row in others]
-        axes.barh([row.label for row in others], gains, color=["#2f6fde" if gain >= 0 else "#d98324" for gain in gains])
+        found = {row.label: value for row in rows if row is not base and (value := row.values.get(column)) is not None}
+        gains = [sign * (value - (base.values.get(column) or 0.0)) for value in found.values()]
+        axes.barh(list(found), gains, color=["#2f6fde" if gain >= 0 else "#d98324" for gain in gains])
         axes.axvline(0, color="black", linewidth=0.8)
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)

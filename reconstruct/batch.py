@@ -1,6 +1,7 @@
 """How many rays a step takes: what the device has memory for, with steps and learning rate to match."""
 
 import os
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -62,7 +63,7 @@ def needed_bytes(config: Config, normalisation: Normalisation, pixels: Pixels) -
     lowered = jax.jit(functions.advance, donate_argnums=(0,)).lower(
         state, pixels, scalar(jnp.int32), scalar(jnp.float32), scalar(jnp.int32), scalar(jnp.bool_)
     )
-    planned = lowered.compile().memory_analysis()
+    planned: Any = lowered.compile().memory_analysis()
     return int(planned.temp_size_in_bytes + planned.argument_size_in_bytes)
 
 

@@ -45,11 +45,11 @@ def train(
     if (scene is None) == (from_ is None) or finetune != (from_ is not None):
         raise Misuse("give either a scene, or --from RUN --finetune")
     start_from = None if from_ is None else Run.open(from_)
-    if start_from is None:
-        config, where = load_config(model, preset, set_), find(scene)
-        loaded = load_scene(scene, measure=not resume)  # a run keeps the bounds that it began with
-    else:
+    if start_from is not None:
         config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
+    else:
+        config, where = load_config(model, preset, set_), find(str(scene))
+        loaded = load_scene(where, measure=not resume)  # a run keeps the bounds that it began with
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
@@ -176,13 +176,13 @@ def eval_command(
     from reconstruct.renders import measure
     from reconstruct.trained import Trained
 
-    if (run is None) == (renders is None) or (renders is None) != (scene is None) or (out is not None and renders is None):
-        raise Misuse("give either a run, or --renders DIR --scene SCENE")
-    if renders is not None and scene is not None:
-        result, where = measure(renders, load_scene(scene), split=split, out=out), out
-    else:
+    if run is not None and renders is None and scene is None and out is None:
         cache_compilations()
         result, where = evaluate(Trained.open(run), split=split), run / METRICS
+    elif run is None and renders is not None and scene is not None:
+        result, where = measure(renders, load_scene(scene), split=split, out=out), out
+    else:
+        raise Misuse("give either a run, or --renders DIR --scene SCENE")
     console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())
 
 

@@ -7,7 +7,7 @@ model and not to the mesh, so that a finer mesh shows the same surface in more d
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -162,10 +162,11 @@ def points_on(mesh: "trimesh.Trimesh", count: int, seed: int = 0) -> "trimesh.Po
     import trimesh
     from trimesh.sample import sample_surface
 
-    places, triangles = sample_surface(mesh, count, seed=seed)
+    places, triangles = sample_surface(mesh, count, seed=seed)[:2]
+    visual: Any = mesh.visual
     shares = trimesh.triangles.points_to_barycentric(mesh.triangles[triangles], places)[..., None]
     corners = mesh.faces[triangles]
-    colours = np.sum(mesh.visual.vertex_colors[corners][..., :3] * shares, axis=1)
+    colours = np.sum(visual.vertex_colors[corners][..., :3] * shares, axis=1)
     normals = np.sum(mesh.vertex_normals[corners] * shares, axis=1)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     rounded = np.clip(np.round(colours), 0, 255).astype(np.uint8)

@@ -78,7 +78,7 @@ def cloud_of(rays: Rays, samples: RaySamples, *, bounded: bool, footprint: Footp
     """Places of the samples."""
     if footprint.kind == "point":
         return points_on_rays(rays, samples.ray, samples.t, bounded)
-    if footprint.kind == "gaussian":
+    if footprint.turn is None:
         return gaussians_in_frustums(rays, samples.ray, samples.t, samples.length / 2, bounded)
     centre, half = samples.padded(samples.t), samples.padded(samples.length) / 2
     edges = jnp.concatenate([centre - half, centre[:, -1:] + half[:, -1:]], -1)
