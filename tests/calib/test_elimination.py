@@ -84,7 +84,7 @@ def test_certain_corners_cost_no_digits(small):
 
 
 def test_step_of_the_refinement_solves_the_dense_problem(small):
-    session, sigmas = small.session(free=FREE), refine.Sigmas(0.1, 5e-5, 2e-4)
+    session, sigmas = small.session(free=FREE), refine.Sigmas(0.1, 5e-5, 2e-4, refine.HUBER)
     linear = refine._linear(session, small.state())
     p, views = linear.by_global.shape[-1], len(small.reported)
     rows = np.zeros((len(session.view), 2, p + 6 * views))
