@@ -11,7 +11,6 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import FieldConfig
@@ -51,10 +50,18 @@ class Shading(eqx.Module):
 
 
 class Reflection(eqx.Module):
-    """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected."""
+    """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected.
+
+    What an untrained network shows decides what the training finds. With Ref-NeRF's biases half the colour is diffuse, and
+    the reflection, a product of two factors that both have to fall, dies before there is a shape to reflect it. With a
+    dark diffuse part and normals that begin as a ball's, the reflection carries the colour from the first step.
+    """
 
     view: Mlp
     ide_degree: int = eqx.field(static=True)
+    diffuse_bias: float = eqx.field(static=True)
+    specular_bias: float = eqx.field(static=True)
+    outward: float = eqx.field(static=True)
 
     heads: ClassVar[int] = 10
     """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
@@ -65,13 +72,15 @@ class Reflection(eqx.Module):
     def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "Reflection":
         """Fresh weights for the given sizes."""
         channels = field.bottleneck + ide_channels(field.ide_degree) + 1
-        return cls(_view_network(key, channels, field), field.ide_degree)
+        network = _view_network(key, channels, field)
+        return cls(network, field.ide_degree, field.diffuse_bias, field.specular_bias, field.outward)
 
-    def material(self, raw: Float[Array, "channels n"]) -> Material:
-        """Heads of the spatial network's outputs."""
+    def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
+        """Heads of the spatial network's outputs at the given places of the contracted scene."""
         return Material(
-            diffuse=jax.nn.sigmoid(raw[0:3] - np.log(3.0)), tint=jax.nn.sigmoid(raw[3:6]),
-            roughness=jax.nn.softplus(raw[6:7] - 1.0), normals_pred=-normalise(raw[7:10], axis=0), bottleneck=raw[10:],
+            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), tint=jax.nn.sigmoid(raw[3:6]),
+            roughness=jax.nn.softplus(raw[6:7] - 1.0), normals_pred=normalise(self.outward * points - raw[7:10], axis=0),
+            bottleneck=raw[10:],
         )  # fmt: skip
 
     def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
@@ -81,7 +90,7 @@ class Reflection(eqx.Module):
         reflected = 2 * facing * normals + viewdirs  # Ref-NeRF equation 4, with the direction towards the camera -viewdirs
         encoded = integrated_directional_encoding(reflected, material.roughness[0], self.ide_degree)
         raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None]]))
-        return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw))
+        return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw + self.specular_bias))
 
 
 class ViewColour(eqx.Module):
@@ -90,6 +99,7 @@ class ViewColour(eqx.Module):
     view: Mlp
     degree: int = eqx.field(static=True)
     has_diffuse: bool = eqx.field(static=True)
+    diffuse_bias: float = eqx.field(static=True)
 
     predicts_normals: ClassVar[bool] = False
 
@@ -97,17 +107,17 @@ class ViewColour(eqx.Module):
     def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "ViewColour":
         """Fresh weights for the given sizes."""
         network = _view_network(key, field.bottleneck + view_channels(field.view_degree), field)
-        return cls(network, field.view_degree, field.appearance == "view_diffuse")
+        return cls(network, field.view_degree, field.appearance == "view_diffuse", field.diffuse_bias)
 
     @property
     def heads(self) -> int:
         """Diffuse (3), where there is one; the bottleneck follows."""
         return 3 if self.has_diffuse else 0
 
-    def material(self, raw: Float[Array, "channels n"]) -> Material:
-        """Heads of the spatial network's outputs."""
+    def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
+        """Heads of the spatial network's outputs, wherever the points are."""
         count = raw.shape[1]
-        diffuse = jax.nn.sigmoid(raw[0:3] - np.log(3.0)) if self.has_diffuse else jnp.zeros((3, count))
+        diffuse = jax.nn.sigmoid(raw[0:3] + self.diffuse_bias) if self.has_diffuse else jnp.zeros((3, count))
         return Material(diffuse, jnp.ones((3, count)), jnp.zeros((1, count)), jnp.zeros((3, count)), raw[self.heads :])
 
     def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:

@@ -40,6 +40,10 @@ class Cloud(eqx.Module):
             jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
         return self._averaged(features), self._averaged(jacobian)
 
+    def centres(self) -> Float[Array, "3 n"]:
+        """Contracted coordinates of each place: the mean of its Gaussians'."""
+        return self._averaged(self.contracted()[0])
+
     def contracted(self) -> tuple[Float[Array, "3 n_group"], Scale | None]:
         """Points and scale as the encodings take them."""
         if self.bounded:

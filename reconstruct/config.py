@@ -114,6 +114,7 @@ class LossConfig(Schema):
     distortion: float = Field(0.0, ge=0, description="Weights along a ray gather (real scenes: 0.01).")
     orientation: float = Field(0.1, ge=0, description="Visible normals face the camera.")
     predicted_normals: float = Field(3e-4, ge=0, description="Predicted normals follow the density's.")
+    density_normals: float = Field(3e-4, ge=0, description="The density's normals follow the predicted ones.")
     decay: float = Field(0.1, ge=0, description="Mean square of the table's values, per level.")
     bounded_distortion: float | None = Field(
         None, ge=0, description="Distortion where the object is all there is; none: the same."

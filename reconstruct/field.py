@@ -43,7 +43,7 @@ class Field(eqx.Module):
 
     def __call__(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
         """Density [1 / scene unit] and material."""
-        return self._heads(self.spatial(cloud.encoded(self.encoding)))
+        return self._heads(self.spatial(cloud.encoded(self.encoding)), cloud)
 
     def with_normals(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
         """Density, material and unit normals: minus the direction of the density's gradient, analytically.
@@ -54,7 +54,7 @@ class Field(eqx.Module):
         raw, pull = jax.vjp(self.spatial, features)
         (sensitivity,) = pull(jnp.zeros_like(raw).at[0].set(1.0))
         gradient = jnp.einsum("cn,cxn->xn", sensitivity, jacobian)
-        return *self._heads(raw), -normalise(gradient, axis=0)
+        return *self._heads(raw, cloud), -normalise(gradient, axis=0)
 
     def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`.
@@ -67,5 +67,5 @@ class Field(eqx.Module):
     def _activated(self, raw: Float[Array, " n"]) -> Float[Array, " n"]:
         return safe_exp(raw + self.density_bias)
 
-    def _heads(self, raw: Float[Array, "channels n"]) -> tuple[Float[Array, " n"], Material]:
-        return self._activated(raw[0]), self.appearance.material(raw[1:])
+    def _heads(self, raw: Float[Array, "channels n"], cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
+        return self._activated(raw[0]), self.appearance.material(raw[1:], cloud.centres())

@@ -69,8 +69,11 @@ def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: Loss
     facing, terms = losses.orientation(normals, viewdirs), {}
     if field.appearance.predicts_normals:
         facing = facing + losses.orientation(material.normals_pred, viewdirs)
-        apart = mean(losses.normal_difference(normals, material.normals_pred))
-        terms["predicted_normals"] = config.predicted_normals * apart
+        held, still = jax.lax.stop_gradient((normals, material.normals_pred))
+        terms["predicted_normals"] = mean(
+            config.predicted_normals * losses.normal_difference(held, material.normals_pred)
+            + config.density_normals * losses.normal_difference(normals, still)
+        )
     return terms | {"orientation": config.orientation * mean(facing)}
 
 

@@ -18,7 +18,8 @@ def small(kind: str) -> FieldConfig:
 def some_material(appearance, count: int = 50) -> Material:
     """Heads of random outputs of order one."""
     raw = jax.random.normal(jax.random.key(1), (appearance.heads + 4, count))
-    return jax.jit(lambda raw: appearance.material(raw))(raw)
+    points = jax.random.uniform(jax.random.key(3), (3, count), minval=-1)
+    return jax.jit(lambda raw, points: appearance.material(raw, points))(raw, points)
 
 
 def some_viewdirs(count: int = 50) -> jax.Array:
@@ -95,8 +96,19 @@ def test_gradients_are_finite(appearance) -> None:
                            jnp.full((appearance.heads + 4, 1), -80.0)], 1)  # fmt: skip
 
     def total(raw: jax.Array) -> jax.Array:
-        shading = appearance.shade(appearance.material(raw), jnp.ones((3, 3)) / np.sqrt(3))
+        shading = appearance.shade(appearance.material(raw, jnp.zeros((3, 3))), jnp.ones((3, 3)) / np.sqrt(3))
         return jnp.sum(shading.rgb) + jnp.sum(shading.specular)
 
     value, gradient = jax.jit(jax.value_and_grad(total))(raw)
     assert np.isfinite(value) and np.isfinite(gradient).all()
+
+
+def test_an_untrained_surface_reflects_like_a_ball() -> None:
+    """Outputs of zero: the normal is the position's direction, and more light is reflected than diffuse."""
+    config = small("reflection").model_copy(update={"outward": 1.0, "diffuse_bias": -3.0, "specular_bias": -1.5})
+    appearance = create_appearance(jax.random.key(0), config)
+    points = jax.random.normal(jax.random.key(4), (3, 50))
+    material = appearance.material(jnp.zeros((appearance.heads + 4, 50)), points)
+    outward = points / jnp.linalg.norm(points, axis=0)
+    np.testing.assert_allclose(material.normals_pred, outward, atol=1e-6)  # rounding of one division in float32
+    assert appearance.shade(material, -outward).specular.mean() > material.diffuse.mean()
