@@ -6,7 +6,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
-BUDGET ?= 180
+BUDGET ?= 220
 
 # $(call step,title,command): show the title and the command, run it, show the time that it took.
 define step
