@@ -37,7 +37,7 @@ demo: $(READY)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
 
 test: $(READY)
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 test-all: $(READY)
 	$(BIN)/python -m pytest -q -m 'not hardware'
@@ -45,7 +45,7 @@ test-all: $(READY)
 check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 types: $(READY)
 	$(BIN)/pyright --pythonpath $(BIN)/python capture calib datasets reconstruct
