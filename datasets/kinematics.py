@@ -101,4 +101,8 @@ def turned(base_from_flange: ArrayLike, joints: ArrayLike, offsets: ArrayLike, l
         links: the arm's parameters.
     """
     joints = np.asarray(joints, np.float64)
-    return np.asarray(base_from_flange, np.float64) @ pose.inverse(forward(joints, links)) @ forward(joints + np.asarray(offsets, np.float64), links)
+    return (
+        np.asarray(base_from_flange, np.float64)
+        @ pose.inverse(forward(joints, links))
+        @ forward(joints + np.asarray(offsets, np.float64), links)
+    )
