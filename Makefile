@@ -45,7 +45,7 @@ test-all: $(READY)
 check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile
+	$(MAKE) test
 
 types: $(READY)
 	$(BIN)/pyright --pythonpath $(BIN)/python capture calib datasets reconstruct

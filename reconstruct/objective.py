@@ -60,7 +60,8 @@ class Place:
 
 def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: LossConfig, place: Place) -> Terms:
     """Orientation and predicted normals at the first surface of each ray, as far as they have a weight."""
-    if not (config.orientation or (config.predicted_normals and field.appearance.predicts_normals)):
+    alike = (config.predicted_normals or config.density_normals) and field.appearance.predicts_normals
+    if not (config.orientation or alike):
         return {}
     _, material, normals = field.with_normals(place.of(rays, surface))
     viewdirs = rays.viewdirs[surface.ray].T

@@ -64,4 +64,4 @@ def bytes_of(picture: Picture, width: int) -> NDArray[np.uint8]:
         values = values[..., :-1] * values[..., -1:] + 1 - values[..., -1:]
     if values.shape[-1] == 1:
         values = np.repeat(values, 3, axis=-1)
-    return images.to_uint8(np.nan_to_num(values))
+    return images.to_uint8(np.where(np.isnan(values), 0, values))  # what has no value, as depth where nothing is, is black

@@ -4,13 +4,13 @@ The simplex search is done once per sample for all levels; value and derivative 
 derivative rule never differentiates through the search: both are linear in the tables.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
-from reconstruct.encodings.encoding import Scale, blurred
+from reconstruct.encodings.encoding import blurred
+from reconstruct.encodings.grid import HashedGrid
 from reconstruct.encodings.simplex import (
     VERTICES_PER_UNIT_VOLUME,
     barycentric,
@@ -20,7 +20,7 @@ from reconstruct.encodings.simplex import (
     rank_of,
     weight_slopes,
 )
-from reconstruct.encodings.tables import PRIMES, combine, mean_squares, resolutions_between, row_of, start_values, starts
+from reconstruct.encodings.tables import PRIMES, row_of, starts
 
 
 def table_rows(e: list, code: Int[Array, "levels n"], log2_size: int) -> list[Int[Array, "levels n"]]:
@@ -42,57 +42,8 @@ def table_rows(e: list, code: Int[Array, "levels n"], log2_size: int) -> list[In
     return rows
 
 
-class PermutohedralLattice(eqx.Module):
-    """Multi-resolution lattice over the cube [-1, 1]^3 (and as far beyond as one likes: rows are hashed).
-
-    `resolutions[l]` is the number of vertices per unit length, as many per volume as a cubic grid of that spacing.
-    """
-
-    table: Float[Array, "features rows"]
-    """Channels of all levels' tables, one level after the other."""
-    blur: Float[Array, ""]
-    """Standard deviation that every point has at least; see `Encoding`."""
-    resolutions: tuple[float, ...] = eqx.field(static=True)
-    log2_size: int = eqx.field(static=True)
-
-    @classmethod
-    def create(
-        cls, key: PRNGKeyArray, *, levels: int, features: int, log2_size: int, coarsest: float, finest: float
-    ) -> "PermutohedralLattice":
-        """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`."""
-        table = start_values(key, features, levels, log2_size)
-        return cls(table, jnp.zeros(()), resolutions_between(coarsest, finest, levels), log2_size)
-
-    @property
-    def num_channels(self) -> int:
-        """Levels times features."""
-        return len(self.resolutions) * self.table.shape[0]
-
-    def __call__(self, points: Float[Array, "3 n"], scale: Scale | None = None) -> Float[Array, "channels n"]:
-        """Features of points.
-
-        Args:
-            points: coordinates in the lattice's space.
-            scale: standard deviation of the Gaussian that each point stands for; each level is weighted by
-                the share of it that a cell holds (`ball_share`). None: points have no extent.
-        """
-        return self._evaluate(points, scale, with_slopes=False)[0]
-
-    def value_and_jacobian(
-        self, points: Float[Array, "3 n"], scale: Scale | None = None
-    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
-        """Features and their derivative to the position, which is constant inside a simplex.
-
-        Both differentiable to the tables, neither to the points: where a field is looked at is data. Where the
-        share of a level depends on `scale`, that share is held constant.
-        """
-        value, *slopes = self._evaluate(points, scale, with_slopes=True)
-        return value, jnp.stack(slopes, 1)
-
-    def _evaluate(self, points, scale, *, with_slopes: bool) -> list[Float[Array, "channels n"]]:
-        """The value, and with slopes its derivatives to x, y and z."""
-        rows, coefficients = self.located(jax.lax.stop_gradient(points), scale, with_slopes=with_slopes)
-        return [jnp.concatenate(channels) for channels in combine(self.table, rows, coefficients)]
+class PermutohedralLattice(HashedGrid):
+    """Simplicial grid; levels are weighted by `ball_share`. Its derivative is constant inside a simplex."""
 
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
         """Rows of the four vertices around each point and sets of four coefficients, each (levels, n)."""
@@ -104,10 +55,6 @@ class PermutohedralLattice(eqx.Module):
         share = jax.lax.optimization_barrier(ball_share(blurred(self.blur, scale), resolution))
         coefficients = [[c * share for c in one] for one in coefficients]
         return jax.lax.optimization_barrier((table_rows(e, code, self.log2_size), coefficients))
-
-    def decay(self) -> Float[Array, ""]:
-        """Sum over levels of the mean square of the table's values (Zip-NeRF, Barron et al. 2023, section 3)."""
-        return mean_squares(self.table, len(self.resolutions))
 
 
 def ball_share(sigma: Float[Array, " n"], resolution: Float[np.ndarray, "..."]) -> Float[Array, "... n"]:

@@ -6,61 +6,21 @@ of four and trilinear weights, whose derivative changes inside a cell.
 
 from itertools import product
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
-from reconstruct.encodings.encoding import Scale, blurred
-from reconstruct.encodings.tables import PRIMES, combine, mean_squares, resolutions_between, row_of, start_values, starts
+from reconstruct.encodings.encoding import blurred
+from reconstruct.encodings.grid import HashedGrid
+from reconstruct.encodings.tables import PRIMES, row_of, starts
 
 CORNERS = tuple(product((0, 1), repeat=3))
 """Offsets of a cell's vertices from its lowest one."""
 
 
-class VoxelGrid(eqx.Module):
-    """Multi-resolution cubic grid over the cube [-1, 1]^3 (and as far beyond as one likes: rows are hashed)."""
-
-    table: Float[Array, "features rows"]
-    """Channels of all levels' tables, one level after the other."""
-    blur: Float[Array, ""]
-    """Standard deviation that every point has at least; see `Encoding`."""
-    resolutions: tuple[float, ...] = eqx.field(static=True)
-    """Cells per unit length of each level."""
-    log2_size: int = eqx.field(static=True)
-
-    @classmethod
-    def create(
-        cls, key: PRNGKeyArray, *, levels: int, features: int, log2_size: int, coarsest: float, finest: float
-    ) -> "VoxelGrid":
-        """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`."""
-        table = start_values(key, features, levels, log2_size)
-        return cls(table, jnp.zeros(()), resolutions_between(coarsest, finest, levels), log2_size)
-
-    @property
-    def num_channels(self) -> int:
-        """Levels times features."""
-        return len(self.resolutions) * self.table.shape[0]
-
-    def __call__(self, points: Float[Array, "3 n"], scale: Scale | None = None) -> Float[Array, "channels n"]:
-        """Features of points; each level is weighted by the share of the Gaussian that a cell holds (`cube_share`)."""
-        return self._evaluate(points, scale, with_slopes=False)[0]
-
-    def value_and_jacobian(
-        self, points: Float[Array, "3 n"], scale: Scale | None = None
-    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
-        """Features and their derivative to the position, both differentiable to the tables, neither to the points."""
-        value, *slopes = self._evaluate(points, scale, with_slopes=True)
-        return value, jnp.stack(slopes, 1)
-
-    def decay(self) -> Float[Array, ""]:
-        """Sum over levels of the mean square of the table's values."""
-        return mean_squares(self.table, len(self.resolutions))
-
-    def _evaluate(self, points, scale, *, with_slopes: bool) -> list[Float[Array, "channels n"]]:
-        rows, coefficients = self.located(jax.lax.stop_gradient(points), scale, with_slopes=with_slopes)
-        return [jnp.concatenate(channels) for channels in combine(self.table, rows, coefficients)]
+class VoxelGrid(HashedGrid):
+    """Cubic grid; levels are weighted by `cube_share`. Its derivative changes inside a cell."""
 
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
         """Rows of the eight vertices around each point and sets of eight coefficients, each (levels, n)."""

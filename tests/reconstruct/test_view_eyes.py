@@ -140,6 +140,7 @@ def test_a_new_model_is_shown_to_all(made: Any) -> None:
     wait_for(lambda: len(painter.shown) == 2)
     eyes.again()
     wait_for(lambda: len(painter.shown) == 4)
+    assert sorted(painter.shown) == [(1, LEVELS[0])] * 2 + [(2, LEVELS[0])] * 2
 
 
 def test_no_level_no_pictures(made: Any) -> None:

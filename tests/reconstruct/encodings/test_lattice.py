@@ -11,12 +11,6 @@ LOCATE = jax.jit(lambda grid, points: grid.located(points, None, with_slopes=Tru
 
 
 @pytest.fixture(scope="module")
-def points() -> jax.Array:
-    """(3, 400) points of [-1.5, 1.5]^3, float32."""
-    return jnp.asarray(np.random.default_rng(0).uniform(-1.5, 1.5, (3, 400)), jnp.float32)
-
-
-@pytest.fixture(scope="module")
 def grid() -> PermutohedralLattice:
     made = PermutohedralLattice.create(jax.random.key(1), levels=3, features=2, log2_size=12, coarsest=2.0, finest=9.0)
     return jax.tree.map(lambda table: table * 1e4, made)  # values of order one, so that differences show
