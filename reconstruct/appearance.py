@@ -1,6 +1,7 @@
 """From what the spatial network knows of a point to its colour: one class per way to look at light.
 
     Reflection    Ref-NeRF (Verbin et al. 2022, section 3): srgb(diffuse + tint * specular(reflected direction, roughness, n . v))
+    Matte         srgb(diffuse), from wherever it is seen
     ViewColour    NeRF, Mip-NeRF, Zip-NeRF: colour(view direction); with a diffuse colour, srgb(diffuse + specular(view direction))
 
 Points, directions and channels come first: (3, n), (channels, n).
@@ -129,11 +130,35 @@ class ViewColour(eqx.Module):
         return Shading(colour * 1.002 - 0.001, linear_from_srgb(colour))
 
 
-Appearance = Reflection | ViewColour
+class Matte(eqx.Module):
+    """What is left of `Reflection` where nothing is reflected: the diffuse colour, and normals that the density's follow."""
+
+    diffuse_bias: float = eqx.field(static=True)
+    outward: float = eqx.field(static=True)
+
+    heads: ClassVar[int] = 6
+    """Diffuse (3), normal (3); the bottleneck follows."""
+    has_diffuse: ClassVar[bool] = True
+    predicts_normals: ClassVar[bool] = True
+
+    def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
+        """Heads of the spatial network's outputs at the given places of the contracted scene."""
+        dark = jnp.zeros((3, raw.shape[1]))
+        normals = normalise(self.outward * points - raw[3:6], axis=0)
+        return Material(jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), dark, dark[:1], normals, raw[self.heads :])
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """The same colour from all sides."""
+        return _sum_of_parts(material.diffuse, jnp.zeros_like(material.diffuse))
+
+
+Appearance = Reflection | Matte | ViewColour
 
 
 def create_appearance(key: PRNGKeyArray, field: FieldConfig) -> Appearance:
     """The appearance that a configuration names."""
+    if field.appearance == "diffuse":
+        return Matte(field.diffuse_bias, field.outward)
     kind = Reflection if field.appearance == "reflection" else ViewColour
     return kind.create(key, field)
 

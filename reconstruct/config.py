@@ -26,13 +26,19 @@ class EncodingConfig(Schema):
         description="Vertices per unit of the normalised scene at the coarsest level; radians per unit for frequencies.",
     )
     finest: float = Field(256.0, gt=0, description="The same at the finest level.")
+    volume: float | None = Field(
+        None,
+        gt=0,
+        description="Volume that can hold anything [scene unit^3]: levels with few vertices in it get small tables; none: all full.",
+    )
 
 
 class FieldConfig(Schema):
     """The network behind the encoding."""
 
-    appearance: Literal["reflection", "view", "view_diffuse"] = Field(
-        "reflection", description="Colour by reflected direction (Ref-NeRF), by view direction, or by that and a diffuse colour."
+    appearance: Literal["reflection", "view", "view_diffuse", "diffuse"] = Field(
+        "reflection",
+        description="Colour by reflected direction (Ref-NeRF), by view direction, by that and a diffuse colour, or by none.",
     )
     spatial_width: int = Field(64, ge=1, description="Width of the spatial layers.")
     spatial_depth: int = Field(1, ge=1, description="Number of spatial layers.")
@@ -149,6 +155,24 @@ class TrainConfig(Schema):
     checkpoint_s: float = Field(60.0, gt=0, description="Seconds between checkpoints.")
 
 
+class SkipConfig(Schema):
+    """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has what it costs."""
+
+    surroundings: bool = Field(True, description="Contraction and background, where pictures carry an alpha.")
+    empty_rays: bool = Field(
+        True, description="Space that masks or the occupancy grid rule out, and rays that meet nothing else."
+    )
+    fine_levels: bool = Field(False, description="Levels finer than the smallest footprint of a pixel at the surface.")
+    table_size: bool = Field(True, description="Rows that levels with few vertices in the occupied space cannot fill.")
+    multisampling: bool = Field(False, description="Six Gaussians per frustum, where pixels' footprints are alike everywhere.")
+    reflection: bool = Field(
+        False, description="The specular branch and its regularisers, where a pilot training gains nothing by them."
+    )
+    consistent_passes: bool = Field(False, description="Second passes, while the last one found normals that agree already.")
+    converged: bool = Field(False, description="Training on, once held-out pixels get no better.")
+    distortion: bool = Field(True, description="Undistorting the pixels of pinhole cameras.")
+
+
 class Config(Schema):
     """Everything that decides what a training makes of a scene."""
 
@@ -161,6 +185,7 @@ class Config(Schema):
     surface: SurfaceConfig = SurfaceConfig()
     losses: LossConfig = LossConfig()
     train: TrainConfig = TrainConfig()
+    skip: SkipConfig = SkipConfig()
 
     def with_surroundings(self) -> "Config":
         """The configuration for a scene that is more than its object's box."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.encodings.encoding import Scale
-from reconstruct.encodings.tables import combine, mean_squares, resolutions_between, start_values
+from reconstruct.encodings.tables import combine, fitting_sizes, mean_squares, resolutions_between, start_values
 
 
 class HashedGrid(eqx.Module):
@@ -20,15 +20,30 @@ class HashedGrid(eqx.Module):
     """Standard deviation that every point has at least; see `Encoding`."""
     resolutions: tuple[float, ...] = eqx.field(static=True)
     """Vertices per unit length of each level, or for other cells than cubes as many per volume as cubes of that spacing."""
-    log2_size: int = eqx.field(static=True)
+    log2_sizes: tuple[int, ...] = eqx.field(static=True)
+    """Rows of each level, as a power of two."""
 
     @classmethod
     def create(
-        cls, key: PRNGKeyArray, *, levels: int, features: int, log2_size: int, coarsest: float, finest: float
+        cls,
+        key: PRNGKeyArray,
+        *,
+        levels: int,
+        features: int,
+        log2_size: int,
+        coarsest: float,
+        finest: float,
+        volume: float | None = None,
     ) -> "HashedGrid":
-        """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`."""
-        table = start_values(key, features, levels, log2_size)
-        return cls(table, jnp.zeros(()), resolutions_between(coarsest, finest, levels), log2_size)
+        """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`.
+
+        Args:
+            log2_size: rows of a level's table, as a power of two.
+            volume: where anything can be; see `fitting_sizes`.
+        """
+        resolutions = resolutions_between(coarsest, finest, levels)
+        sizes = fitting_sizes(resolutions, log2_size, volume)
+        return cls(start_values(key, features, sizes), jnp.zeros(()), resolutions, sizes)
 
     @property
     def num_channels(self) -> int:
@@ -58,7 +73,7 @@ class HashedGrid(eqx.Module):
 
     def decay(self) -> Float[Array, ""]:
         """Sum over levels of the mean square of the table's values (Zip-NeRF, Barron et al. 2023, section 3)."""
-        return mean_squares(self.table, len(self.resolutions))
+        return mean_squares(self.table, self.log2_sizes)
 
     @abstractmethod
     def located(self, points: Float[Array, "3 n"], scale: Scale | None, *, with_slopes: bool) -> tuple[list, list]:

@@ -23,22 +23,22 @@ from reconstruct.encodings.simplex import (
 from reconstruct.encodings.tables import PRIMES, row_of, starts
 
 
-def table_rows(e: list, code: Int[Array, "levels n"], log2_size: int) -> list[Int[Array, "levels n"]]:
-    """Rows of the four vertices in tables of 2^log2_size: a linear hash of three coordinates, then a mixing step.
+def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:
+    """Rows of the four vertices in the levels' tables: a linear hash of three coordinates, then a mixing step.
 
     Vertex k is 4 * origin + k, minus 4 in the coordinates whose rank exceeds 3 - k, so that its hash differs from the
-    origin's by constants. Level l's rows start at l * 2^log2_size.
+    origin's by constants.
     """
     steps = [np.uint32(4 * p % 2**32) for p in PRIMES]
     base = sum(origin_of(e, code, i).astype(jnp.uint32) * step for i, step in enumerate(steps))
-    start = starts(code.shape[0], log2_size)
+    start = starts(log2_sizes)
     rows = []
     for k in range(4):
         key = base + np.uint32(k * sum(PRIMES) % 2**32)
         if k:
             for i, step in enumerate(steps):
                 key = key - jnp.where(rank_of(code, i) > 3 - k, step, np.uint32(0))
-        rows.append(row_of(key, log2_size) + start)
+        rows.append(row_of(key, log2_sizes) + start)
     return rows
 
 
@@ -54,7 +54,7 @@ class PermutohedralLattice(HashedGrid):
         resolution = np.array(self.resolutions, np.float32)[:, None]
         share = jax.lax.optimization_barrier(ball_share(blurred(self.blur, scale), resolution))
         coefficients = [[c * share for c in one] for one in coefficients]
-        return jax.lax.optimization_barrier((table_rows(e, code, self.log2_size), coefficients))
+        return jax.lax.optimization_barrier((table_rows(e, code, self.log2_sizes), coefficients))
 
 
 def ball_share(sigma: Float[Array, " n"], resolution: Float[np.ndarray, "..."]) -> Float[Array, "... n"]:
