@@ -39,11 +39,11 @@ def choose_format(wanted: str, offered: Collection[str], *, where: str) -> str:
 def colours(raw: Pixels, name: str) -> Pixels:
     """(height, width, 3) sRGB picture of what a camera sent in the format `name`.
 
-    Colour formats are passed on. Raw photosites (height, width) are linear: missing colours are interpolated along edges
-    (OpenCV's edge-aware method), then brought to sRGB; 8 bits stay 8, 12 bits fill 16.
+    Colour formats are passed on, and not copied. Raw photosites (height, width) are linear: missing colours are interpolated along
+    edges (OpenCV's edge-aware method), then brought to sRGB; 8 bits stay 8, 12 bits fill 16.
     """
     if not name.startswith("Bayer"):
-        return np.array(raw, copy=True)
+        return np.ascontiguousarray(raw)
     import cv2
 
     # OpenCV names a pattern after the second and third photosite of the second row: the opposite corner of ours

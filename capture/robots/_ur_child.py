@@ -15,7 +15,8 @@ import time
 from typing import Any
 
 MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
-"""The client is asked this often in motion and for a while after it (or at its frequency), and else [s]."""
+"""The client is asked this often in motion and for a while after it (or at twice its frequency, so that no state waits for more than
+half a period), and else [s]."""
 KICK_S = 0.05
 VARIABLES = [
     "timestamp",
@@ -124,7 +125,7 @@ def main() -> None:
             _say(link, {"failed": str(error)})
         os._exit(1)
     with contextlib.suppress(OSError, KeyboardInterrupt):  # the parent has gone, or the whole group was interrupted
-        _serve(client, link, min(MAX_BUSY_PERIOD_S, 1.0 / options["frequency"]))
+        _serve(client, link, min(MAX_BUSY_PERIOD_S, 0.5 / options["frequency"]))
     os._exit(0)
 
 

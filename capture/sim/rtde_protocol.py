@@ -6,6 +6,7 @@ A packet is uint16 size (header included), uint8 type, payload (Universal Robots
 import re
 import struct
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 PROTOCOL_VERSION, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA = (ord(letter) for letter in "VvOISPU")
@@ -43,6 +44,7 @@ TYPES: dict[str, str] = {
 _REGISTER = re.compile(r"(input|output)_(int|double|bit)_register_(\d{1,3})$")
 
 
+@lru_cache(1024)
 def type_of(name: str) -> str:
     """RTDE type of a variable; NOT_FOUND where there is none of that name."""
     register = _REGISTER.match(name)
@@ -54,6 +56,7 @@ def type_of(name: str) -> str:
     return TYPES.get(name, "NOT_FOUND")
 
 
+@lru_cache(1024)
 def register_of(name: str) -> tuple[str, int] | None:
     """("int" or "double", number) of an int or double register of either direction, else None."""
     register = _REGISTER.match(name)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from capture.sim import dashboard, rtde_protocol
-from capture.sim.arm import Arm, RobotMode, Safety
+from capture.sim.arm import Arm
+from capture.sim.outputs import Outputs
 from capture.sim.rtde_protocol import packet
 from capture.sim.script import ControlProgram
 from capture.sim.session import Session
@@ -19,7 +20,6 @@ from datasets import pose
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 VERSION = (5, 11, 5, 1010327)
-STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 
 
 class ControllerServer:
@@ -118,58 +118,21 @@ class ControllerServer:
                 program.cycle(now)
         if self.silent:
             return
-        wall, values = time.monotonic(), None
+        wall, outputs = time.monotonic(), Outputs(self, now)
         for session in list(self.sessions):
             if session.streaming and session.output is not None and wall >= session.due_s:
-                values = values or self.variables(now)
                 session.due_s = max(session.due_s + session.period_s, wall)
                 session.send(
-                    packet(
-                        rtde_protocol.DATA, b"\x01" + session.output.pack([self._value(values, n) for n in session.output.names])
-                    )
+                    packet(rtde_protocol.DATA, b"\x01" + session.output.pack([outputs[n] for n in session.output.names]))
                 )
 
-    def variables(self, now: float) -> dict[str, Any]:
-        """Name to value of what changes; every other variable is zero."""
-        arm = self.arm
-        target, target_speeds, target_accelerations = arm.target(now)
-        joints, speeds = arm.actual(now)
-        safe, powered = arm.safety is Safety.NORMAL, arm.mode is RobotMode.RUNNING
-        emergency = arm.safety is Safety.ROBOT_EMERGENCY_STOP
-        return {
-            "timestamp": now, "target_q": target, "target_qd": target_speeds, "target_qdd": target_accelerations,
-            "actual_q": joints, "actual_qd": speeds,
-            "actual_TCP_pose": self._tcp_pose(joints), "target_TCP_pose": self._tcp_pose(target),
-            "robot_mode": int(arm.mode), "safety_mode": int(arm.safety), "joint_mode": [253] * 6,
-            "runtime_state": RUNNING_STATE if self.program_running else PAUSED_STATE if self.program_paused else STOPPED_STATE,
-            "robot_status_bits": int(powered) | int(self.program_running) << 1,
-            "safety_status_bits": int(safe) | int(arm.safety is Safety.PROTECTIVE_STOP) << 2 | int(emergency) << 6
-            | int(emergency) << 7 | int(not safe) << 10,
-            "speed_scaling": arm.speed_fraction, "target_speed_fraction": arm.speed_fraction,
-            "actual_main_voltage": 48.0, "actual_robot_voltage": 48.0, "joint_temperatures": [30.0] * 6,
-            "actual_digital_output_bits": self.digital_outputs,
-        }  # fmt: skip
-
-    def _tcp_pose(self, joints: np.ndarray) -> np.ndarray:
-        """Position [m] and rotation vector [rad]; kept for the arm at rest, which asks for the same one again and again."""
+    def tcp_pose(self, joints: np.ndarray) -> np.ndarray:
+        """(6,) position [m] and rotation vector [rad]; kept for the arm at rest, which asks for the same one again and again."""
         key = joints.tobytes() + self.arm.flange_from_tcp.tobytes()
         if key not in self._poses:
             base_from_tcp = self.arm.base_from_tcp(joints)
             self._poses = {key: np.concatenate([base_from_tcp[:3, 3], pose.rotation_vector(base_from_tcp)])}
         return self._poses[key]
-
-    def _value(self, values: dict[str, Any], name: str) -> Any:
-        if name in values:
-            return values[name]
-        register = rtde_protocol.register_of(name)
-        if register is not None:
-            kind, number = register
-            program = self.program
-            if program is None or not name.startswith("output"):
-                return 0
-            return (program.output_ints if kind == "int" else program.output_doubles)[number]
-        kind = rtde_protocol.type_of(name)
-        return [0] * {"VECTOR3D": 3}.get(kind, 6) if kind.startswith("VECTOR") else 0
 
     async def rtde(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one RTDE connection."""

@@ -29,6 +29,19 @@ def test_delivers_the_fed_picture_unchanged(picture):
     assert second.host_time_ns > first.host_time_ns
 
 
+def test_a_picture_stays_as_it_is_while_more_are_taken(picture, tmp_path):
+    """Pylon uses its buffers again and again."""
+    path, pixels = picture
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(path)
+        kept = camera.grab()
+        images.write(tmp_path / "other.png", 255 - pixels)
+        camera.feed(str(tmp_path / "other.png"))
+        others = [camera.grab() for _ in range(12)]
+    assert np.array_equal(others[-1].pixels, 255 - pixels)  # the premise
+    assert np.array_equal(kept.pixels, pixels)
+
+
 @pytest.mark.parametrize(("name", "kind"), [("bayer8", np.uint8), ("bayer12", np.uint16)])
 def test_raw_formats_become_colours(tmp_path, name, kind):
     """The emulation makes photosites of the picture's values as they are, so these are the linear ones."""
