@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from calib import bench, bench_report, ratios
+from calib import bench, bench_report, handeye, ratios
 
 POINTS = [bench.Point(0.1, 0.03, 0.005, 8), bench.Point(1.0, 0.03, 0.005, 8), bench.Point(0.1, 0.03, 0.005, 10, bench.ESTIMATED)]
 
@@ -52,6 +52,37 @@ def test_a_refinement_that_failed_is_worse_than_anything():
     result = bench.measure(POINTS[0], 2, np.random.default_rng(0))
     result.methods[bench.REFINED].failures = 1
     assert result.against_best() == result.against_bound() == (ratios.WORSE, ratios.WORSE)
+
+
+def drawn_result(rng, trials, sigma):
+    """Seven closed forms as good as the refinement, each with a little luck of its own."""
+    common = rng.normal(size=trials)
+    methods = {name: bench.Errors() for name in (*handeye.METHODS, bench.REFINED, bench.DRAWN)}
+    for name, errors in methods.items():
+        own = 0.0 if name == bench.DRAWN else sigma
+        errors.translation_mm = list(common + own * rng.normal(size=trials))
+        errors.rotation_deg = errors.translation_mm
+    return bench.Result(POINTS[0], methods, (1.0, 1.0))
+
+
+def test_the_best_of_seven_is_chosen_without_luck():
+    rng = np.random.default_rng(3)
+    lucky, fair = [], []
+    for _ in range(60):
+        result = drawn_result(rng, 200, 0.1)
+        best = result.methods[result.best[0]].translation_mm
+        lucky.append(ratios.of_errors(result.methods[bench.REFINED].translation_mm, best).value)
+        fair.append(result.against_best()[0].value)
+    # one pair's ratio scatters by 0.1 * sqrt(2 / 200) = 0.010, the best of seven lies 1.35 deviations of its own out
+    assert np.mean(lucky) > 1.006
+    assert np.mean(fair) == pytest.approx(1.0, abs=4 * 0.010 / np.sqrt(60))
+
+
+def test_close_calls_get_more_trials():
+    arm_alone, corners_alone = bench.Point(0.0, 1.0, 0.0, 6), bench.Point(0.1, 0.0, 0.0, 6)
+    assert bench.measure(arm_alone, 10, np.random.default_rng(0), more=3).trials == 30
+    assert bench.measure(corners_alone, 10, np.random.default_rng(0), more=3).trials == 10
+    assert bench.measure(bench.Point(0.0, 0.0, 0.0, 6), 2, np.random.default_rng(0), more=3).trials == 2  # all are exact
 
 
 def test_full_grid_has_the_promised_extent():
