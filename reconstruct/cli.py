@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from datasets import console
+from reconstruct.bench import commands as bench_commands
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, measure it, and take pictures and geometry out of it.")
+app.add_typer(bench_commands.app, name="bench")
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
 
@@ -31,6 +33,9 @@ def train(
         int | None, typer.Option(min=256, help="Rays per step; rate and steps follow by the linear scaling rule.")
     ] = None,
     finetune: Annotated[bool, typer.Option("--finetune", help="With --from: go on with the surface regularisers.")] = False,
+    no_skip: Annotated[
+        list[str] | None, typer.Option("--no-skip", metavar="NAME", help="Leave this in, needed or not; repeatable.")
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
     """Train a model on a scene's training views."""
@@ -40,8 +45,10 @@ def train(
     from reconstruct.batch import scaled
     from reconstruct.models import finetuned, load_config
     from reconstruct.run import Run
+    from reconstruct.skipping import record
     from reconstruct.train import train as run_training
 
+    set_ = [*(set_ or ()), *record.forced(no_skip or ())]
     if (scene is None) == (from_ is None) or finetune != (from_ is not None):
         raise Misuse("give either a scene, or --from RUN --finetune")
     start_from = None if from_ is None else Run.open(from_)
@@ -53,9 +60,10 @@ def train(
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
+    skips = "".join(f"{record.Skip(**skip).line()}\n" for skip in result["skips"])
     unseen = f", {result['psnr_unseen']:.2f} dB on unseen pixels" if result["psnr_unseen"] is not None else ""
     console.report(result, as_json=as_json, text=(
-        f"trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
+        f"{skips}trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
         f"{result['compilation_s']:.0f} s to compile): {result['psnr_train']:.2f} dB on training rays{unseen}\n{out}"))  # fmt: skip
 
 
@@ -116,6 +124,27 @@ def ablate_command(
     cache_compilations()
     result = ablate.run(study, out)
     console.report(result, as_json=as_json, text=f"{(out / 'table.md').read_text(encoding='utf-8').rstrip()}\n{out}")
+
+
+@app.command("skips")
+def skips_command(
+    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scene folders, as for 'train'.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the comparison; one that was broken off is gone on with.")],
+    names: Annotated[list[str] | None, typer.Option("--skip", metavar="NAME", help="Only this one; repeatable.")] = None,
+    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.")] = "surfnerf",
+    preset: Annotated[str, typer.Option(help="fast or paper.")] = "fast",
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Override a setting in all trainings: key=value; repeatable.")
+    ] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Measure what each skip costs in error and saves in time: trains with it and without it."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.skipping import bench
+
+    cache_compilations()
+    results = bench.run(scenes, out, names=names or (), model=model, preset=preset, overrides=set_ or ())
+    console.report({"skips": bench.rows(results)}, as_json=as_json, text=f"{bench.markdown(results).rstrip()}\n{out}")
 
 
 @app.command("sweep")

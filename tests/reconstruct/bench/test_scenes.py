@@ -1,0 +1,112 @@
+"""Scenes on disk: readable by every command, true to their shape, the same every time."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from datasets import images
+from datasets.check import check
+from datasets.errors import Misuse
+from datasets.formats import load_scene
+from datasets.scene import Scene
+from reconstruct.bench import scenes, shiny
+from reconstruct.bench.scenes import camera_of, places, provide, seen, write, write_mesh
+
+
+@pytest.fixture(scope="module")
+def ball_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The chrome ball, small."""
+    folder = tmp_path_factory.mktemp("bench") / "chrome_ball"
+    write("chrome_ball", folder, size=40, train=4, test=2)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def ball(ball_folder: Path) -> Scene:
+    """It, read again."""
+    return load_scene(ball_folder)
+
+
+def test_the_truth_of_a_ball_is_a_ball(ball: Scene) -> None:
+    radius = 0.8 * shiny.RADIUS_M
+    for view in ball.split("test"):
+        alpha, depth, normals = (view.read_truth(name) for name in ("alpha", "depth", "normals"))
+        whole = alpha[..., 0] > 0.99
+        assert 0.2 < whole.mean() < 0.8
+        rays = view.camera.directions(view.camera.pixel_centres()) @ view.world_from_camera[:3, :3].T
+        points = view.world_from_camera[:3, 3] + depth * rays
+        # a pixel is 1.2 mm of the ball wide: within it depth and normal vary
+        np.testing.assert_allclose(np.linalg.norm(points[whole], axis=-1), radius, atol=4e-4)
+        off = np.rad2deg(np.arccos(np.clip((normals * points).sum(-1)[whole] / radius, -1, 1)))
+        assert np.median(off) < 0.3
+
+
+def test_pictures_are_the_sum_of_their_parts(ball: Scene) -> None:
+    view = ball.split("test")[0]
+    light = view.read_truth("diffuse") + view.read_truth("specular")
+    picture, alpha = view.read(), view.read_truth("alpha")
+    whole = alpha[..., 0] > 0.99
+    expected = np.clip(images.srgb_from_linear(light), 0, 1)
+    np.testing.assert_allclose(picture[whole][:, :3], expected[whole], atol=0.004)  # 8 bits, and alpha of almost one
+    np.testing.assert_allclose(picture[..., 3:], alpha, atol=0.0021)
+
+
+def test_scenes_pass_the_check(ball: Scene) -> None:
+    assert not [finding for finding in check(ball, quick=True) if finding.level == "error"]
+    assert ball.metric and len(ball.split("train")) == 4 and len(ball.split("test")) == 2
+    high = ball.box[1]
+    np.testing.assert_allclose(high, 0.8 * shiny.RADIUS_M * (1 + 2 * scenes.MARGIN), rtol=0.02)
+    assert ball.near < ball.far < 1
+
+
+def test_the_mesh_is_the_surface(ball_folder: Path) -> None:
+    mesh = trimesh.load_mesh(ball_folder / "truth" / "object.ply")
+    assert mesh.is_watertight and mesh.volume > 0  # triangles face outwards
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 0.8 * shiny.RADIUS_M, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gold_rings", "teapot", "lacquered_box", "three_metals"])
+def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> None:
+    tracer = shiny.SCENES[name]()
+    box = write_mesh(tracer, tmp_path / "object.ply", cells=64)
+    assert (np.abs(box) < shiny.RADIUS_M).all()
+    mesh = trimesh.load_mesh(tmp_path / "object.ply")
+    camera = camera_of(32)
+    maps = seen(tracer, camera, matrix := places(5, 0)[2])
+    whole = maps["alpha"][..., 0] > 0.99
+    points = matrix[:3, 3] + maps["depth"] * (camera.directions(camera.pixel_centres()) @ matrix[:3, :3].T)
+    _, distance, _ = trimesh.proximity.closest_point(mesh, points[whole][::7])
+    assert np.median(distance) < 1e-4  # a tenth of a millimetre; a pixel is 7 mm wide here
+
+
+def test_scenes_are_different_from_each_other_and_the_same_again() -> None:
+    camera, matrix = camera_of(24), places(4, 0)[1]
+    pictures = {name: seen(made(), camera, matrix) for name, made in shiny.SCENES.items()}
+    for name, maps in pictures.items():
+        again = seen(shiny.SCENES[name](), camera, matrix)
+        assert all((again[channel] == values).all() for channel, values in maps.items())
+        assert 0.1 < maps["alpha"].mean() < 0.8
+        assert maps["specular"].max() > 0.15
+    means = np.array(
+        [maps["specular"].sum() / maps["diffuse"].sum() if maps["diffuse"].any() else 99 for maps in pictures.values()]
+    )
+    assert means.max() > 10 and means.min() < 0.3  # from all mirror to mostly matte
+
+
+def test_what_is_there_is_kept(ball_folder: Path, tmp_path: Path) -> None:
+    before = (ball_folder / "cameras.json").stat().st_mtime_ns
+    assert not provide("chrome_ball", ball_folder, size=40, train=4, test=2)
+    assert (ball_folder / "cameras.json").stat().st_mtime_ns == before
+    with pytest.raises(Misuse, match="exists"):
+        provide("chrome_ball", ball_folder, size=48, train=4, test=2)
+    with pytest.raises(Misuse, match="did you mean 'teapot'"):
+        write("tepot", tmp_path / "tepot")
+
+
+def test_other_layouts(tmp_path: Path) -> None:
+    write("chrome_ball", tmp_path / "blender", size=24, train=2, test=1, format="blender")
+    assert (tmp_path / "blender" / "transforms_train.json").is_file()
+    scene = load_scene(tmp_path / "blender")
+    assert set(scene.split("test")[0].truth) == {"normals", "depth", "alpha", "diffuse", "specular"}
