@@ -4,11 +4,15 @@ import os
 from pathlib import Path
 
 
+def cache_folder() -> Path:
+    """Where to keep what can be made again: KOALA_CACHE, else below the user's cache folder."""
+    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koala"
+    return Path(os.environ.get("KOALA_CACHE") or default)
+
+
 def cache_compilations() -> None:
-    """Keep compiled programs on disk (KOALA_CACHE, else the user's cache folder), so that the next start is quick."""
+    """Keep compiled programs on disk (`cache_folder`), so that the next start is quick."""
     import jax
 
-    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koala"
-    folder = Path(os.environ.get("KOALA_CACHE") or default) / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

@@ -173,6 +173,17 @@ class StepFunctions:
         return None if self.mesh is None else jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec())
 
     @property
+    def rays_per_step(self) -> int:
+        """Rays drawn per step, those that meet nothing included."""
+        return self._drawn * self.config.train.accumulate
+
+    @property
+    def samples_per_step(self) -> int:
+        """Places per step at which the field is evaluated for the picture; with an occupancy grid, entries of the list, filled or not."""
+        sampler = self.config.sampler
+        return (sampler.samples if sampler.kind == "occupancy" else self._drawn * sampler.final) * self.config.train.accumulate
+
+    @property
     def _kept(self) -> int:
         """Rays of a batch once those that meet nothing are dropped."""
         sampler = self.config.sampler

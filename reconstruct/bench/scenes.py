@@ -19,7 +19,6 @@ from datasets.errors import Misuse, nearest
 from datasets.formats import koala, save_scene
 from datasets.scene import Scene, View
 from reconstruct.bench.shiny import EDITION, RADIUS_M, SCENES
-from reconstruct.bench.solids import normals
 from reconstruct.bench.tracer import Tracer
 
 SIZE, TRAIN, TEST = 200, 60, 20
@@ -30,7 +29,7 @@ SAMPLES = 3
 """Rays through a pixel, along each of its sides."""
 MARGIN = 0.04
 """Of the object's box on each side, as a share of that side."""
-MESH_CELLS = 220
+MESH_CELLS = 160
 """Cells along the side of the cube in which the surface is looked for."""
 
 
@@ -149,21 +148,20 @@ def write_mesh(tracer: Tracer, path: Path, *, cells: int = MESH_CELLS) -> NDArra
     Returns:
         (2, 3) lower and upper corner of its box.
     """
-    import jax.numpy as jnp
     import trimesh
     from skimage.measure import marching_cubes
 
     axis = np.linspace(-1, 1, cells + 1, dtype=np.float32)
-    values = np.empty((cells + 1,) * 3, np.float32)
-    for index, x in enumerate(axis):
+    slices = []
+    for x in axis:
         y, z = np.meshgrid(axis, axis, indexing="ij")
-        values[index] = np.asarray(tracer.distance(jnp.asarray(np.stack([np.full_like(y, x), y, z]).reshape(3, -1)))).reshape(
-            y.shape
-        )
-    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(2 / cells,) * 3)
-    points = jnp.asarray((vertices - 1).T.astype(np.float32))
-    for _ in range(2):
-        points = points - tracer.distance(points) * normals(tracer.distance, points)
-    mesh = trimesh.Trimesh(RADIUS_M * np.asarray(points).T, faces, process=False)
+        points = np.stack([np.full_like(y, x), y, z], -1).reshape(-1, 3)
+        slices.append(tracer.measured(points)[0].reshape(y.shape))
+    vertices, faces, _, _ = marching_cubes(np.stack(slices), 0.0, spacing=(2 / cells,) * 3)
+    points = vertices.astype(np.float32) - 1
+    for _ in range(3):
+        distance, normal = tracer.measured(points)
+        points = points - distance[:, None] * normal
+    mesh = trimesh.Trimesh(RADIUS_M * points.astype(np.float64), faces, process=False)
     mesh.export(path)
     return np.asarray(mesh.bounds, np.float64)

@@ -66,8 +66,13 @@ class Tracer:
     light: Light
 
     def distance(self, points: Vectors) -> Float[Array, " n"]:
-        """Signed distance from the nearest body."""
+        """Signed distance of (3, n) points from the nearest body."""
         return jnp.min(self._distances(points), 0)
+
+    def measured(self, points: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Signed distance (n,) and unit outward normal (n, 3) of (n, 3) points, a chunk at a time."""
+        distance, normal = self._in_chunks(_measured, points)
+        return distance, normal
 
     def _distances(self, points: Vectors) -> Float[Array, "bodies n"]:
         return jnp.stack([body.solid(points) for body in self.bodies])
@@ -136,6 +141,12 @@ def _marched(tracer: Tracer, origins: Vectors, directions: Vectors, t: Float[Arr
 
     t = jax.lax.fori_loop(0, STEPS, step, t)
     return t, tracer.distance(origins + t * directions)
+
+
+@partial(jax.jit, static_argnums=0)
+def _measured(tracer: Tracer, points: Vectors):
+    """Distance and normals of points."""
+    return tracer.distance(points), normals(tracer.distance, points)
 
 
 @partial(jax.jit, static_argnums=0)

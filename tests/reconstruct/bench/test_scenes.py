@@ -53,8 +53,8 @@ def test_pictures_are_the_sum_of_their_parts(ball: Scene) -> None:
     np.testing.assert_allclose(picture[..., 3:], alpha, atol=0.0021)
 
 
-def test_scenes_pass_the_check(ball: Scene) -> None:
-    assert not [finding for finding in check(ball, quick=True) if finding.level == "error"]
+def test_scenes_pass_the_check(ball: Scene, ball_folder: Path) -> None:
+    assert not [finding.line for finding in check(ball_folder, matches=False) if finding.level == "error"]
     assert ball.metric and len(ball.split("train")) == 4 and len(ball.split("test")) == 2
     high = ball.box[1]
     np.testing.assert_allclose(high, 0.8 * shiny.RADIUS_M * (1 + 2 * scenes.MARGIN), rtol=0.02)
@@ -67,10 +67,10 @@ def test_the_mesh_is_the_surface(ball_folder: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 0.8 * shiny.RADIUS_M, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["gold_rings", "teapot", "lacquered_box", "three_metals"])
+@pytest.mark.parametrize("name", ["teapot", "three_metals"])
 def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> None:
     tracer = shiny.SCENES[name]()
-    box = write_mesh(tracer, tmp_path / "object.ply", cells=64)
+    box = write_mesh(tracer, tmp_path / "object.ply", cells=48)
     assert (np.abs(box) < shiny.RADIUS_M).all()
     mesh = trimesh.load_mesh(tmp_path / "object.ply")
     camera = camera_of(32)
@@ -81,18 +81,17 @@ def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> N
     assert np.median(distance) < 1e-4  # a tenth of a millimetre; a pixel is 7 mm wide here
 
 
-def test_scenes_are_different_from_each_other_and_the_same_again() -> None:
-    camera, matrix = camera_of(24), places(4, 0)[1]
-    pictures = {name: seen(made(), camera, matrix) for name, made in shiny.SCENES.items()}
-    for name, maps in pictures.items():
-        again = seen(shiny.SCENES[name](), camera, matrix)
-        assert all((again[channel] == values).all() for channel, values in maps.items())
-        assert 0.1 < maps["alpha"].mean() < 0.8
-        assert maps["specular"].max() > 0.15
-    means = np.array(
-        [maps["specular"].sum() / maps["diffuse"].sum() if maps["diffuse"].any() else 99 for maps in pictures.values()]
-    )
-    assert means.max() > 10 and means.min() < 0.3  # from all mirror to mostly matte
+def test_the_same_scene_again_is_the_same() -> None:
+    camera, matrix = camera_of(16), places(4, 0)[1]
+    first, second = (seen(shiny.SCENES["gold_rings"](), camera, matrix) for _ in range(2))
+    assert all((first[channel] == values).all() for channel, values in second.items())
+    assert 0.1 < first["alpha"].mean() < 0.8 and first["specular"].max() > 0.15
+
+
+def test_materials_range_from_all_mirror_to_mostly_matte() -> None:
+    shares = [np.mean(body.material.mirror) / (np.mean(body.material.mirror) + np.mean(body.material.matte))
+              for made in shiny.SCENES.values() for body in made().bodies]  # fmt: skip
+    assert max(shares) == 1 and min(shares) < 0.1
 
 
 def test_what_is_there_is_kept(ball_folder: Path, tmp_path: Path) -> None:

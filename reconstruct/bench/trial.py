@@ -1,0 +1,112 @@
+"""One trial in a process of its own: `python -m reconstruct.bench.trial ORDER.json RESULT.json`.
+
+A process of its own, so that its memory is its own, and so that a crash costs one trial.
+"""
+
+import resource
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from datasets import files
+from datasets.formats import load_scene
+from datasets.scene import Scene
+from reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
+
+KIND, VERSION = "koala-bench-trial", 1
+
+
+def order(trial: Trial, scene: Path, run: Path) -> dict[str, Any]:
+    """What the process is to do, for `main`."""
+    return {"format": KIND, "version": VERSION, "trial": asdict(trial), "scene": str(scene), "run": str(run)}
+
+
+def main(arguments: list[str]) -> None:
+    """Do what the order in the first file says and write the result into the second."""
+    from reconstruct.backend import cache_compilations, cache_folder
+
+    content = files.read_json(Path(arguments[0]), kind=KIND, version=VERSION)
+    trial, place, run = Trial(**content["trial"]), Path(content["scene"]), Path(content["run"])
+    before = _entries(cache_folder())
+    cache_compilations()
+    scene = chosen_views(load_scene(place, measure=True), trial.views)
+    result = {QUALITY: quality, COST: cost, PROFILE: profile}[trial.kind](trial, scene, place, run)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    result |= {"peak_memory_mb": peak, "cold": int(_entries(cache_folder()) > before)}
+    files.write_json(Path(arguments[1]), {"format": KIND, "version": VERSION, **result})
+
+
+def _entries(cache: Path) -> int:
+    folder = cache / "jax"
+    return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
+
+
+def chosen_views(scene: Scene, count: int) -> Scene:
+    """The scene with `count` of its training views, evenly chosen; all of them for 0."""
+    train = scene.split("train")
+    if not count or count >= len(train):
+        return scene
+    kept = {train[round(index * (len(train) - 1) / max(count - 1, 1))].name for index in range(count)}
+    return scene.with_views(tuple(view for view in scene.views if view.split != "train" or view.name in kept))
+
+
+def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+    """Train; what it took, by the names of `records.WORK`."""
+    from reconstruct.models import load_config
+    from reconstruct.rays import scaled_camera
+    from reconstruct.run import Run
+    from reconstruct.step import StepFunctions
+    from reconstruct.train import train
+
+    config = load_config(trial.model, trial.preset, [f"scale={trial.scale}", f"train.seed={trial.seed}"])
+    clock, processor = time.perf_counter(), time.process_time()
+    found = train(scene, place, config, out, budget_s=trial.budget_s)
+    elapsed, processor = time.perf_counter() - clock, time.process_time() - processor
+    run = Run.open(out)
+    functions = StepFunctions(run.config, run.normalisation)
+    rate = found["steps"] / max(found["training_s"], 1e-9)
+    camera = scaled_camera(scene.split("train")[0], trial.scale)
+    return {
+        **{name: found[name] for name in ("steps", "training_s", "preparation_s", "compilation_s", "skipped_steps")},
+        "rays_per_s": rate * functions.rays_per_step, "samples_per_s": rate * functions.samples_per_step,
+        "cores_used": processor / elapsed, "occupied": run.log()[-1].get("occupied"),
+        "width": camera.width, "height": camera.height, "train_views": len(scene.split("train")),
+    }  # fmt: skip
+
+
+def quality(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+    """Train and measure on the test views."""
+    from reconstruct.evaluate import evaluate
+    from reconstruct.trained import Trained
+
+    found = trained(trial, scene, place, out)
+    measured = evaluate(Trained.open(out))
+    return {**found, **measured["mean"], **(measured.get("mesh") or {})}
+
+
+def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+    """Train and render one test view: time and memory alone."""
+    from reconstruct.trained import Trained
+
+    found = trained(trial, scene, place, out)
+    ready = Trained.open(out)
+    view = ready.scene.split("test")[0]
+    ready.warm_up(view)
+    start = time.perf_counter()
+    ready.picture(view)
+    return {**found, "seconds": time.perf_counter() - start}
+
+
+def profile(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+    """Train, then look where the time of the steps goes that would follow."""
+    from reconstruct.bench.profile import step_profile
+    from reconstruct.trained import Trained
+
+    found = trained(trial, scene, place, out)
+    return {**found, "profile": step_profile(Trained.open(out), scene)}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
