@@ -72,13 +72,13 @@ def gaussians_in_frustums(rays: Rays, ray: Array, t: Float[Array, " n"], half: F
     """
     get = lambda a: a.at[ray].get(mode="promise_in_bounds")  # noqa: E731
     directions, radius = get(rays.directions), get(rays.radii)
-    spread = jnp.maximum(3 * t**2 + half**2, 1e-12)
-    mean = t + 2 * t * half**2 / spread
-    along = half**2 / 3 - (4 / 15) * half**4 * (12 * t**2 - half**2) / spread**2
-    across = radius**2 * (t**2 / 4 + (5 / 12) * half**2 - (4 / 15) * half**4 / spread)
+    share = half**2 / jnp.maximum(3 * t**2 + half**2, 1e-30)  # higher powers have no room
+    mean = t + 2 * t * share
+    along = half**2 / 3 - (4 / 15) * share**2 * (12 * t**2 - half**2)
+    across = radius**2 * (t**2 / 4 + half**2 * (5 / 12 - (4 / 15) * share))
     squared = directions**2
-    share = squared / jnp.maximum(jnp.sum(squared, -1, keepdims=True), 1e-12)
-    variance = jnp.maximum(along, 0.0)[:, None] * squared + jnp.maximum(across, 0.0)[:, None] * (1 - share)
+    axial = squared / jnp.maximum(jnp.sum(squared, -1, keepdims=True), 1e-12)
+    variance = jnp.maximum(along, 0.0)[:, None] * squared + jnp.maximum(across, 0.0)[:, None] * (1 - axial)
     points = get(rays.origins) + mean[:, None] * directions
     return Cloud(points.T, jnp.sqrt(jnp.maximum(variance, 1e-16)).T, bounded)
 

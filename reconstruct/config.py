@@ -163,7 +163,7 @@ class SkipConfig(Schema):
         True, description="Space that masks or the occupancy grid rule out, and rays that meet nothing else."
     )
     fine_levels: bool = Field(False, description="Levels finer than the smallest footprint of a pixel at the surface.")
-    table_size: bool = Field(True, description="Rows that levels with few vertices in the occupied space cannot fill.")
+    table_size: bool = Field(False, description="Rows that levels with few vertices in the occupied space cannot fill.")
     multisampling: bool = Field(False, description="Six Gaussians per frustum, where pixels' footprints are alike everywhere.")
     reflection: bool = Field(
         False, description="The specular branch and its regularisers, where a pilot training gains nothing by them."

@@ -13,6 +13,9 @@ from datasets.camera_model import Camera
 from datasets.scene import Scene, View
 from reconstruct.safe import safe_norm
 
+BRIGHTEST = 6e4
+"""Brighter colours are kept as this, which float16 can still hold."""
+
 
 class Rays(eqx.Module):
     """Rays in the normalised scene. `directions` have z = 1 in their camera, so that t is depth in scene units."""
@@ -47,16 +50,18 @@ class Normalisation:
     """Nearest depth [scene unit]."""
     far: float
     """Furthest depth [scene unit]."""
+    backdrop: bool = False
+    """True where surroundings are allowed for although the pictures' background is blank."""
 
     @classmethod
-    def of(cls, scene: Scene) -> "Normalisation":
+    def of(cls, scene: Scene, *, backdrop: bool = False) -> "Normalisation":
         """The object's box into the cube where it is all there is, into the unit ball where there are surroundings."""
         low, high = np.asarray(scene.box, np.float64)
         bounded = scene.background == "white"
         reach = (high - low).max() / 2 if bounded else np.linalg.norm(high - low) / 2
         scale = float(1 / max(reach, 1e-12))
         far = scene.far * scale if np.isfinite(scene.far) else 1e3
-        return cls(tuple(((low + high) / 2).tolist()), scale, bounded, scene.near * scale, min(far, 1e3))
+        return cls(tuple(((low + high) / 2).tolist()), scale, bounded, scene.near * scale, min(far, 1e3), backdrop)
 
 
 def view_rays(view: View, normalisation: Normalisation, camera: Camera | None = None) -> tuple[NDArray, NDArray, NDArray]:
@@ -78,6 +83,8 @@ def scaled_camera(view: View, scale: float) -> Camera:
 def read_scaled(view: View, scale: float) -> Float[np.ndarray, "height width channels"]:
     """A view's picture (sRGB, straight alpha) at `scale` of its size, averaged over areas in linear light."""
     picture = view.read()
+    if picture.shape[-1] == 4:  # what a mask hides may be anything, also nothing at all
+        picture = np.where(picture[..., 3:] == 0, np.float32(0), picture)
     if not np.isfinite(picture).all():
         from datasets.errors import DatasetError
 
@@ -109,7 +116,7 @@ class Pixels(eqx.Module):
             if picture.shape[-1] == 3:
                 picture = np.concatenate([picture, np.ones_like(picture[..., :1])], -1)
             origin, direction, radius = view_rays(view, normalisation, scaled_camera(view, scale))
-            colours.append(picture.reshape(-1, 4).astype(np.float16))
+            colours.append(np.clip(picture.reshape(-1, 4), -BRIGHTEST, BRIGHTEST).astype(np.float16))
             directions.append(direction)
             owner.append(np.full(len(direction), index, np.int32))
             origins.append(origin[0])

@@ -92,6 +92,7 @@ class Renderer:
         """All channels side by side, and how many rays from the first on found room."""
         functions, model, footprint = self.functions, state.model, Footprint()
         bounded = functions.normalisation.bounded
+        blank = bounded or functions.normalisation.backdrop
         if state.occupancy is None:
             samples, _, _, footprint = functions.propose(model, rays, None)
             done = jnp.asarray(rays.origins.shape[0])
@@ -107,7 +108,7 @@ class Renderer:
         if with_normals:
             _, _, per_sample = model.field.with_normals(cloud)
             normals = composite(per_sample, samples.packed(rendered.weights), samples)
-        background = jnp.asarray(self.background if bounded else (0.0, 0.0, 0.0))
+        background = jnp.asarray(self.background if blank else (0.0, 0.0, 0.0))
         columns = {
             "rgb": jnp.clip(rendered.over(background[None]), 0, 1), "opacity": rendered.opacity[:, None],
             "diffuse": rendered.diffuse, "specular": rendered.specular, "roughness": rendered.roughness[:, None],

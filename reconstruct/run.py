@@ -19,7 +19,7 @@ from reconstruct.config import Config
 from reconstruct.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
-RUN, LOG, CHECKPOINTS = "run.json", "log.jsonl", "checkpoints"
+RUN, LOG, FAULTS, CHECKPOINTS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints"
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,14 @@ class Run:
 
     def append_log(self, line: dict[str, Any]) -> None:
         """Add a line to the log."""
-        with open(self.path / LOG, "a", encoding="utf-8") as file:
+        self._append(LOG, line)
+
+    def append_fault(self, line: dict[str, Any]) -> None:
+        """Note steps that were left out because they were not finite."""
+        self._append(FAULTS, line)
+
+    def _append(self, name: str, line: dict[str, Any]) -> None:
+        with open(self.path / name, "a", encoding="utf-8") as file:
             file.write(json.dumps(line, allow_nan=False, default=float) + "\n")
 
 

@@ -25,23 +25,27 @@ def _safe_exp_jvp(primals, tangents):
 
 
 def safe_norm(x: Float[Array, "*shape n"], axis: int = -1) -> Float[Array, "..."]:
-    """Euclidean norm with gradient zero at the origin."""
-    squared = jnp.sum(x * x, axis=axis)
+    """Euclidean norm with gradient zero at the origin; squares neither overflow nor vanish."""
+    largest, scaled = _by_largest(x, axis)
+    squared = jnp.sum(scaled * scaled, axis=axis)
     positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0) * jnp.squeeze(largest, axis)
 
 
 def normalise(x: Float[Array, "*shape"], axis: int = -1, floor: float = 1e-12) -> Float[Array, "*shape"]:
-    """x / |x|; vectors shorter than `floor` are divided by `floor`, so that zero stays zero with a finite gradient.
-
-    The vector is first scaled by its largest component, so that squares neither overflow nor vanish.
-    """
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True))
-    scaled = x / jnp.where(largest > 1e-3 * floor, largest, 1.0)
+    """x / |x|; vectors shorter than `floor` are divided by `floor`, so that zero stays zero with a finite gradient."""
+    largest, scaled = _by_largest(x, axis)
     squared = jnp.sum(scaled * scaled, axis=axis, keepdims=True)
     usable = largest * jnp.sqrt(jax.lax.stop_gradient(squared)) > floor
     length = jnp.sqrt(jnp.where(usable, squared, 1.0))
     return jnp.where(usable, scaled / length, x / floor)
+
+
+def _by_largest(x: Array, axis: int) -> tuple[Array, Array]:
+    """Size of the largest component of each vector, held constant (1 where that is next to nothing), and the vectors over it."""
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True))
+    largest = jnp.where(largest > 1e-30, largest, 1.0)
+    return largest, x / largest
 
 
 def srgb_from_linear(linear: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

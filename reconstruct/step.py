@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from reconstruct import objective
 from reconstruct.cloud import Cloud
 from reconstruct.config import Config
+from reconstruct.faults import FAULTS, finite_parts, packed
 from reconstruct.model import Footprint, Model, cloud_of, render
 from reconstruct.rays import Normalisation, Pixels, Rays
 from reconstruct.sampling.occupancy import Occupancy
@@ -85,10 +86,14 @@ class StepFunctions:
         """`count` steps, the last of them with the regularisers' second pass where `second` is true.
 
         Returns:
-            The new state and the last step's terms.
+            The new state and the last step's terms, among them the faults of all of them (see `faults`).
         """
-        one = lambda i, carry: self._step(carry[0], pixels, seed, progress, second & (i == count - 1))  # noqa: E731
-        shapes = jax.eval_shape(lambda s: one(0, (s, None)), state)[1]
+
+        def one(i, carry):
+            state, terms = self._step(carry[0], pixels, seed, progress, second & (i == count - 1))
+            return state, terms | {FAULTS: terms[FAULTS] | carry[1][FAULTS]}
+
+        shapes = jax.eval_shape(lambda s: self._step(s, pixels, seed, progress, second), state)[1]
         empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
         return jax.lax.fori_loop(0, count, one, (state, empty))
 
@@ -110,7 +115,9 @@ class StepFunctions:
             gradient, (terms, met) = jax.lax.scan(add, nothing, jax.random.split(key, count))
             gradient = jax.tree.map(lambda g: g / count, gradient)
             terms, met = jax.tree.map(lambda t: jnp.mean(t, 0), terms), jax.tree.map(jnp.ravel, met)
-        state = self._descend(state, gradient, progress)
+        finite = finite_parts(gradient)
+        terms |= {FAULTS: packed(finite, terms)}
+        state = self._descend(state, gradient, progress, jnp.all(jnp.stack(list(finite.values()))))
         if met is not None:  # keep in the grid what the step met anyway
             state = eqx.tree_at(lambda s: s.occupancy, state, state.occupancy.seen(*met))
         return state, terms
@@ -187,7 +194,9 @@ class StepFunctions:
     def _kept(self) -> int:
         """Rays of a batch once those that meet nothing are dropped."""
         sampler = self.config.sampler
-        return self._drawn if sampler.kind == "proposal" else min(self._drawn, sampler.samples // SAMPLES_PER_RAY)
+        if sampler.kind == "proposal" or not self.config.skip.empty_rays:
+            return self._drawn
+        return min(self._drawn, sampler.samples // SAMPLES_PER_RAY)
 
     @property
     def _drawn(self) -> int:
@@ -261,11 +270,10 @@ class StepFunctions:
         sdist, levels = propose(model.proposals, rays, spacing, key, sampler, density_at)
         return RaySamples.from_edges(spacing.t(sdist)), sdist, levels, footprint
 
-    def _descend(self, state: TrainState, gradient: Model, progress) -> TrainState:
+    def _descend(self, state: TrainState, gradient: Model, progress, finite: Bool[Array, ""]) -> TrainState:
         """Adam; a gradient that is not finite changes nothing and is counted."""
         train = self.config.train
         rate = learning_rate(progress, rate=train.rate, final_rate=train.final_rate, warmup=train.warmup)
-        finite = jnp.isfinite(sum(jnp.sum(leaf) for leaf in jax.tree.leaves(gradient)))
         update, optimiser = self._adam().update(gradient, state.optimiser)
         rates = jax.tree_util.tree_map_with_path(lambda path, _: rate * self._share(path), state.model)
         moved = jax.tree.map(lambda p, u, r: p - r * u, state.model, update, rates)
@@ -281,5 +289,6 @@ class StepFunctions:
         """Look at the next cells of the occupancy grid; wanted every `GRID_PERIOD` steps."""
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), state.step), GRID_PERIOD)
         density_of = lambda p: state.model.field.density(Cloud(p, None, bounded=True))  # noqa: E731
-        occupancy = state.occupancy.updated(density_of, key, GRID_CELLS, self.config.sampler.optical_depth)
+        empty_below = self.config.sampler.optical_depth if self.config.skip.empty_rays else 0.0
+        occupancy = state.occupancy.updated(density_of, key, GRID_CELLS, empty_below)
         return eqx.tree_at(lambda s: s.occupancy, state, occupancy)

@@ -49,7 +49,7 @@ def neighbourhood_radius(
     scaled to the half-width at half-maximum; r t_mid / 2 times that as t_half goes to zero.
     """
     denominator = 15 * (3 * t_mid**2 + t_half**2)
-    last = 4 * t_half**4 / jnp.where(denominator > 0, denominator, 1.0)
+    last = 4 * t_half**2 * (t_half**2 / jnp.where(denominator > 0, denominator, 1.0))  # the fourth power has no room
     variance = t_mid**2 / 4 + 5 * t_half**2 / 12 - last
     return HALF_WIDTH * pixel_radius * jnp.sqrt(jnp.maximum(variance, 0.0))
 

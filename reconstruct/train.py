@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from datasets.console import progress
+from datasets.console import hint, progress
 from datasets.errors import Misuse
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.batch import fitted
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
+from reconstruct.faults import FAULTS, RECURS, cause
 from reconstruct.hull import cells_in_masks, cells_in_sight
 from reconstruct.rays import Normalisation, Pixels
 from reconstruct.renderer import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.schedules import second_pass_period
+from reconstruct.skipping import outcome, record
+from reconstruct.skipping.facts import facts_of
+from reconstruct.skipping.pilot import gain_by_reflecting
+from reconstruct.skipping.plan import lenses, normalisation_of, plan
 from reconstruct.step import GRID_PERIOD, StepFunctions, TrainState
 
 CHUNK = 16
@@ -37,8 +42,6 @@ PROBE = 4096
 """Pixels of unseen views that each look renders; never trained on, not on the training's clock."""
 WORTH_DB = 0.02
 """Held-out pixels must get better by so much for a training to count as still improving [dB]."""
-MAX_SKIPPED = 100
-"""More steps than this with a gradient that is not finite end the training."""
 
 
 @dataclass
@@ -51,6 +54,10 @@ class Clock:
     step: int = 0
     since_second_pass: int = 0
     since_look: int = 0
+    lenience: int = 1
+    """How many times less often second passes come than the curriculum has them."""
+    passes: int = 0
+    passes_left_out: int = 0
 
     @property
     def progress(self) -> float:
@@ -71,13 +78,15 @@ class Training:
     renderer: Renderer
     held: tuple[np.ndarray, ...] | None = None
     """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
+    skips: list[record.Skip] = field(default_factory=list)
+    """What is left out, and why."""
     _advance: Any = field(default=None)
     _look_around: Any = field(default=None)
 
     def chunk(self) -> dict[str, jax.Array]:
         """Up to `CHUNK` steps, the last of them with the second pass where it is due. Returns the last step's terms."""
         surface, clock = self.run.config.surface, self.clock
-        period = second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
+        period = clock.lenience * second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
         left = CHUNK if clock.budget_s is not None else min(CHUNK, clock.steps - clock.step)
         count = max(1, min(left, period - clock.since_second_pass))
         second = surface.enabled and clock.since_second_pass + count >= period
@@ -93,7 +102,28 @@ class Training:
         clock.seconds += time.perf_counter() - start
         clock.step += count
         clock.since_second_pass = 0 if second else clock.since_second_pass + count
+        if second:
+            self._passed(terms)
+        self._heed(int(terms.pop(FAULTS)), terms)
         return terms
+
+    def _passed(self, terms: dict[str, jax.Array]) -> None:
+        """Count a second pass, and find out when the next one is worth its time."""
+        clock, config = self.clock, self.run.config
+        clock.passes, clock.passes_left_out = clock.passes + 1, clock.passes_left_out + clock.lenience - 1
+        if config.skip.consistent_passes:
+            clock.lenience = outcome.lenience(clock.lenience, terms, config.surface)
+
+    def _heed(self, faults: int, terms: dict[str, jax.Array]) -> None:
+        """Say what was not finite in the last steps. Raises ReconstructError where that recurs."""
+        if not faults:
+            return
+        skipped, reason = int(self.state.skipped), cause(faults, self.state.model, terms)
+        hint(f"up to step {self.clock.step} {skipped} left out, not finite: {reason}")
+        self.run.append_fault({"step": self.clock.step, "skipped": skipped, "cause": reason})
+        if skipped >= RECURS:
+            raise ReconstructError("training does not stay finite", where=f"step {self.clock.step}", why=f"{skipped} steps; the last: {reason}",
+                                   remedy="lower train.rate, and look for values that are not finite in the scene's cameras")  # fmt: skip
 
     def compile(self) -> float:
         """Compile the step; returns the seconds that it took."""
@@ -145,8 +175,8 @@ class Training:
 
     def save(self) -> None:
         """Checkpoint state and clock."""
-        clock = {"seconds": self.clock.seconds, "step": self.clock.step, "since_second_pass": self.clock.since_second_pass,
-                 "since_look": self.clock.since_look}  # fmt: skip
+        kept = ("seconds", "step", "since_second_pass", "since_look", "lenience", "passes", "passes_left_out")
+        clock = {name: getattr(self.clock, name) for name in kept}
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)
 
 
@@ -186,9 +216,11 @@ def train(
         raise
     training.save()
     last = training.run.log()[-1]
+    skips = outcome.told(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
+    record.write(out, skips)
     return {"run": str(out), "steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
             "compilation_s": compiled, "psnr_train": last["psnr_train"], "psnr_unseen": last.get("psnr_unseen"),
-            "skipped_steps": last["skipped"]}  # fmt: skip
+            "skipped_steps": last["skipped"], "skips": [asdict(skip) for skip in skips]}  # fmt: skip
 
 
 def _loop(training: Training) -> None:
@@ -208,9 +240,6 @@ def _loop(training: Training) -> None:
                 shown.note(
                     f"PSNR {line['psnr_train']:.1f} dB" + (f", unseen {line['psnr_unseen']:.1f}" if "psnr_unseen" in line else "")
                 )
-                if line["skipped"] > MAX_SKIPPED:
-                    raise ReconstructError("training does not stay finite", where=f"step {clock.step}", why=f"{line['skipped']} steps had a gradient that is not finite",
-                                           remedy="lower train.rate")  # fmt: skip
             if interrupted():
                 training.save()
                 raise KeyboardInterrupt
@@ -241,8 +270,10 @@ def start(
     from datasets.files import refuse_existing
 
     refuse_existing(out)
-    normalisation = Normalisation.of(scene) if start_from is None else start_from.normalisation
-    functions, state, pixels, probe, held = _prepare(scene, config, normalisation, fit=True)
+    normalisation = normalisation_of(scene, config) if start_from is None else start_from.normalisation
+    functions, state, pixels, probe, held, skips = _prepare(
+        scene, config, normalisation, fresh=True, planned=start_from is not None
+    )
     config = functions.config
     about = {
         "scene_name": scene.name,
@@ -257,7 +288,8 @@ def start(
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
     run = Run.create(out, config, scene_path, normalisation, about)
-    return Training(run, functions, state, pixels, probe, Clock(config.train.steps, budget_s), Renderer(functions), held)
+    record.write(out, skips)
+    return Training(run, functions, state, pixels, probe, Clock(config.train.steps, budget_s), Renderer(functions), held, skips)
 
 
 def _continued(fresh: TrainState, run: Run) -> TrainState:
@@ -272,34 +304,44 @@ def _continued(fresh: TrainState, run: Run) -> TrainState:
 
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     run = Run.open(out)
-    functions, state, pixels, probe, held = _prepare(scene, run.config, run.normalisation)
+    functions, state, pixels, probe, held, _ = _prepare(scene, run.config, run.normalisation)
     state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
     budget_s = budget_s or run.content.get("budget_s")
-    clock = Clock(run.config.train.steps, budget_s, clock["seconds"], int(clock["step"]), int(clock["since_second_pass"]),
-                  int(clock["since_look"]))  # fmt: skip
-    return Training(run, functions, state, pixels, probe, clock, Renderer(functions), held)
+    seconds = clock.pop("seconds")
+    clock = Clock(run.config.train.steps, budget_s, seconds, **{name: int(value) for name, value in clock.items()})
+    return Training(run, functions, state, pixels, probe, clock, Renderer(functions), held, record.read(out))
 
 
-def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fit: bool = False):
-    """Everything that a training needs beside its run; with `fit`, as many rays per step as there is memory for."""
-    views = scene.split("train")
+def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fresh: bool = False, planned: bool = False):
+    """Everything that a training needs beside its run.
+
+    Args:
+        fresh: decide what is left out, and take as many rays per step as there is memory for.
+        planned: the model's sizes were decided by an earlier training already.
+    """
+    views = lenses(scene.split("train"), config)
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
     possible = None
-    if config.sampler.kind == "occupancy":
+    if config.sampler.kind == "occupancy" and config.skip.empty_rays:
         if normalisation.bounded:
             possible = cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale)
         else:
             possible = cells_in_sight(views, normalisation, config.sampler.outer_grid)
+    skips: list[record.Skip] = []
+    if fresh:
+        facts = facts_of(scene, views, pixels, normalisation, possible, config.scale)
+        lean, skips = plan(facts, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
+        config = config if planned else lean
     held = None
     if config.train.patience:
         pixels, apart = pixels.held_out(PROBE)
         held = _over_white(apart, np.arange(apart.directions.shape[0]))
-    if fit and config.sampler.kind == "proposal":
+    if fresh and config.sampler.kind == "proposal":
         config = fitted(config, normalisation, pixels)
     functions = StepFunctions(config, normalisation).over(jax.devices())
     state = functions.initial(jax.random.key(config.train.seed), possible, len(views))
-    return functions, state, pixels, _probe(scene, config, normalisation), held
+    return functions, state, pixels, _probe(scene, config, normalisation), held, skips
 
 
 def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:

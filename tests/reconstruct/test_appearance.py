@@ -3,12 +3,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.appearance import Material, Reflection, Shading, ViewColour, create_appearance
+from reconstruct.appearance import Material, Matte, Reflection, Shading, ViewColour, create_appearance
 from reconstruct.config import FieldConfig
 from reconstruct.encodings.directional import ide_channels
 from reconstruct.safe import linear_from_srgb
 
-KINDS = ("reflection", "view", "view_diffuse")
+KINDS = ("reflection", "view", "view_diffuse", "diffuse")
 
 
 def small(kind: str) -> FieldConfig:
@@ -58,11 +58,19 @@ def test_colour_is_the_curve_of_diffuse_plus_specular(appearance) -> None:
     assert (shading.specular <= material.tint).all()
 
 
+def test_what_is_matte_looks_alike_from_all_sides() -> None:
+    appearance = create_appearance(jax.random.key(0), small("diffuse"))
+    material, viewdirs = some_material(appearance), some_viewdirs()
+    np.testing.assert_array_equal(appearance.shade(material, viewdirs).rgb, appearance.shade(material, -viewdirs).rgb)
+    assert not appearance.shade(material, viewdirs).specular.any() and not jax.tree.leaves(appearance)
+
+
 def test_which_parts_each_has() -> None:
     made = {kind: create_appearance(jax.random.key(0), small(kind)) for kind in KINDS}
     assert isinstance(made["reflection"], Reflection) and isinstance(made["view"], ViewColour)
-    assert [made[kind].has_diffuse for kind in KINDS] == [True, False, True]
-    assert [made[kind].heads for kind in KINDS] == [10, 0, 3]
+    assert isinstance(made["diffuse"], Matte)
+    assert [made[kind].has_diffuse for kind in KINDS] == [True, False, True, True]
+    assert [made[kind].heads for kind in KINDS] == [10, 0, 3, 6]
     assert (np.asarray(some_material(made["view"]).diffuse) == 0).all()
 
 

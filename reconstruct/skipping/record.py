@@ -1,0 +1,82 @@
+"""What was left out of a training and why, as a person reads it and as RUN/skips.json keeps it."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from datasets import files
+from datasets.errors import Misuse, nearest
+from reconstruct.config import SkipConfig
+
+SKIPS = "skips.json"
+NAMES = tuple(SkipConfig.model_fields)
+"""What can be forced."""
+ELSEWHERE = {"structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them"}
+"""What a person may look for in the list although training has no part in it, and where it is decided."""
+
+COSTS = {
+    "surroundings": "none known: what is beyond the object's box is empty in every picture",
+    "empty_rays": "none measured: such space renders as nothing",
+    "fine_levels": "up to 0.4 dB: several views see more than one pixel's footprint",
+    "table_size": "none measured",
+    "multisampling": "aliasing where footprints differ",
+    "reflection": "what the pilot lost",
+    "consistent_passes": "normals may drift apart between passes",
+    "converged": "what the last, slow steps would have brought",
+    "distortion": "none: exact",
+    "structure_from_motion": "none in training",
+}
+"""Price of each skip; docs/skipping.md has the figures."""
+
+
+@dataclass(frozen=True)
+class Skip:
+    """One decision."""
+
+    name: str
+    skipped: bool
+    evidence: str
+    """What the decision rests on, with figures."""
+    saving: str
+    """What it saves, or would."""
+    cost: str
+    """What it costs in error, or would."""
+
+    @classmethod
+    def of(cls, name: str, skipped: bool, evidence: str, saving: str) -> "Skip":
+        """A decision with the price that is known of its kind."""
+        return cls(name, skipped, evidence, saving, COSTS[name])
+
+    def line(self) -> str:
+        """For a person."""
+        return f"{'skips' if self.skipped else 'keeps'} {self.name:<22}{self.evidence}; saves {self.saving}"
+
+
+def forced(names: Sequence[str]) -> list[str]:
+    """Overrides of the configuration that keep the named things from being skipped.
+
+    Raises:
+        Misuse: there is no such skip, or it is not decided by a training.
+    """
+    for name in names:
+        if name in ELSEWHERE:
+            raise Misuse(f"training has no part in {name}", where="--no-skip", why=ELSEWHERE[name])
+        if name not in NAMES:
+            raise Misuse(f"there is no skip '{name}'", where="--no-skip", remedy=nearest(name, NAMES))
+    return [f"skip.{name}=false" for name in names]
+
+
+def write(run: Path, skips: Sequence[Skip]) -> None:
+    """Put the decisions into a run's folder, in place of those that are there."""
+    files.write_json(run / SKIPS, [asdict(skip) for skip in skips])
+
+
+def read(run: Path) -> list[Skip]:
+    """The decisions of a run; none where it has no list."""
+    path = run / SKIPS
+    return [Skip(**entry) for entry in files.read_json(path)] if path.is_file() else []
+
+
+def replaced(skips: Sequence[Skip], new: Skip) -> list[Skip]:
+    """The list with one decision in place of the former of its name."""
+    return [new if skip.name == new.name else skip for skip in skips]
