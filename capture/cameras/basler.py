@@ -20,6 +20,8 @@ READY_MS = 2000
 """How long the camera may take to accept a trigger [ms]."""
 TRANSFER_MS = 3000
 """How long an image may take beyond its exposure time [ms]."""
+BUFFERS = 2
+"""One exposure is under way at a time. Pylon's ten would each be touched for the first time in the first ten frames, milliseconds each."""
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 """What must not change by itself from picture to picture; set to Off where it exists."""
 SRGB = (("BslColorSpace", "sRgb"), ("BslColorSpaceMode", "sRGB"), ("GammaSelector", "sRGB"))
@@ -55,6 +57,7 @@ class Basler:
         try:
             self._camera.Open()
             self._configure()
+            self._camera.MaxNumBuffer.Value = BUFFERS
             self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
         except pylon.GenericException as error:
             self._close()
