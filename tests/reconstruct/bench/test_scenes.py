@@ -5,14 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from trimesh.sample import sample_surface
 
 from datasets import images
 from datasets.check import check
 from datasets.errors import Misuse
 from datasets.formats import load_scene
 from datasets.scene import Scene
+from reconstruct import metrics
 from reconstruct.bench import scenes, shiny
 from reconstruct.bench.scenes import camera_of, places, provide, seen, write, write_mesh
+from reconstruct.surface_distance import Surface
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +40,10 @@ def test_the_truth_of_a_ball_is_a_ball(ball: Scene) -> None:
         assert 0.2 < whole.mean() < 0.8
         rays = view.camera.directions(view.camera.pixel_centres()) @ view.world_from_camera[:3, :3].T
         points = view.world_from_camera[:3, 3] + depth * rays
-        # a pixel is 1.2 mm of the ball wide: within it depth and normal vary
-        np.testing.assert_allclose(np.linalg.norm(points[whole], axis=-1), radius, atol=4e-4)
-        off = np.rad2deg(np.arccos(np.clip((normals * points).sum(-1)[whole] / radius, -1, 1)))
-        assert np.median(off) < 0.3
+        # a pixel is 6 mm wide: within it the depth varies, and its mean is not that of its middle
+        np.testing.assert_allclose(np.linalg.norm(points[whole], axis=-1), radius, atol=1e-3)
+        outward = points / np.linalg.norm(points, axis=-1, keepdims=True)
+        assert np.median(metrics.angles_deg(normals, outward)[whole]) < 0.1  # a pixel spans three degrees; its mean is its middle
 
 
 def test_pictures_are_the_sum_of_their_parts(ball: Scene) -> None:
@@ -62,12 +65,12 @@ def test_scenes_pass_the_check(ball: Scene, ball_folder: Path) -> None:
 
 
 def test_the_mesh_is_the_surface(ball_folder: Path) -> None:
-    mesh = trimesh.load_mesh(ball_folder / "truth" / "object.ply")
+    mesh = trimesh.load_mesh(ball_folder / "truth" / "object.ply", process=False)
     assert mesh.is_watertight and mesh.volume > 0  # triangles face outwards
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 0.8 * shiny.RADIUS_M, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["teapot", "three_metals"])
+@pytest.mark.parametrize("name", ["three_metals"])
 def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> None:
     tracer = shiny.SCENES[name]()
     box = write_mesh(tracer, tmp_path / "object.ply", cells=48)
@@ -77,13 +80,14 @@ def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> N
     maps = seen(tracer, camera, matrix := places(5, 0)[2])
     whole = maps["alpha"][..., 0] > 0.99
     points = matrix[:3, 3] + maps["depth"] * (camera.directions(camera.pixel_centres()) @ matrix[:3, :3].T)
-    _, distance, _ = trimesh.proximity.closest_point(mesh, points[whole][::7])
-    assert np.median(distance) < 1e-4  # a tenth of a millimetre; a pixel is 7 mm wide here
+    drawn, faces = sample_surface(mesh, 20_000, seed=0)
+    surface = Surface(mesh, np.asarray(drawn), np.asarray(faces), np.ones(len(drawn), bool))
+    assert np.median(surface.distance(points[whole])) < 3e-4  # a pixel is 7 mm wide here, and the ball's bulge in it 0.3 mm
 
 
 def test_the_same_scene_again_is_the_same() -> None:
     camera, matrix = camera_of(16), places(4, 0)[1]
-    first, second = (seen(shiny.SCENES["gold_rings"](), camera, matrix) for _ in range(2))
+    first, second = (seen(shiny.SCENES["chrome_ball"](), camera, matrix) for _ in range(2))
     assert all((first[channel] == values).all() for channel, values in second.items())
     assert 0.1 < first["alpha"].mean() < 0.8 and first["specular"].max() > 0.15
 
