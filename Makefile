@@ -1,5 +1,7 @@
 # make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 10 minutes on 2 cores)
 # make test    the test suite
+# make docs    the pages of docs/ as HTML in build/docs
+# make figures every picture of README.md and docs/, from the code (needs the demonstration; 25 minutes more for the calibration benchmark)
 # Everything is installed into .venv; again only when pyproject.toml has changed.
 
 SHELL := /bin/bash
@@ -13,14 +15,14 @@ define step
 @printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
 endef
 
-.PHONY: demo test test-all check types format figures clean
+.PHONY: demo test test-all check types format docs figures clean
 .DEFAULT_GOAL := test
 
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "error: $(PYTHON) is older than 3.11; give a newer one: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --editable '.[test,docs]'
 	@touch $@
 
 demo: $(READY)
@@ -53,6 +55,10 @@ types: $(READY)
 format: $(READY)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+docs: $(READY)
+	$(BIN)/mkdocs build --quiet --strict
+	@echo build/docs/index.html
 
 figures: demo/report/strip.png
 	mkdir -p docs/pictures
