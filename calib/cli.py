@@ -95,7 +95,7 @@ def report_command(
     session, given = rig.read()
     solution = calibrate.solve(session, given, accuracy, rig.lens)
     calibration = calibrate.finished(solution, accuracy, given is not None)
-    page.write(out, calibration, solution)
+    page.write(out, calibration, solution, made_by=console.command_line())
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from capture.focus import luminance, sharpness
 from capture.trajectory import Trajectory
@@ -148,9 +149,14 @@ def _picture(recording: Recording, frame: Frame) -> tuple[Any, list[Finding]]:
     return np.rint(light * 65535).astype(np.uint16), []
 
 
-def _exposure(name: str, pixels: Any) -> list[Finding]:
+def exposure(pixels: NDArray[Any]) -> tuple[float, float]:
+    """Share of white pixels of an 8- or 16-bit picture, and the light [share of white] below which 99 % of its pixels are."""
     white = float((pixels >= 0.996 * np.iinfo(pixels.dtype).max).any(axis=-1).mean())
-    bright = float(np.percentile(luminance(pixels), 99))
+    return white, float(np.percentile(luminance(pixels), 99))
+
+
+def _exposure(name: str, pixels: NDArray[Any]) -> list[Finding]:
+    white, bright = exposure(pixels)
     if white > OVER_SHARE:
         return [Finding("is over-exposed", name, f"{100 * white:.0f} % of the pixels are white; lower camera.exposure_us")]
     if bright < UNDER_LIGHT:

@@ -177,6 +177,26 @@ def check_command(
         raise typer.Exit(1)
 
 
+@app.command("report")
+def report_command(
+    recording: Recorded,
+    out: Annotated[Path, typer.Option(metavar="PAGE.html", help="Page to write; must be new.")],
+    as_json: console.Json = False,
+) -> None:
+    """Write a page on a recording: findings, exposure, sharpness and joints over time, every view."""
+    from capture import report
+
+    with console.progress("reading", 1, "pictures") as shown:
+
+        def advance(count: int, total: int) -> None:
+            shown.total = total
+            shown.advance(count - shown.done)
+
+        findings = report.write(recording, out, made_by=console.command_line(), done=advance)
+    wrong = sum(not finding.note for finding in findings)
+    console.report({"out": str(out), "findings": wrong}, as_json=as_json, text=f"{wrong} findings\n{out}")
+
+
 @app.command("replay")
 def replay_command(
     recording: Recorded,

@@ -102,6 +102,32 @@ def view(
 
 
 @app.command()
+def report(
+    scene: SceneName,
+    out: Annotated[Path, typer.Option(metavar="PAGE.html", help="Page to write; must be new.")],
+    images: Images = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write a page on a scene: what it holds, what 'datasets check' finds, where its cameras are, every view."""
+    from datasets.report import write
+
+    with console.progress("checking", 1, "views") as shown:
+
+        def advance(count: int, total: int) -> None:
+            shown.total = total
+            shown.advance(count - shown.done)
+
+        findings = write(
+            scene, out, matches=not quick, made_by=console.command_line(), done=advance, data_root=data_root, images=images
+        )
+    errors = sum(finding.level == "error" for finding in findings)
+    text = f"{errors} errors, {len(findings) - errors} warnings\n{out}"
+    console.report({"out": str(out), "errors": errors, "warnings": len(findings) - errors}, as_json=as_json, text=text)
+
+
+@app.command()
 @app.command("convert")
 def export(
     scene: SceneName,

@@ -7,10 +7,12 @@ import errno
 import json
 import logging
 import os
+import shlex
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -54,7 +56,7 @@ def run(app: typer.Typer) -> None:
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except _ClickException as error:
-        _fail(error.format_message(), 2)
+        _misused(error)
     except (KeyboardInterrupt, typer.Abort):
         _fail("stopped by Ctrl-C; what was finished is kept", 1)
     except KoalaError as error:
@@ -64,6 +66,20 @@ def run(app: typer.Typer) -> None:
     except Exception as error:  # the last line of defence: a person sees a sentence, --debug the traceback
         _fail(f"unexpected {type(error).__name__}: {error}; run again with --debug and report it", 1, error)
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _misused(error: Any) -> NoReturn:
+    """Say in one line what is wrong with the arguments, and what would be right; without any, what there is."""
+    kind, context = type(error).__name__, getattr(error, "ctx", None)
+    if kind == "NoArgsIsHelpError":
+        print(context.get_help(), file=sys.stderr, flush=True)
+        sys.exit(2)
+    message = error.format_message().strip().rstrip(".")
+    if kind == "NoSuchOption":
+        close = [name for name in error.possibilities or () if name.startswith("--")]
+        message = f"there is no option '{error.option_name}'" + (f"; did you mean '{close[0]}'?" if close else "")
+    advice = f"; '{context.command_path} --help' says what it takes" if context is not None and "mean" not in message else ""
+    _fail(message + advice, 2)
 
 
 def _os_error(error: OSError) -> str:
@@ -89,6 +105,11 @@ def report(result: dict[str, Any], *, as_json: bool, text: str) -> None:
     from datasets.files import _plain
 
     print(json.dumps(result, default=_plain) if as_json else text, flush=True)
+
+
+def command_line() -> str:
+    """The command that is running, as it could be typed again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def hint(words: str) -> None:

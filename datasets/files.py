@@ -16,12 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import DatasetError, Misuse
+from datasets.errors import DatasetError, Misuse, nearest
 
 MAX_JSON_BYTES = 2**26
 """Larger JSON files are refused: one of ten thousand frames has a fifth of this."""
 LONGEST_NAME = 255
 """Bytes of a file's name that file systems can hold."""
+FEW = 12
+"""So many names are listed where none is near."""
 
 
 @contextmanager
@@ -114,7 +116,7 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
             raise DatasetError("is too large for a JSON file", where=path, why=f"{path.stat().st_size} bytes")
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise Misuse("no such file", where=path, remedy="check the path") from None
+        raise Misuse("no such file", where=path, remedy=neighbour(path, ".json")) from None
     except (IsADirectoryError, NotADirectoryError):
         raise Misuse("is not a file", where=path, remedy="check the path") from None
     except OSError as error:
@@ -131,6 +133,15 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
                 why=f"this Koala reads version {version}", remedy="use the Koala version that wrote it",
             )  # fmt: skip
     return content
+
+
+def neighbour(path: Path, *suffixes: str) -> str:
+    """Advice for somebody who named a file that is not there: the nearest name beside it, or the few that there are."""
+    if not path.parent.is_dir():
+        return f"there is no folder {path.parent}"
+    names = [other.name for other in path.parent.iterdir() if other.suffix in suffixes]
+    advice = nearest(path.name, names)
+    return advice if names and (len(names) <= FEW or advice.startswith("did you mean")) else "check the path"
 
 
 def inside(folder: Path, name: str, *, where: object = "") -> Path:

@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from datasets.errors import Misuse, nearest
+from datasets.files import neighbour
 
 MAX_DEPTH = 50
 Place = tuple[str | int, ...]
@@ -51,7 +52,7 @@ def read_yaml(path: Path | str) -> tuple[dict[str, Any], dict[Place, int]]:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise Misuse("no such file", where=path, remedy=_neighbour(path)) from None
+        raise Misuse("no such file", where=path, remedy=neighbour(path, ".yaml", ".yml")) from None
     except (IsADirectoryError, NotADirectoryError):
         raise Misuse("is not a file", where=path, remedy="give a YAML file") from None
     except UnicodeDecodeError as error:
@@ -95,13 +96,6 @@ def validate(
         return model.model_validate(content)
     except ValidationError as error:
         raise _misuse(error, content, model, where, lines or {}) from None
-
-
-def _neighbour(path: Path) -> str:
-    if not path.parent.is_dir():
-        return f"there is no folder {path.parent}"
-    names = [p.name for p in path.parent.iterdir() if p.suffix in (".yaml", ".yml")]
-    return nearest(path.name, names) if names else "check the path"
 
 
 def _note_lines(node: yaml.Node, place: Place, lines: dict[Place, int], where: object) -> None:

@@ -1,12 +1,9 @@
 """The report of a run: one HTML file with everything in it, pictures included, for a browser and for later.
 
-DIR/index.html    result, figures, error over time, truth and rendering side by side, the commands that made it
+DIR/index.html    result, figures, error over time, truth and rendering laid over each other, the commands that made it
 DIR/strip.png     one view in a row: photograph, rendering, normals, depth, specular part
 """
 
-import base64
-import html
-import io
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +12,17 @@ from numpy.typing import NDArray
 
 from datasets import files, images
 from datasets.console import progress
-from datasets.scene import View
+from datasets.report_page import Number, ReportPage
 from reconstruct import metrics
 from reconstruct.evaluate import FORMAT, METRICS, VERSION, evaluate, read_truth
 from reconstruct.export import brightness_of_depth
-from reconstruct.page import PAGE
 from reconstruct.renderer import Picture
 from reconstruct.run import Run
+from reconstruct.skipping import record
 from reconstruct.trained import Trained
 
 VIEWS = 4
 """Test views shown."""
-GOOD = ("psnr", "ssim", "normal_mae_alpha_acc_deg", "depth_rmse_mm")
-"""Figures of the line at the top."""
 NAMES = {
     "psnr": "PSNR", "ssim": "SSIM", "normal_mae_alpha_acc_deg": "normals, mean angle (alpha × opacity)", "normal_mae_deg": "normals, mean angle (alpha)",
     "normal_pred_mae_alpha_acc_deg": "predicted normals (alpha × opacity)", "normal_pred_mae_deg": "predicted normals (alpha)",
@@ -38,8 +33,8 @@ NAMES = {
     "camera_deg": "camera poses, angle (median)", "held_out_px": "corners on unseen views", "held_out_mm": "the same at the target",
 }  # fmt: skip
 """What figures are called in the report."""
-Figure = tuple[str, float | None, str, str]
-"""Name, value, unit, meaning."""
+Figure = tuple[str, Number, str]
+"""Name, value with its unit, meaning."""
 
 
 def write(trained: Trained, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:
@@ -56,23 +51,47 @@ def write(trained: Trained, out: Path, *, calibration: Path | None = None) -> di
     run, result = trained.run, _measured(trained)
     views = trained.scene.split(result["split"])
     chosen = views[:: max(1, len(views) // VIEWS)][:VIEWS]
-    rows = []
+    page = ReportPage(f"{trained.scene.name}: {run.config.model}", made_by=_commands(run, out, calibration))
+    page.headline(*_headline(run, result))
+    page.section("Test views", "Move over a picture: left of the line is the truth, right of it the rendering.")
     with files.atomic_folder(out) as folder:
         with progress("rendering the report", len(chosen), "views") as shown:
-            for view in chosen:
+            for index, view in enumerate(chosen):
                 truth, picture = read_truth(view, trained.camera(view)), trained.picture(view)
-                if not rows:
+                if index == 0:
                     images.write(folder / "strip.png", strip_of(truth, picture))
-                rows.append(_row(view, side_by_side(truth, picture)))
+                page.heading(f"view {view.name}")
+                page.wipes((name, *pair) for name, pair in side_by_side(truth, picture).items())
                 shown.advance()
-        page = PAGE.substitute(
-            title=html.escape(f"{trained.scene.name}: {run.config.model}"), headline=_headline(run, result),
-            figures=_table(_scores(result)), mesh=_section("Mesh", _mesh_scores(result)),
-            calibration=_section("Calibration", calibrated), curve=_curve(run), views="\n".join(rows),
-            work=_work(run, result), commands=html.escape(_commands(run, out, calibration)),
-        )  # fmt: skip
-        files.write_text(folder / "index.html", page)
+        _rest(page, run, result, calibrated)
+        page.write(folder / "index.html")
     return {"report": str(out / "index.html"), "views": len(chosen), "mean": result["mean"]}
+
+
+def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[Figure]) -> None:
+    """Everything but pictures and headline."""
+    page.section("Figures, mean over the test views")
+    page.numbers(_scores(result))
+    for title, scores in (("Mesh", _mesh_scores(result)), ("Calibration", calibrated)):
+        if scores:
+            page.section(title)
+            page.numbers(scores)
+    page.section("Each test view")
+    columns = [name for name in metrics.DEFINITIONS if any(view.get(name) is not None for view in result["per_view"])]
+    page.table(("view", *(NAMES[name] for name in columns)),
+               [(view["name"], *(Number(view.get(name), metrics.DEFINITIONS[name][0]) for name in columns))
+                for view in result["per_view"]])  # fmt: skip
+    page.section("Error over time")
+    if (drawn := _curve(run)) is None:
+        page.paragraph("The log is too short for a curve.")
+    else:
+        page.drawing(drawn)
+    page.section("What was done")
+    page.items(_work(run, result))
+    if skips := record.read(run.path):
+        page.section("What was skipped, and what was not")
+        page.table(("what", "", "evidence", "saving", "cost"),
+                   [(one.name, "skipped" if one.skipped else "kept", one.evidence, one.saving, one.cost) for one in skips])  # fmt: skip
 
 
 def _measured(trained: Trained) -> dict[str, Any]:
@@ -122,34 +141,19 @@ def _where(values: NDArray[np.float32], shown: NDArray[np.bool_] | None) -> NDAr
     return values if shown is None else np.where(shown, values, 0)
 
 
-def _row(view: View, pairs: dict[str, tuple[NDArray | None, NDArray]]) -> str:
-    cells = []
-    for name, (truth, rendered) in pairs.items():
-        first = f'<img src="{_embedded(truth)}" alt="{name}, truth">' if truth is not None else '<div class="none">no truth</div>'
-        second = f'<img src="{_embedded(rendered)}" alt="{name}, rendered">'
-        cells.append(f"<figure>{first}{second}<figcaption>{name}</figcaption></figure>")
-    return f'<h3>view {html.escape(view.name)}</h3><div class="row">{"".join(cells)}</div>'
-
-
-def _embedded(picture: NDArray) -> str:
-    """A picture as a PNG inside the page."""
-    from matplotlib import image
-
-    pixels = images.to_uint8(np.broadcast_to(picture, (*picture.shape[:2], 3)))
-    buffer = io.BytesIO()
-    image.imsave(buffer, pixels, format="png")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
 def _scores(result: dict[str, Any]) -> list[Figure]:
-    return [(NAMES[name], value, *metrics.DEFINITIONS[name]) for name, value in result["mean"].items()]
+    figures = []
+    for name, value in result["mean"].items():
+        unit, meaning = metrics.DEFINITIONS[name]
+        figures.append((NAMES[name], Number(value, unit), meaning))
+    return figures
 
 
 def _mesh_scores(result: dict[str, Any]) -> list[Figure]:
     scores = result.get("mesh") or {}
     units = result.get("mesh_definitions", {})
     return [
-        (NAMES[name], value, "mm" if name.endswith("_mm") else "", units.get(name, ""))
+        (NAMES[name], Number(value, "mm" if name.endswith("_mm") else ""), units.get(name, ""))
         for name, value in scores.items()
         if name in NAMES
     ]
@@ -168,88 +172,48 @@ def _calibration_scores(path: Path | None) -> list[Figure]:
     if calibration.flange_from_camera is not None and has_truth(recording):
         error = calibration_error(recording, calibration)
         for name in ("hand_eye_mm", "hand_eye_deg", "camera_mm", "camera_deg"):
-            scores.append((NAMES[name], error[name], name.rsplit("_", 1)[1], "error against the truth of the simulation"))
+            scores.append((NAMES[name], Number(error[name], name.rsplit("_", 1)[1]), "error against the truth of the simulation"))
     for name in ("held_out_px", "held_out_mm"):
         if calibration.residuals.get(name) is not None:
-            scores.append(
-                (
-                    NAMES[name],
-                    calibration.residuals[name],
-                    name.rsplit("_", 1)[1],
-                    "root mean square, each view predicted from the others",
-                )
-            )
+            value = Number(calibration.residuals[name], name.rsplit("_", 1)[1])
+            scores.append((NAMES[name], value, "root mean square, each view predicted from the others"))
     return scores
 
 
-def _table(scores: list[Figure]) -> str:
-    rows = []
-    for name, value, unit, meaning in scores:
-        shown = "–" if value is None else f"{value:.4g}" if abs(value) < 10 else f"{value:.2f}"
-        rows.append(
-            f"<tr><th>{html.escape(name)}</th><td class=number>{shown}</td><td>{unit}</td><td>{html.escape(meaning)}</td></tr>"
-        )
-    return f"<table>{''.join(rows)}</table>"
-
-
-def _section(title: str, scores: list[Figure]) -> str:
-    return f"<h2>{title}</h2>{_table(scores)}" if scores else ""
-
-
-def _headline(run: Run, result: dict[str, Any]) -> str:
-    """The result in one line."""
-    parts = []
-    for name in GOOD:
-        value = result["mean"].get(name)
-        if value is not None:
-            label = {"psnr": "PSNR", "ssim": "SSIM", "normal_mae_alpha_acc_deg": "normals", "depth_rmse_mm": "depth"}[name]
-            parts.append(
-                f"<b>{value:.3f}</b> {label}" if name == "ssim" else f"<b>{value:.2f} {metrics.DEFINITIONS[name][0]}</b> {label}"
-            )
+def _headline(run: Run, result: dict[str, Any]) -> tuple[list[tuple[str, Number]], str]:
+    """The result at a glance, and on what it was measured."""
+    labels = {"psnr": "PSNR", "ssim": "SSIM", "normal_mae_alpha_acc_deg": "normals", "depth_rmse_mm": "depth"}
+    shown = [(label, Number(result["mean"][name], metrics.DEFINITIONS[name][0], digits=3 if name == "ssim" else 2))
+             for name, label in labels.items() if result["mean"].get(name) is not None]  # fmt: skip
     log = run.log()
     trained = f", after {log[-1]['seconds']:.0f} s of training ({log[-1]['step']} steps)" if log else ""
-    return (
-        f"{' · '.join(parts)}<br>on {result['views']} {result['split']} views at {result['size'][0]}×{result['size'][1]}{trained}"
-    )
+    return shown, f"on {result['views']} {result['split']} views at {result['size'][0]}×{result['size'][1]}{trained}"
 
 
-def _curve(run: Run) -> str:
-    """PSNR over the seconds of training, as SVG that takes the page's colours."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure as Drawing
+def _curve(run: Run) -> str | None:
+    """PSNR over the seconds of training, as SVG in colours for light and dark; None where the log is too short."""
+    from datasets.report_drawing import COLOURS, blank, svg_of
 
     log = run.log()
     if len(log) < 2:
-        return "<p>The log is too short for a curve.</p>"
-    drawing = Drawing(figsize=(8, 3.2), layout="constrained", facecolor="none")
-    axes = drawing.add_subplot(facecolor="none")
+        return None
+    drawing = blank(8, 3.2)
+    axes = drawing.add_subplot()
     for key, label, colour in (
-        ("psnr_unseen", "unseen views", "#2f6fde"),
-        ("psnr_train", "training rays (last batch)", "#d98324"),
+        ("psnr_unseen", "unseen views", COLOURS[0]),
+        ("psnr_train", "training rays (last batch)", COLOURS[1]),
     ):
         points = [(line["seconds"], line[key]) for line in log if key in line]
         if points:
             axes.plot(*zip(*points, strict=True), label=label, color=colour, linewidth=2 if key == "psnr_unseen" else 1.2)
     axes.set(xlabel="seconds of training", ylabel="PSNR [dB]")
     axes.grid(alpha=0.25)
-    legend = axes.legend(frameon=False, loc="lower right")
-    for text in (
-        axes.xaxis.label,
-        axes.yaxis.label,
-        *axes.get_xticklabels(),
-        *axes.get_yticklabels(),
-        *legend.get_texts(),
-    ):
-        text.set_color("#808080")
-    for line in (*axes.spines.values(), *axes.xaxis.get_ticklines(), *axes.yaxis.get_ticklines()):
-        line.set_color("#808080")
-    buffer = io.StringIO()
-    FigureCanvasSVG(drawing).print_svg(buffer, metadata={"Date": None})
-    return buffer.getvalue()[buffer.getvalue().index("<svg") :]
+    axes.legend(frameon=False, loc="lower right")
+    return svg_of(drawing)
 
 
-def _work(run: Run, result: dict[str, Any]) -> str:
-    """What the training did and what it could leave out, as list items."""
+def _work(run: Run, result: dict[str, Any]) -> list[str]:
+    """What the training did and what it could leave out, a sentence each."""
     log, content = run.log(), run.content
     facts = [
         f"preset {run.config.preset}, model {run.config.model}, sampler {run.config.sampler.kind}, on {content.get('device', 'unknown device')}"
@@ -259,11 +223,11 @@ def _work(run: Run, result: dict[str, Any]) -> str:
     if log:
         facts.append(f"{log[-1]['skipped']} of {log[-1]['step']} steps were left out because their gradient was not finite")
     facts.append(f"{result['mean']['seconds']:.2f} s per rendered view, all channels and density normals included")
-    facts += [str(note) for note in content.get("notes", [])]
-    return "".join(f"<li>{html.escape(fact)}</li>" for fact in facts)
+    return [*facts, *(str(note) for note in content.get("notes", []))]
 
 
-def _commands(run: Run, out: Path, calibration: Path | None) -> str:
+def _commands(run: Run, out: Path, calibration: Path | None) -> list[str]:
+    """Command lines that lead to the report, the last of which makes it."""
     path = run.path
     budget = run.content.get("budget_s")
     scale = f" --set scale={run.config.scale:g}" if run.config.scale != 1 else ""
@@ -271,4 +235,4 @@ def _commands(run: Run, out: Path, calibration: Path | None) -> str:
     if "from" in run.content:
         train = f"reconstruct train --from {run.content['from']} --finetune"
     lines = [f"{train}{f' --budget {budget:g}' if budget else ''} --out {path}", f"reconstruct eval {path}"]
-    return "\n".join([*lines, f"reconstruct report {path}{f' --calibration {calibration}' if calibration else ''} --out {out}"])
+    return [*lines, f"reconstruct report {path}{f' --calibration {calibration}' if calibration else ''} --out {out}"]

@@ -14,6 +14,7 @@ from calib.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.errors import Misuse
+from datasets.report_page import Number
 
 
 def solved(given=None):
@@ -29,7 +30,7 @@ def solved(given=None):
 
 @pytest.fixture(scope="module")
 def text():
-    return page.render(*solved())
+    return page.page(*solved(), made_by="calib report REC --out page.html").render()
 
 
 def pictures(text):
@@ -37,9 +38,17 @@ def pictures(text):
 
 
 def test_page_needs_nothing_else(text):
-    assert not re.search(r"<script|https?://|src=\"(?!data:)", text)
+    assert not re.search(r"<script[^>]*src|https?://|src=\"(?!data:)", text)
     HTMLParser().feed(text)
-    assert text.count("<h2>") == text.count("</h2>") == 9
+    assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 10
+    assert "calib report REC --out page.html" in text
+
+
+def test_numbers_have_their_uncertainty(text):
+    calibration, _ = solved()
+    value = calibration.flange_from_camera
+    assert Number(1e3 * value.matrix[0, 3], "mm", value.translation_std_mm[0]).text in text
+    assert f"± {calibration.camera_std['fx']:.2g}"[:4] in text
 
 
 def test_figures_show_something(text):
@@ -57,7 +66,7 @@ def test_words_and_names_are_there_and_escaped(text):
 
 
 def test_a_given_camera_is_not_cross_validated():
-    text = page.render(*solved(Calibration(KOALA.camera, {})))
+    text = page.page(*solved(Calibration(KOALA.camera, {}))).render()
     assert "The camera was given" in text and len(pictures(text)) == 6
 
 

@@ -2,6 +2,8 @@
 
 import errno
 import json
+import os
+import subprocess
 import sys
 from typing import Annotated
 
@@ -65,6 +67,29 @@ def test_results_for_persons_and_programs(monkeypatch, capsys) -> None:
 def test_wrong_arguments_are_misuse(monkeypatch, capsys, options: tuple[str, ...]) -> None:
     code, _, err = outcome(monkeypatch, capsys, None, *options)
     assert code == 2 and err.startswith("error: ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (("wrk",), "'work'?"), (("work", "--cont", "3"), "there is no option '--cont'; did you mean '--count'?"),
+    (("work", "extra"), "work --help' says what it takes"), (("--dbug", "work"), "did you mean '--debug'?"),
+])  # fmt: skip
+def test_wrong_names_are_answered_with_the_nearest(monkeypatch, capsys, options: tuple[str, ...], words: str) -> None:
+    assert words in outcome(monkeypatch, capsys, None, *options)[2]
+
+
+def test_without_a_command_there_is_help(monkeypatch, capsys) -> None:
+    code, out, err = outcome(monkeypatch, capsys, None)
+    assert code == 2 and out == "" and "error" not in err and "work" in err and err.count("\n") > 5
+
+
+@pytest.mark.parametrize(("typed", "offered"), [("datasets tr", "truth"), ("datasets export x --for", "--format")])
+def test_the_shell_completes_names(typed: str, offered: str) -> None:
+    """As bash asks for it, after `datasets --install-completion`."""
+    words = typed.split(" ")
+    asked = {"_DATASETS_COMPLETE": "complete_bash", "COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
+    code = "import sys; sys.argv = ['datasets']; from datasets.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **asked}, capture_output=True, text=True, timeout=60)
+    assert offered in done.stdout.split(), done.stderr
 
 
 def test_progress_is_plain_lines_elsewhere_than_on_a_terminal(monkeypatch, capsys) -> None:

@@ -97,3 +97,17 @@ def test_json_checks_kind_and_version(tmp_path: Path) -> None:
 def test_a_written_file_can_be_read_by_others(tmp_path: Path) -> None:
     files.write_text(tmp_path / "a", "x")
     assert os.stat(tmp_path / "a").st_mode & 0o777 == 0o644
+
+
+def test_a_missing_file_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
+    files.write_json(tmp_path / "calibration.json", {})
+    with pytest.raises(Misuse, match=r"no such file; did you mean 'calibration.json'\?"):
+        files.read_json(tmp_path / "calibratio.json")
+    with pytest.raises(Misuse, match=r"valid: calibration\.json"):
+        files.read_json(tmp_path / "x.json")
+    with pytest.raises(Misuse, match="there is no folder"):
+        files.read_json(tmp_path / "nowhere" / "x.json")
+    for index in range(files.FEW):
+        files.write_json(tmp_path / f"{index}.json", {})
+    with pytest.raises(Misuse, match="check the path"):
+        files.read_json(tmp_path / "run_of_mine.json")

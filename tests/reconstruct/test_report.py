@@ -11,6 +11,7 @@ from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
 from datasets.errors import Misuse
 from reconstruct import evaluate, report
+from reconstruct.skipping import record
 from reconstruct.trained import Trained
 
 
@@ -19,6 +20,7 @@ def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: Trained, tmp
     page = (tmp_path / "report" / "index.html").read_text()
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page), "nothing is loaded from elsewhere"
     assert page.count("<img") == 2 * 5 * 2, "two views, five channels, truth and rendering"
+    assert page.count('<div class="wipe">') == 10
     assert f"{result['mean']['psnr']:.2f} dB" in page and "<svg" in page and "Chamfer" in page
     assert f"reconstruct eval {ball.run.path}" in page and "made for a test" in page and "$" not in page
     assert (ball.run.path / "metrics.json").is_file(), "the run was measured"
@@ -52,7 +54,7 @@ def test_calibration_is_shown_with_its_error(ball: Trained, tmp_path: Path, simu
     found.save(tmp_path / "calibration.json")
     report.write(ball, tmp_path / "report", calibration=tmp_path / "calibration.json")
     page = (tmp_path / "report" / "index.html").read_text()
-    assert ">0.25<" in page and "hand-eye pose, position" in page and ">0.125<" in page
+    assert ">0.2500<" in page and "hand-eye pose, position" in page and ">0.1250<" in page
 
 
 def test_channels_stand_beside_their_truth(ball: Trained) -> None:
@@ -63,3 +65,15 @@ def test_channels_stand_beside_their_truth(ball: Trained) -> None:
         assert truth is not None and truth.shape[:2] == rendered.shape[:2] and np.abs(truth - rendered).mean() < 0.05
     unknown = report.side_by_side({"rgb": pairs["colour"][0]}, ball.picture(view))
     assert [name for name, (truth, _) in unknown.items() if truth is None] == ["normals", "depth", "diffuse", "specular"]
+
+
+def test_what_was_skipped_is_listed(ball: Trained, tmp_path: Path) -> None:
+    path = ball.run.path / record.SKIPS
+    assert not path.exists()
+    record.write(ball.run.path, [record.Skip("distortion", True, "the lens is a pinhole", "a tenth of reading", "none: exact")])
+    try:
+        report.write(ball, tmp_path / "report")
+    finally:
+        path.unlink()
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert "<td>distortion</td><td>skipped</td><td>the lens is a pinhole</td>" in page
