@@ -78,6 +78,14 @@ def test_the_best_of_seven_is_chosen_without_luck():
     assert np.mean(fair) == pytest.approx(1.0, abs=4 * 0.010 / np.sqrt(60))
 
 
+def test_where_the_arm_errs_in_place_alone_refinement_and_park_are_the_same_least_squares():
+    """With exact corners the board's place is linear in both unknown translations and every view counts alike: no method can do better."""
+    methods = bench.measure(bench.Point(0.0, 1.0, 0.0, 8), 6, np.random.default_rng(5)).methods
+    for other in ("park", "horaud", "shah", bench.DRAWN):
+        # the arm's rotations are said to be right to 1e-4 degrees: a micrometre at half a metre, against a millimetre of noise
+        np.testing.assert_allclose(methods[bench.REFINED].translation_mm, methods[other].translation_mm, atol=2e-3)
+
+
 def test_close_calls_get_more_trials():
     arm_alone, corners_alone = bench.Point(0.0, 1.0, 0.0, 6), bench.Point(0.1, 0.0, 0.0, 6)
     assert bench.measure(arm_alone, 10, np.random.default_rng(0), more=3).trials == 30
