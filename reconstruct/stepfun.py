@@ -37,8 +37,9 @@ def sample_intervals(
 
     Args:
         uniforms: one number in [0, 1) per ray.
-        t: edges. w: weights >= 0. No gradient is wanted through either (stop it outside).
+        t: edges. w: weights >= 0. No gradient goes through either: where samples lie is data.
     """
+    t, w = jax.lax.stop_gradient((t, w))
     span = t[..., 1:] - t[..., :-1]
     total = jnp.sum(w, -1, keepdims=True)
     fallback = span / jnp.maximum(jnp.sum(span, -1, keepdims=True), 1e-30)

@@ -78,11 +78,11 @@ def propose(
     keys = [None] * len(counts) if key is None else list(jax.random.split(key, len(counts)))
     for level, (count, level_key) in enumerate(zip(counts, keys, strict=True)):
         uniforms = jnp.full(num_rays, 0.5) if level_key is None else jax.random.uniform(level_key, (num_rays,))
-        sdist = jax.lax.stop_gradient(sample_intervals(uniforms, sdist, weights, count))
+        sdist = sample_intervals(uniforms, sdist, weights, count)
         if level < len(proposals):
             tdist = spacing.t(sdist)
             lengths = jnp.diff(tdist, axis=-1) * rays.speed[:, None]
             proposed = volume_weights(density_at(proposals[level], rays, tdist), lengths)
             levels.append((sdist, proposed))
-            weights = jax.lax.stop_gradient(proposed)
+            weights = proposed
     return sdist, levels

@@ -31,5 +31,11 @@ def told(skips: Sequence[Skip], line: dict[str, Any], *, passes: int, left_out: 
         "converged": f"stopped after {line['progress']:.0%} of the training" if line["progress"] < 1 else "",
         "empty_rays": f"the grid ruled out {1 - line['occupied']:.0%} in the end" if "occupied" in line else "",
     }
-    return [replace(skip, evidence=f"{skip.evidence}; {words}") if skip.skipped and (words := added.get(skip.name)) else skip
-            for skip in skips]  # fmt: skip
+    return [_with(skip, added.get(skip.name, "")) for skip in skips]
+
+
+def _with(skip: Skip, words: str) -> Skip:
+    """The decision with more evidence, unless it says so already or nothing was skipped."""
+    if not (words and skip.skipped) or words in skip.evidence:
+        return skip
+    return replace(skip, evidence=f"{skip.evidence}; {words}")

@@ -1,17 +1,21 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from datasets import files
 from datasets.errors import Misuse
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.models import finetuned, load_config, merged_config
-from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.run import CHECKPOINTS, FAULTS, Run
+from reconstruct.skipping import record
 from reconstruct.step import StepFunctions
 from reconstruct.train import start, train
 
@@ -49,6 +53,30 @@ def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path]
     for one, other in zip(final_leaves(tmp_path / "whole"), final_leaves(tmp_path / "broken"), strict=True):
         np.testing.assert_array_equal(one, other)
     assert [line["step"] for line in Run.open(tmp_path / "whole").log()][-1] == 40
+    assert [skip["name"] for skip in whole["skips"]] == [skip.name for skip in record.read(tmp_path / "broken")]
+    assert files.read_json(tmp_path / "whole" / "skips.json") == whole["skips"] == resumed["skips"]
+
+
+def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_recur(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, folder = ball_scene
+    training = start(scene, folder, config, tmp_path / "run")
+    once = eqx.tree_at(lambda s: s.skipped, training.state, jnp.asarray(1, jnp.int32))
+    before, training.state = training.state, once
+    training._heed(1, {"photometric": jnp.ones(())})
+    assert "gradient of field.encoding" in capsys.readouterr().err, "one is shown with its cause, and goes by"
+    training.state = before
+    training.pixels = eqx.tree_at(lambda p: p.colour, training.pixels, jnp.full_like(training.pixels.colour, jnp.nan))
+    start_leaves = [np.asarray(leaf).copy() for leaf in jax.tree.leaves((before.model, before.optimiser))]
+    training.compile()
+    with pytest.raises(ReconstructError, match=r"does not stay finite.*16 steps.*gradient of field\.encoding.*loss photometric"):
+        training.chunk()
+    for leaf, kept in zip(jax.tree.leaves((training.state.model, training.state.optimiser)), start_leaves, strict=True):
+        if leaf.ndim:  # the blur is part of the schedule, not learned
+            np.testing.assert_array_equal(leaf, kept)
+    lines = (tmp_path / "run" / FAULTS).read_text().splitlines()
+    assert len(lines) == 2 and '"skipped": 16' in lines[1]
 
 
 def test_a_training_that_cannot_start_leaves_nothing(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:

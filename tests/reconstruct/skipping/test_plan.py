@@ -44,7 +44,7 @@ def test_what_is_off_changes_nothing() -> None:
     assert not any(skip.skipped for skip in skips if skip.name in names and skip.name not in ("surroundings", "multisampling"))
 
 
-@pytest.mark.parametrize(("smallest", "left"), [(1e-3, 8), (0.01, 6), (0.05, 4), (10.0, 1)])
+@pytest.mark.parametrize(("smallest", "left"), [(1e-3, 8), (0.01, 6), (0.05, 3), (10.0, 1)])
 def test_levels_finer_than_the_smallest_footprint_go(smallest: float, left: int) -> None:
     before, config = load_config().encoding, planned(replace(FACTS, smallest=smallest), fine_levels=True)[0].encoding
     assert config.levels == left  # 6 * 1.71^n <= 1 / smallest; the coarsest stays
