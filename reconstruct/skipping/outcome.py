@@ -7,8 +7,8 @@ from typing import Any
 from reconstruct.config import SurfaceConfig
 from reconstruct.skipping.record import Skip
 
-AGREE = 2e-3
-"""Mean of (1 - |n . n'|) / 2 around the surfaces below which normals agree already: 5 degrees in the mean."""
+AGREE = 2e-4
+"""Mean of (1 - |n . n'|) / 2 around the surfaces below which normals agree already: 1.6 degrees in the mean."""
 LONGEST = 4
 """Second passes come at most so many times less often than the curriculum has them."""
 

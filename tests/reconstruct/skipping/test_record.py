@@ -47,7 +47,7 @@ def test_the_end_tells_what_came_of_it() -> None:
 
 def test_passes_grow_rare_while_normals_agree_and_come_back_at_once() -> None:
     surface = load_config().surface
-    agreed, apart = ({"normal_consistency": surface.normal * value} for value in (1e-3, 3e-3))
+    agreed, apart = ({"normal_consistency": surface.normal * value} for value in (1e-4, 3e-4))
     assert outcome.lenience(1, agreed, surface) == 2 and outcome.lenience(4, agreed, surface) == 4
     assert outcome.lenience(4, apart, surface) == 1
     assert outcome.lenience(1, agreed, surface.model_copy(update={"normal": 0.0})) == 1
