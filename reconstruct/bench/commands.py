@@ -16,7 +16,7 @@ def bench_command(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the benchmark; one that was broken off is gone on with.")
     ] = None,
-    suite: Annotated[str, typer.Option(help="quick: ten minutes on two cores. full: ten hours.")] = "quick",
+    suite: Annotated[str, typer.Option(help="quick: ten minutes on two cores. full: most of a day.")] = "quick",
     peer: Annotated[Path | None, typer.Option(metavar="CSV", help="What other programs reach, to be drawn as well.")] = None,
     data: Annotated[
         Path | None, typer.Option(help="Folder that holds lego400 and mold_gold_cape; else they are looked for.")

@@ -36,8 +36,8 @@ class Kernel:
     """One piece of a step."""
 
     name: str
-    per_ray: float
-    """Samples, steps or parameters that one ray of the batch pays for."""
+    rays: int
+    """Of the batch that it works for."""
     operations: float
     exponentials: float
     """Exponentials, error functions, sines, roots."""
@@ -87,14 +87,9 @@ class Bench:
         compiled = jax.jit(function).lower(*arguments).compile()
         counted = compiled.cost_analysis() or {}
         seconds = fastest(lambda: compiled(*arguments))
-        moved = sum(
-            leaf.nbytes for leaf in jax.tree.leaves((arguments, jax.eval_shape(function, *arguments))) if hasattr(leaf, "nbytes")
-        )
-        moved += sum(
-            int(np.prod(leaf.shape)) * leaf.dtype.itemsize for leaf in jax.tree.leaves(jax.eval_shape(function, *arguments))
-        )
-        return Kernel(name, (gathers + scatters) / self.functions.rays_per_step, float(counted.get("flops", 0.0)),
-                      float(counted.get("transcendentals", 0.0)), float(moved), gathers, scatters, seconds)  # fmt: skip
+        moved = sum(_bytes(leaf) for leaf in jax.tree.leaves((arguments, jax.eval_shape(function, *arguments))))
+        return Kernel(name, self.functions.rays_per_step, float(counted.get("flops", 0.0)), float(counted.get("transcendentals", 0.0)),
+                      float(moved), gathers, scatters, seconds)  # fmt: skip
 
     def _pieces(self) -> list[tuple[str, Callable[..., Any], tuple, float, float]]:
         """Name, function, arguments, places looked up and places added to of each kernel."""
@@ -152,12 +147,13 @@ class Bench:
 
     def _networks(self) -> list[tuple]:
         field, rays = self.state.model.field, self.config.sampler.samples // 8
+        appearance = field.appearance
         features = jnp.ones((field.encoding.num_channels, self.config.sampler.samples))
         spatial = lambda network, x: network(x)  # noqa: E731
         _, material = field(self._cloud())
         few = jax.tree.map(lambda a: a[:, :rays], material)
         directions = self.rays.viewdirs[:rays].T
-        shade = lambda f, m, d: jnp.sum(f.shade(m, d).rgb)  # noqa: E731
+        shade = lambda a, m, d: jnp.sum(a.shade(m, d).rgb)  # noqa: E731
         return [
             ("spatial network", spatial, (field.spatial, features), 0, 0),
             (
@@ -167,8 +163,8 @@ class Bench:
                 0,
                 0,
             ),
-            ("shading of rays", shade, (field, few, directions), 0, 0),
-            ("shading of rays, with backward", jax.grad(shade, argnums=(0, 1)), (field, few, directions), 0, 0),
+            ("shading of rays", shade, (appearance, few, directions), 0, 0),
+            ("shading of rays, with backward", jax.grad(shade, argnums=(0, 1)), (appearance, few, directions), 0, 0),
         ]
 
     def _compositing(self) -> list[tuple]:
@@ -199,7 +195,7 @@ class Bench:
             return jax.tree.map(lambda p, u: p - 0.01 * u, model, update), state
 
         model = self.state.model
-        return [("optimiser", descend, (jax.tree.map(jnp.ones_like, model), self.state.optimiser, model), 0, 0)]
+        return [("optimiser", descend, (jax.tree.map(jnp.ones_like, model), adam.init(model), model), 0, 0)]
 
     def _samples(self):
         """Samples of the batch's rays that meet something, and those rays."""
@@ -218,6 +214,10 @@ class Bench:
         return Cloud(direction / jnp.linalg.norm(direction, axis=0) * radius, None, True)
 
 
+def _bytes(leaf: Any) -> int:
+    return int(np.prod(leaf.shape)) * leaf.dtype.itemsize
+
+
 def corners(encoding: Encoding) -> int:
     """Vertices around a point."""
     return {PermutohedralLattice: 4, VoxelGrid: 8}.get(type(encoding), 0)
@@ -234,21 +234,24 @@ def _rays(count: int) -> Rays:
 
 
 def rows(kernels: list[Kernel], limits: list[Limit]) -> list[dict[str, Any]]:
-    """Each kernel with the least time that the limits allow, and its share of the measured one."""
+    """Each kernel with the least time that the limits allow, its share of the measured one, and what it asks for per ray."""
     rates = {limit.name: limit.rate for limit in limits}
     found = []
     for kernel in kernels:
         least, binding = kernel.least(rates)
+        asked = {
+            name: getattr(kernel, name) / kernel.rays for name in ("operations", "exponentials", "bytes", "gathers", "scatters")
+        }
         found.append({"kernel": kernel.name, "measured_ms": 1e3 * kernel.seconds, "least_ms": 1e3 * least, "limit": binding,
-                      "share": least / kernel.seconds, "operations": kernel.operations, "exponentials": kernel.exponentials,
-                      "bytes": kernel.bytes, "gathers": kernel.gathers, "scatters": kernel.scatters})  # fmt: skip
+                      "share": least / kernel.seconds, **asked})  # fmt: skip
     return found
 
 
 def text(found: list[dict[str, Any]]) -> str:
     """The rows for a person."""
-    head = f"{'kernel':<36}{'measured':>10}{'allowed':>10}{'share':>7}  {'limit':<24}{'operations':>11}{'gathers':>10}{'scatters':>10}{'MB':>7}"
-    lines = [f"{row['kernel']:<36}{row['measured_ms']:>7.2f} ms{row['least_ms']:>7.2f} ms{100 * row['share']:>5.0f} %  {row['limit']:<24}"
-             f"{row['operations'] / 1e6:>9.1f} M{row['gathers'] / 1e6:>8.2f} M{row['scatters'] / 1e6:>8.2f} M{row['bytes'] / 1e6:>7.1f}"
+    head = (f"{'kernel':<36}{'measured':>10}{'allowed':>10}{'share':>8}  {'limit':<22}"
+            f"{'operations':>11}{'exp':>7}{'bytes':>8}{'gathers':>9}{'scatters':>9}   (per ray)")  # fmt: skip
+    lines = [f"{row['kernel']:<36}{row['measured_ms']:>7.2f} ms{row['least_ms']:>7.2f} ms{100 * row['share']:>6.0f} %  {row['limit']:<22}"
+             f"{row['operations']:>11.0f}{row['exponentials']:>7.0f}{row['bytes']:>8.0f}{row['gathers']:>9.0f}{row['scatters']:>9.0f}"
              for row in found]  # fmt: skip
     return "\n".join([head, *lines])

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 REPEATS = 5
-TABLES = {"in the cache": 2**16, "beside the cache": 2**24}
-"""Rows of the tables that are looked up: a level of the fast preset, and one that no cache holds."""
+TABLES = {"in the cache": 2**20, "beside the cache": 2**25}
+"""Rows of the tables that are looked up: all tables of the fast preset, and more than any cache holds."""
 ENTRIES = 2**20
 """Random entries that are looked up."""
 

@@ -119,7 +119,8 @@ def durations_us(folder: Path) -> dict[str, float]:
     return dict(spent)
 
 
-_INSTRUCTION = re.compile(r"^\s*(?:ROOT )?%?([\w.\-]+) = (?:\([^=]*?\)|\S+) ([\w\-]+)\(")
+_INSTRUCTION = re.compile(r"^\s*(?:ROOT )?%?([\w.\-]+) = (.*)$")
+_KIND = re.compile(r"^\S+ ([\w\-]+)\(")
 _FRAME, _OPERATION = re.compile(r"stack_frame_id=(\d+)"), re.compile(r'op_name="([^"]*)"')
 
 
@@ -129,12 +130,25 @@ def parts_of(program: str) -> dict[str, Part]:
     parts = {}
     for line in program.splitlines():
         match = _INSTRUCTION.match(line)
-        if match is None or match[2] in CONTAINERS:
+        if match is None or _kind(match[2]) in CONTAINERS:
             continue
         frame, operation = _FRAME.search(line), _OPERATION.search(line)
         calls = stacks.get(int(frame[1]), []) if frame else []
         parts[match[1]] = part_of(calls, operation[1] if operation else "")
     return parts
+
+
+def _kind(instruction: str) -> str:
+    """What an instruction does, after the type of its result: "f32[3]{0} add(...)", "(s32[], f32[]) while(...)"."""
+    if instruction.startswith("("):
+        depth = 0
+        for end, letter in enumerate(instruction):
+            depth += (letter == "(") - (letter == ")")
+            if depth == 0:
+                instruction = f"tuple{instruction[end + 1 :]}"
+                break
+    match = _KIND.match(instruction)
+    return match[1] if match else ""
 
 
 def part_of(calls: list[tuple[str, str]], operation: str) -> Part:

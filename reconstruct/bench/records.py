@@ -67,7 +67,7 @@ class Records:
         text = self.path.read_bytes() if self.path.is_file() else b""
         buffer = io.StringIO()
         writer = csv.DictWriter(buffer, COLUMNS, restval="", lineterminator="\n")
-        if not text:
+        if b"\n" not in text:
             writer.writeheader()
         writer.writerow({name: "" if row.get(name) is None else row[name] for name in COLUMNS})
         with open(self.path, "r+b" if text else "wb") as file:

@@ -3,7 +3,8 @@
 OUT/records.csv     a line per trial: errors, work, machine, versions, commit
 OUT/profiles.json   where the time of a step goes, by the trial's name
 OUT/index.html      curves and tables
-OUT/scenes/         the shiny scenes, unless they are kept elsewhere
+
+Shiny scenes are rendered once and kept in the cache folder.
 
 A benchmark that was broken off goes on where it stopped, and trials can be added to it.
 """
@@ -19,11 +20,12 @@ from typing import Any
 from datasets import files
 from datasets.console import progress
 from datasets.errors import KoalaError
+from reconstruct.backend import cache_folder
 from reconstruct.bench import context, suite, trial
 from reconstruct.bench.records import DONE, Records
 from reconstruct.bench.suite import Trial
 
-RECORDS, PROFILES, SCENES = "records.csv", "profiles.json", "scenes"
+RECORDS, PROFILES, SCENES = "records.csv", "profiles.json", "bench"
 PROFILES_FORMAT, PROFILES_VERSION = "koala-bench-profiles", 1
 PATIENCE_S = 900.0
 """A trial may take so long beyond its budget: reading, compiling, measuring."""
@@ -43,7 +45,7 @@ def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict
     finished = records.done()
     todo = [one for one in trials if one.key not in finished]
     with progress("scenes", 1) as shown:
-        places = suite.folders(todo, out / SCENES, data, shown.note)
+        places = suite.folders(todo, cache_folder() / SCENES, data, shown.note)
     absent = sorted({one.scene for one in todo} - set(places))
     todo = [one for one in todo if one.scene in places]
     failed = 0
@@ -60,7 +62,7 @@ def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict
 
 def measure(one: Trial, place: Path, out: Path) -> dict[str, Any]:
     """The record of one trial, with the reason as its status where it failed."""
-    row = {**vars(one), **context.describe(), "device": "cpu"}
+    row = {**vars(one), **context.describe()}
     with tempfile.TemporaryDirectory(prefix="koala-bench-") as folder:
         try:
             found = _in_a_process(one, place, Path(folder))

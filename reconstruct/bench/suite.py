@@ -84,7 +84,7 @@ SUITES: dict[str, tuple[Block, ...]] = {
         Block((("gold_rings", 1.0), ("lego400", 0.5), ("mold_gold_cape", 0.5)), budgets_s=(30.0,), seeds=(0,), kind=PROFILE),
     ),
 }  # fmt: skip
-"""quick: within ten minutes on two cores. full: about ten hours."""
+"""quick: within ten minutes on two cores. full: about eighteen hours."""
 
 
 @dataclass(frozen=True)

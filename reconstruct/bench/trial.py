@@ -73,6 +73,7 @@ def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any
         "rays_per_s": rate * functions.rays_per_step, "samples_per_s": rate * functions.samples_per_step,
         "cores_used": processor / elapsed, "occupied": run.log()[-1].get("occupied"),
         "width": camera.width, "height": camera.height, "train_views": len(scene.split("train")),
+        "device": run.content.get("device"),
     }  # fmt: skip
 
 
