@@ -1,7 +1,7 @@
 import json
+import resource
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -141,7 +141,9 @@ def test_importing_calib_does_not_touch_jax():
 
 def test_help_is_instant():
     calib("--help")  # the first call compiles
-    start = time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     result = calib("handeye", "--help")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert result.returncode == 0 and "RECORDING" in result.stdout
-    assert time.perf_counter() - start < 1.0  # 0.1 s on an idle core
+    # 0.15 s of the processor, which is what the clock says on an idle core; a busy one takes longer
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
