@@ -7,6 +7,7 @@
 Points, directions and channels come first: (3, n), (channels, n).
 """
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import equinox as eqx
@@ -50,6 +51,27 @@ class Shading(eqx.Module):
     """The part that depends on the direction, tint included, linear; all of the colour where nothing is diffuse."""
 
 
+@dataclass(frozen=True)
+class StartNormals:
+    """Normals before anything is learned: those of a ball about the object, turned towards where the cameras are.
+
+    A camera that looks down on a table must not begin with a table that faces away from it: what reflects no light towards
+    the camera is left out of the picture, and fog before it takes its place.
+    """
+
+    outward: float
+    towards: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, field: FieldConfig) -> "StartNormals":
+        """As configured; turned nowhere where the scene was not looked at."""
+        return cls(field.outward, field.towards or (0.0, 0.0, 0.0))
+
+    def at(self, points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
+        """Not unit: its length says how much the network must say to turn it."""
+        return self.outward * (points + jnp.asarray(self.towards)[:, None])
+
+
 class Reflection(eqx.Module):
     """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected.
 
@@ -62,7 +84,7 @@ class Reflection(eqx.Module):
     ide_degree: int = eqx.field(static=True)
     diffuse_bias: float = eqx.field(static=True)
     specular_bias: float = eqx.field(static=True)
-    outward: float = eqx.field(static=True)
+    start: StartNormals = eqx.field(static=True)
 
     heads: ClassVar[int] = 10
     """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
@@ -74,13 +96,13 @@ class Reflection(eqx.Module):
         """Fresh weights for the given sizes."""
         channels = field.bottleneck + ide_channels(field.ide_degree) + 1
         network = _view_network(key, channels, field)
-        return cls(network, field.ide_degree, field.diffuse_bias, field.specular_bias, field.outward)
+        return cls(network, field.ide_degree, field.diffuse_bias, field.specular_bias, StartNormals.of(field))
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
         return Material(
             diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), tint=jax.nn.sigmoid(raw[3:6]),
-            roughness=jax.nn.softplus(raw[6:7] - 1.0), normals_pred=normalise(self.outward * points - raw[7:10], axis=0),
+            roughness=jax.nn.softplus(raw[6:7] - 1.0), normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
             bottleneck=raw[10:],
         )  # fmt: skip
 
@@ -134,7 +156,7 @@ class Matte(eqx.Module):
     """What is left of `Reflection` where nothing is reflected: the diffuse colour, and normals that the density's follow."""
 
     diffuse_bias: float = eqx.field(static=True)
-    outward: float = eqx.field(static=True)
+    start: StartNormals = eqx.field(static=True)
 
     heads: ClassVar[int] = 6
     """Diffuse (3), normal (3); the bottleneck follows."""
@@ -144,7 +166,7 @@ class Matte(eqx.Module):
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
         dark = jnp.zeros((3, raw.shape[1]))
-        normals = normalise(self.outward * points - raw[3:6], axis=0)
+        normals = normalise(self.start.at(points) - raw[3:6], axis=0)
         return Material(jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), dark, dark[:1], normals, raw[self.heads :])
 
     def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
@@ -158,7 +180,7 @@ Appearance = Reflection | Matte | ViewColour
 def create_appearance(key: PRNGKeyArray, field: FieldConfig) -> Appearance:
     """The appearance that a configuration names."""
     if field.appearance == "diffuse":
-        return Matte(field.diffuse_bias, field.outward)
+        return Matte(field.diffuse_bias, StartNormals.of(field))
     kind = Reflection if field.appearance == "reflection" else ViewColour
     return kind.create(key, field)
 

@@ -59,6 +59,9 @@ class FieldConfig(Schema):
     outward: float = Field(
         0.0, ge=0, description="Predicted normals start as those of a ball about the object: weight of the position in them."
     )
+    towards: tuple[float, float, float] | None = Field(
+        None, description="Added to that position; none: the mean direction of the cameras, so that what they see faces them."
+    )
     density_bias: float = Field(0.5, description="Added to the raw density before the exponential.")
     surroundings_bias: float = Field(
         0.0, description="The same once more where there are surroundings: rays are longer, and the first fog must stay thin."
@@ -118,6 +121,7 @@ class LossConfig(Schema):
     charbonnier: float = Field(1e-3, gt=0, description="Colour error below which the photometric loss is quadratic.")
     interlevel: float = Field(0.01, ge=0, description="Proposal levels follow the final one.")
     distortion: float = Field(0.0, ge=0, description="Weights along a ray gather (real scenes: 0.01).")
+    hollowness: float = Field(0.0, ge=0, description="What is solid gets no thinner behind its surface.")
     orientation: float = Field(0.1, ge=0, description="Visible normals face the camera.")
     predicted_normals: float = Field(3e-4, ge=0, description="Predicted normals follow the density's.")
     density_normals: float = Field(3e-4, ge=0, description="The density's normals follow the predicted ones.")

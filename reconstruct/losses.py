@@ -29,6 +29,20 @@ def distortion(
     return pairs + jnp.sum(weights * weights * length, -1) / 3
 
 
+def hollowness(weights: Float[Array, "rays n"], density: Float[Array, "rays n"]) -> Float[Array, " rays"]:
+    """How far the density falls behind what a ray has met: sum_i w_i W_i max(0, 1 - d_i / d_(i-1)), W_i the weights before i.
+
+    What is solid gets no thinner behind its surface: a thin shell over fog shows reflections as well as a surface does, and
+    has normals of noise. Ref-NeRF's orientation loss says so too, with a gradient at every sample; this needs none. All but d_i is
+    held, so that the only remedy is to fill what is hollow, never to thin the front.
+    """
+    before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
+    met = jnp.cumsum(weights, -1) - weights
+    held, before = jax.lax.stop_gradient((weights * met, before))
+    fall = jnp.where(before > 0, 1 - density / jnp.where(before > 0, before, 1.0), 0.0)
+    return jnp.sum(held * jnp.maximum(fall, 0.0), -1)
+
+
 def orientation(normals: Float[Array, "3 n"], viewdirs: Float[Array, "3 n"]) -> Float[Array, " n"]:
     """max(0, n . d)^2: visible normals do not face away from the camera (Ref-NeRF equation 11)."""
     return jnp.square(jnp.maximum(jnp.sum(normals * viewdirs, 0), 0.0))

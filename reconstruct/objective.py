@@ -139,6 +139,11 @@ def distortion_term(rendered: Rendered, samples: RaySamples, scale: Float[Array,
     return {"distortion": weight * jnp.mean(losses.distortion(rendered.weights, middle, length))}
 
 
+def hollowness_term(rendered: Rendered, density: Float[Array, " n"], samples: RaySamples, weight: float) -> Terms:
+    """What is solid gets no thinner behind its surface."""
+    return {"hollowness": weight * jnp.mean(losses.hollowness(rendered.weights, samples.padded(density)))}
+
+
 def decay_term(model: Model, weight: float) -> Terms:
     """Mean square of the tables' values, summed over levels (and over proposals, where there are any)."""
     encodings = [model.field.encoding, *(proposal.encoding for proposal in model.proposals)]

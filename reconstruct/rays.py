@@ -75,6 +75,14 @@ def view_rays(view: View, normalisation: Normalisation, camera: Camera | None = 
     return np.broadcast_to(origin, directions.shape).astype(np.float32), directions.astype(np.float32), radii.astype(np.float32)
 
 
+def direction_of_cameras(views: tuple[View, ...], normalisation: Normalisation) -> tuple[float, float, float]:
+    """Mean unit direction from the scene's origin to where the views were taken: near zero where they are all around."""
+    positions = np.stack([view.world_from_camera[:3, 3] for view in views]) - normalisation.centre
+    directions = positions / np.maximum(np.linalg.norm(positions, axis=-1, keepdims=True), 1e-12)
+    x, y, z = directions.mean(0).tolist()
+    return x, y, z
+
+
 def scaled_camera(view: View, scale: float) -> Camera:
     """The camera of a view whose image is resampled to `scale` of its size."""
     return view.camera.scaled(max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))

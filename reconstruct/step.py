@@ -252,6 +252,8 @@ class StepFunctions:
             terms |= objective.interlevel_terms(sdist, rendered.weights, levels, weights.interlevel)
         if weights.distortion:
             terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), weights.distortion)
+        if weights.hollowness:
+            terms |= objective.hollowness_term(rendered, density, samples, weights.hollowness)
         if weights.decay:
             terms |= objective.decay_term(model, weights.decay)
         surface = objective.surfaces_of(rendered, samples, rays, config.surface.rays)

@@ -24,7 +24,8 @@ from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.faults import FAULTS, RECURS, cause
 from reconstruct.hull import cells_in_masks, cells_in_sight
-from reconstruct.rays import Normalisation, Pixels
+from reconstruct.models import merged_config
+from reconstruct.rays import Normalisation, Pixels, direction_of_cameras
 from reconstruct.renderer import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.schedules import second_pass_period
@@ -333,6 +334,8 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fres
         facts = facts_of(scene, views, pixels, normalisation, possible, config.scale)
         lean, skips = plan(facts, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
         config = config if planned else lean
+        if config.field.outward and config.field.towards is None:
+            config = merged_config(config, {"field": {"towards": direction_of_cameras(views, normalisation)}})
     held = None
     if config.train.patience:
         pixels, apart = pixels.held_out(PROBE)

@@ -39,7 +39,7 @@ def appearance(request: pytest.FixtureRequest):
 def test_a_material_is_in_range_and_stacks(appearance) -> None:
     material = some_material(appearance)
     assert 0 <= material.diffuse.min() <= material.diffuse.max() < 1
-    assert 0 < material.tint.min() <= material.tint.max() <= 1
+    assert 0 <= material.tint.min() <= material.tint.max() <= 1
     assert material.roughness.min() >= 0
     length = np.linalg.norm(material.normals_pred, axis=0)
     np.testing.assert_allclose(length, 1.0 if appearance.predicts_normals else 0.0, atol=1e-5)
@@ -120,3 +120,11 @@ def test_an_untrained_surface_reflects_like_a_ball() -> None:
     outward = points / jnp.linalg.norm(points, axis=0)
     np.testing.assert_allclose(material.normals_pred, outward, atol=1e-6)  # rounding of one division in float32
     assert appearance.shade(material, -outward).specular.mean() > material.diffuse.mean()
+
+
+@pytest.mark.parametrize("kind", ["reflection", "diffuse"])
+def test_an_untrained_table_faces_cameras_above_it(kind: str) -> None:
+    config = small(kind).model_copy(update={"outward": 1.0, "towards": (0.0, 0.0, 0.6)})
+    appearance = create_appearance(jax.random.key(0), config)
+    table = jnp.array([[-0.4, 0.0, 0.4], [0.2, 0.0, -0.2], [-0.55, -0.55, -0.55]])
+    assert (appearance.material(jnp.zeros((appearance.heads + 4, 3)), table).normals_pred[2] > 0).all()

@@ -55,6 +55,27 @@ def test_distortion_equals_the_double_sum() -> None:
     assert gradients_are_finite(losses.distortion, *f32(weights * 0, middle, length * 0))
 
 
+def test_hollowness_equals_a_loop_and_only_fills() -> None:
+    rng = np.random.default_rng(7)
+    weights, density = rng.random((6, 9)) / 9, rng.random((6, 9)) * 50
+    weights[:, 6:], density[:, 6:] = 0, 0  # rays of six samples
+    expected = [
+        sum(w[i] * sum(w[:i]) * max(0.0, 1 - d[i] / d[i - 1]) for i in range(1, 6)) for w, d in zip(weights, density, strict=True)
+    ]
+    np.testing.assert_allclose(losses.hollowness(*f32(weights, density)), expected, rtol=1e-5)
+    gradient = jax.grad(lambda d, w: jnp.sum(losses.hollowness(w, d)))(*f32(density, weights))
+    assert (np.asarray(gradient) <= 0).all() and (np.asarray(gradient) < 0).any()  # denser is never dearer
+    held = jax.grad(lambda w, d: jnp.sum(losses.hollowness(w, d)))(*f32(weights, density))
+    np.testing.assert_array_equal(held, 0)
+
+
+def test_what_grows_denser_along_the_ray_is_not_hollow_and_nothing_is_neither() -> None:
+    weights = jnp.full((1, 5), 0.2)
+    np.testing.assert_array_equal(losses.hollowness(weights, jnp.array([[0.0, 0.0, 1.0, 5.0, 1e30]])), 0)
+    assert gradients_are_finite(losses.hollowness, weights, jnp.array([[0.0, 1e-38, 0.0, 1e30, 0.0]]))
+    assert gradients_are_finite(losses.hollowness, jnp.zeros((1, 5)), jnp.zeros((1, 5)))
+
+
 def test_orientation_punishes_normals_that_face_away() -> None:
     normals, viewdirs = unit((40,), 2), unit((40,), 3)
     expected = [max(0.0, float(n @ d)) ** 2 for n, d in zip(normals, viewdirs, strict=True)]
