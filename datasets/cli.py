@@ -16,6 +16,13 @@ Images = Annotated[str | None, typer.Option(help="Folder of images to use where 
 Sizes = Annotated[str, typer.Option(help="Write images_N too: 2,4,8 for a half, a quarter and an eighth of the size.")]
 
 
+def _formats(incomplete: str) -> list[str]:
+    """For the shell."""
+    from datasets.formats import WRITERS
+
+    return [name for name in WRITERS if name.startswith(incomplete)]
+
+
 @app.command()
 def build(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
@@ -131,7 +138,10 @@ def report(
 @app.command("convert")
 def export(
     scene: SceneName,
-    format: Annotated[str, typer.Option(help="koala, blender, nerfstudio, llff, dtu, colmap, colmap-text or mipnerf360.")],
+    format: Annotated[
+        str,
+        typer.Option(help="koala, blender, nerfstudio, llff, dtu, colmap, colmap-text or mipnerf360.", autocompletion=_formats),
+    ],
     out: Out,
     source: Annotated[str | None, typer.Option("--from", help="Layout of SCENE, where it has several.")] = None,
     images: Images = None,

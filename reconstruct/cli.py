@@ -11,6 +11,19 @@ from reconstruct.bench import commands as bench_commands
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, measure it, and take pictures and geometry out of it.")
 app.add_typer(bench_commands.app, name="bench")
 
+
+def _models(incomplete: str) -> list[str]:
+    """For the shell."""
+    from reconstruct.models import names
+
+    return [name for name in names() if name.startswith(incomplete)]
+
+
+def _presets(incomplete: str) -> list[str]:
+    """For the shell."""
+    return [name for name in ("fast", "paper") if name.startswith(incomplete)]
+
+
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
 
 
@@ -21,8 +34,10 @@ def train(
         str | None,
         typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
     ] = None,
-    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.")] = "surfnerf",
-    preset: Annotated[str, typer.Option(help="fast: a workstation without GPU; paper: the published sizes.")] = "fast",
+    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.", autocompletion=_models)] = "surfnerf",
+    preset: Annotated[
+        str, typer.Option(help="fast: a workstation without GPU; paper: the published sizes.", autocompletion=_presets)
+    ] = "fast",
     budget: Annotated[float | None, typer.Option(help="Seconds of training proper; without it, train.steps steps.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting: key=value, e.g. scale=0.5; repeatable.")
@@ -103,8 +118,8 @@ def table_command(
 def ablate_command(
     scene: Annotated[str, typer.Argument(help="Scene folder, as for 'train'.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the study; one that was broken off is gone on with.")],
-    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.")] = "surfnerf",
-    preset: Annotated[str, typer.Option(help="fast or paper.")] = "fast",
+    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.", autocompletion=_models)] = "surfnerf",
+    preset: Annotated[str, typer.Option(help="fast or paper.", autocompletion=_presets)] = "fast",
     budget: Annotated[float | None, typer.Option(help="Seconds of training per cell; without it, train.steps steps.")] = None,
     cells: Annotated[list[str] | None, typer.Option("--cell", help="Only this cell (beside the base); repeatable.")] = None,
     set_: Annotated[
@@ -131,8 +146,8 @@ def skips_command(
     scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scene folders, as for 'train'.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the comparison; one that was broken off is gone on with.")],
     names: Annotated[list[str] | None, typer.Option("--skip", metavar="NAME", help="Only this one; repeatable.")] = None,
-    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.")] = "surfnerf",
-    preset: Annotated[str, typer.Option(help="fast or paper.")] = "fast",
+    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.", autocompletion=_models)] = "surfnerf",
+    preset: Annotated[str, typer.Option(help="fast or paper.", autocompletion=_presets)] = "fast",
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting in all trainings: key=value; repeatable.")
     ] = None,
@@ -152,7 +167,7 @@ def sweep_command(
     out: Annotated[Path, typer.Option("--out", help="Folder of the sweep; one that was broken off is gone on with.")],
     scenes: Annotated[list[str], typer.Option("--scene", help="Scene folder, as for 'train'; repeatable.")],
     models: Annotated[list[str], typer.Option("--model", help="Name of a model; repeatable.")],
-    preset: Annotated[str, typer.Option(help="fast or paper.")] = "fast",
+    preset: Annotated[str, typer.Option(help="fast or paper.", autocompletion=_presets)] = "fast",
     budget: Annotated[float | None, typer.Option(help="Seconds of training per run; without it, train.steps steps.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting in all runs: key=value; repeatable.")
@@ -220,17 +235,23 @@ def render_command(
     run: RunFolder,
     out: Annotated[Path, typer.Option("--out", help="Folder to write; must be new.")],
     split: Annotated[str, typer.Option(help="Views to render: train, val or test.")] = "test",
+    path: Annotated[
+        Path | None, typer.Option(help="Instead of views: the frames of a camera path, as 'reconstruct view' writes it.")
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
     """Render views: colour, its diffuse and specular part, normals, depth, opacity, roughness."""
     from datasets.files import refuse_existing
+    from reconstruct import camera_path
     from reconstruct.backend import cache_compilations
-    from reconstruct.export import render
+    from reconstruct.export import render, render_along
     from reconstruct.trained import Trained
 
     refuse_existing(out)
+    along = None if path is None else camera_path.from_file(path)[0]
     cache_compilations()
-    result = render(Trained.open(run), out, split=split)
+    trained = Trained.open(run)
+    result = render(trained, out, split=split) if along is None else render_along(trained, along, out)
     console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
 
 

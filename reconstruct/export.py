@@ -12,6 +12,8 @@ DIR/opacity/NAME.png     0..1
 DIR/roughness/NAME.png   0..1, clipped
 """
 
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +38,33 @@ def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any
     """
     files.refuse_existing(out)
     views = trained.scene.split(split)
-    with files.atomic_folder(out) as folder, progress("rendering", len(views), "views") as shown:
-        for view in views:
-            for name, values in channels(trained.picture(view)).items():
-                suffix = ".exr" if name in NUMBERS else ".png"
-                images.write(folder / name / f"{file_name(view)}{suffix}", values)
-            shown.advance()
+    _write(((file_name(view), trained.picture(view)) for view in views), len(views), out)
     return {"out": str(out), "split": split, "views": len(views)}
+
+
+def render_along(trained: Trained, frames: Sequence[NDArray[np.float64]], out: Path) -> dict[str, Any]:
+    """Render (4, 4) `world_from_camera` poses with the first view's camera, without its distortion, into the new folder `out`.
+
+    Files are named by the number of the frame, from 0000 on.
+
+    Raises:
+        Misuse: `out` holds something.
+    """
+    files.refuse_existing(out)
+    view = trained.scene.views[0]
+    camera = trained.camera(view).undistorted()
+    seen = (trained.renderer.picture(trained.state, replace(view, world_from_camera=frame), camera) for frame in frames)
+    _write(((f"{number:04d}", picture) for number, picture in enumerate(seen)), len(frames), out)
+    return {"out": str(out), "views": len(frames)}
+
+
+def _write(pictures: Iterable[tuple[str, Picture]], count: int, out: Path) -> None:
+    """Every channel of named pictures into a folder each, all or nothing."""
+    with files.atomic_folder(out) as folder, progress("rendering", count, "views") as shown:
+        for name, picture in pictures:
+            for channel, values in channels(picture).items():
+                images.write(folder / channel / f"{name}{'.exr' if channel in NUMBERS else '.png'}", values)
+            shown.advance()
 
 
 def channels(picture: Picture) -> dict[str, NDArray[np.floating]]:

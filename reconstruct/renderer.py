@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -65,16 +66,22 @@ class Renderer:
         images["depth"] = images["depth"] / self.functions.normalisation.scale
         return Picture(**images)
 
-    def rays(self, state: TrainState, origins, directions, radii, *, normals: bool = False) -> dict[str, NDArray[np.float32]]:
-        """Render n rays: a dictionary of (n, channels) arrays as in `CHANNELS`, depth in scene units."""
+    def rays(self, state: TrainState, origins, directions, radii, *, normals: bool = False,
+             furthest: float | None = None) -> dict[str, NDArray[np.float32]]:  # fmt: skip
+        """Render n rays: a dictionary of (n, channels) arrays as in `CHANNELS`, depth in scene units.
+
+        Args:
+            furthest: what is beyond this depth is left out [scene unit]; infinity leaves out nothing, None does not ask.
+        """
         crowded = not self.functions.normalisation.bounded  # every ray meets the surroundings
         chunk = min(CHUNK // 2 if crowded else CHUNK, max(256, 1 << (len(origins) - 1).bit_length()))
-        function = self._function(chunk, normals)
+        function = self._function(chunk, normals, furthest is not None)
+        limit = jnp.asarray(np.inf if furthest is None else furthest, jnp.float32)
         parts, start = [], 0
         while start < len(origins):
             rows = np.minimum(np.arange(start, start + chunk), len(origins) - 1)
             rays = Rays(jnp.asarray(origins[rows]), jnp.asarray(directions[rows]), jnp.asarray(radii[rows]))
-            values, done = function(state, rays)
+            values, done = function(state, rays, limit)
             count = min(int(done), len(origins) - start)
             parts.append(np.asarray(values[:count]))
             start += count
@@ -82,13 +89,17 @@ class Renderer:
         ends = np.cumsum(list(CHANNELS.values()))
         return dict(zip(CHANNELS, np.split(values, ends[:-1], -1), strict=True))
 
-    def _function(self, chunk: int, normals: bool):
-        key = (chunk, normals)
+    def _function(self, chunk: int, normals: bool, limited: bool):
+        key = (chunk, normals, limited)
         if key not in self._compiled:
-            self._compiled[key] = jax.jit(lambda state, rays: self._render(state, rays, normals))
+            self._compiled[key] = jax.jit(
+                lambda state, rays, furthest: self._render(state, rays, normals, furthest if limited else None)
+            )
         return self._compiled[key]
 
-    def _render(self, state: TrainState, rays: Rays, with_normals: bool) -> tuple[Float[Array, "rays channels"], Array]:
+    def _render(
+        self, state: TrainState, rays: Rays, with_normals: bool, furthest: Float[Array, ""] | None
+    ) -> tuple[Float[Array, "rays channels"], Array]:
         """All channels side by side, and how many rays from the first on found room."""
         functions, model, footprint = self.functions, state.model, Footprint()
         bounded = functions.normalisation.bounded
@@ -102,6 +113,8 @@ class Renderer:
             samples, fits = functions.sampled(jax.lax.optimization_barrier(depth), rays, middle, middle, CAPACITY)
             done = jnp.sum(fits)
         samples = jax.lax.optimization_barrier(samples)
+        if furthest is not None:  # an interval of no length absorbs nothing
+            samples = eqx.tree_at(lambda s: s.length, samples, jnp.where(samples.t > furthest, 0.0, samples.length))
         cloud = cloud_of(rays, samples, bounded=bounded, footprint=footprint)
         rendered, _ = render(model.field, rays, samples, cloud, deferred=functions.config.field.shading == "deferred")
         normals = jnp.zeros_like(rendered.normals_pred)

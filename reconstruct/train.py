@@ -34,6 +34,7 @@ from reconstruct.skipping.facts import facts_of
 from reconstruct.skipping.pilot import gain_by_reflecting
 from reconstruct.skipping.plan import lenses, normalisation_of, plan
 from reconstruct.step import GRID_PERIOD, StepFunctions, TrainState
+from reconstruct.view_courtesy import give_way
 
 CHUNK = 16
 """At most so many steps between two looks at the clock."""
@@ -105,8 +106,9 @@ class Training:
         clock.since_second_pass = 0 if second else clock.since_second_pass + count
         if second:
             self._passed(terms)
-        self._heed(int(terms.pop(FAULTS)), terms)
-        return terms
+        faults = int(terms.pop(FAULTS))
+        self._heed(faults, terms)
+        return terms if not faults else {name: jnp.nan_to_num(term, posinf=0.0, neginf=0.0) for name, term in terms.items()}
 
     def _passed(self, terms: dict[str, jax.Array]) -> None:
         """Count a second pass, and find out when the next one is worth its time."""
@@ -233,7 +235,9 @@ def _loop(training: Training) -> None:
         stopped = training.exhausted
         while clock.progress < 1 and not stopped:
             before = (clock.step, clock.seconds)
+            begun = time.monotonic()
             terms = training.chunk()
+            give_way(training.run.path, time.monotonic() - begun, until=interrupted)
             if clock.progress >= next_look or clock.progress >= 1:
                 line = training.look(terms)
                 next_look = clock.progress + 1 / LOOKS

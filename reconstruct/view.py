@@ -5,10 +5,8 @@ its place. Rendering runs in this process, training in its own.
 """
 
 import logging
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import viser
@@ -21,8 +19,9 @@ from datasets.viewer import Page, PicturePanel, shapes
 from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
 from reconstruct.rays import view_rays
-from reconstruct.run import CHECKPOINTS, LOG, Run
+from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.trained import Trained
+from reconstruct.view_courtesy import Guest
 from reconstruct.view_editor import PathEditor
 from reconstruct.view_eyes import LEVELS, Cancelled, Eyes, eye_of
 from reconstruct.view_frame import (
@@ -37,13 +36,14 @@ from reconstruct.view_frame import (
     seen_from,
     wiped,
 )
+from reconstruct.view_log import curves, is_training, words_on, words_on_skips
 
 SLICE = 2048
 """Rays between two looks at whether a picture is still wanted; one compiled program serves all sizes."""
 WIDTH = 640
 """Pictures are sent at least this wide: coarse ones enlarged [px]."""
-POLL_S, QUIET_S = 1.0, 300.0
-"""Between two looks at the run's folder; and without news for so long, a training has been stopped."""
+POLL_S = 1.0
+"""Between two looks at the run's folder."""
 MESH_RESOLUTION = 128
 PATH = "path.yaml"
 """In the run's folder: what the path editor writes."""
@@ -66,7 +66,8 @@ class RunView:
         self.centre = centre if spread > bounds.PARALLEL else self.scene.box.mean(0)
         self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
         self._photograph: tuple[str, NDArray[np.float32]] | None = None
-        self.eyes = Eyes(page, self._paint)
+        self.guest, self.training = Guest(run.path), is_training(run)
+        self.eyes = Eyes(page, self._paint, moved=self._moved)
         first = self.train_views[0]
         self.page.look(first.world_from_camera[:3, 3], self.centre, up=shapes.upright(list(matrices)), size=self.reach)
         self._panel()
@@ -80,13 +81,17 @@ class RunView:
         self.sharpest_training = gui.add_slider(
             "sharpness while it trains", 0, len(LEVELS), 1, 2, hint="less leaves more to training"
         )
+        self.pace = gui.add_slider("training while I move [%]", 0, 100, 10, 30, hint="0 pauses it, 100 lets it be")
         self.wipe = gui.add_checkbox("wipe against the nearest training image", False)
         self.share = gui.add_slider("wipe at", 0.0, 1.0, 0.01, 0.5)
         for element in (self.channel, self.sharpest, self.sharpest_training, self.wipe, self.share):
             element.on_update(lambda event: self._changed())
         gui.add_button("go to the nearest training view").on_click(lambda event: self._go(event.client))
-        self.cut = gui.add_slider("cut away nearer than", 0.0, float(2 * self.reach), float(self.reach / 100), 0.0)
-        self.cut.on_update(lambda event: self._changed())
+        furthest, step = float(2 * self.reach), float(self.reach / 100)
+        self.cut = gui.add_slider("cut away nearer than", 0.0, furthest, step, 0.0)
+        self.beyond = gui.add_slider("cut away beyond", 0.0, furthest, step, furthest, hint="at its end nothing is cut away")
+        for element in (self.cut, self.beyond):
+            element.on_update(lambda event: self._changed())
         self.cameras = gui.add_checkbox("cameras", True)
         self.cameras.on_update(lambda event: self._show_cameras(event.target.value))
         self._mesh_button = gui.add_button("extract the mesh")
@@ -97,6 +102,8 @@ class RunView:
         self._curve: viser.GuiUplotHandle | None = None
         with self._log_folder:
             self._log = gui.add_markdown("")
+        with gui.add_folder("Left out, and why", expand_by_default=False):
+            self._skips = gui.add_markdown("*nothing is noted*")
 
     def _changed(self) -> None:
         self.eyes.levels = self._levels()
@@ -105,11 +112,17 @@ class RunView:
                 client.scene.set_background_image(None)
         self.eyes.again()
 
+    def _moved(self) -> None:
+        """Somebody moves: a training that is under way gives way as far as the slider says."""
+        if self.training:
+            self.guest.moving(self.pace.value / 100)
+
     def _levels(self) -> int:
         """How sharp pictures become: a training that is under way shares the processor with them."""
         if self.channel.value == NOTHING:
             return 0
-        return min(self.sharpest.value, self.sharpest_training.value) if is_training(self.run) else self.sharpest.value
+        self.training = is_training(self.run)
+        return min(self.sharpest.value, self.sharpest_training.value) if self.training else self.sharpest.value
 
     def _draw(self, mesh: Path | None) -> None:
         """Bounds, cameras, and the mesh of a file where one is given."""
@@ -155,7 +168,7 @@ class RunView:
     def render(self, eye: Eye, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
         """What the model shows of an eye in about so many pixels, (height, width, channels) by the renderer's names.
 
-        What is nearer than the page's cutting plane is left out. Depth is in world units. None where it was cancelled, or there is no model yet.
+        What is nearer or further than the page's cutting planes is left out. Depth is in world units. None where it was cancelled, or there is no model yet.
         """
         trained = self.trained
         if trained is None:
@@ -164,12 +177,19 @@ class RunView:
         origins, directions, radii = view_rays(eye.view(camera), trained.functions.normalisation, camera)
         cut = max(self.cut.value * trained.functions.normalisation.scale - trained.functions.normalisation.near, 0.0)
         origins = origins + np.float32(cut) * directions  # rays begin at the plane: their z is 1
+        beyond = (
+            np.inf if self.beyond.value >= self.beyond.max else self.beyond.value * trained.functions.normalisation.scale - cut
+        )
         parts: list[Values] = []
         for start in range(0, len(origins), SLICE):
             if cancelled():
                 return None
             rows = np.minimum(np.arange(start, start + SLICE), len(origins) - 1)
-            parts.append(trained.renderer.rays(trained.state, origins[rows], directions[rows], radii[rows], normals=normals))
+            parts.append(
+                trained.renderer.rays(
+                    trained.state, origins[rows], directions[rows], radii[rows], normals=normals, furthest=beyond
+                )
+            )
         joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
         shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}
         shaped["depth"] = ((shaped["depth"] + cut) * (shaped["depth"] > 0) / trained.functions.normalisation.scale).astype(
@@ -182,7 +202,7 @@ class RunView:
         if channel == NOTHING:
             return
         values = self.render(eye, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
-        if values is None or cancelled():
+        if values is None or cancelled() or self.channel.value != channel:
             return
         picture = enlarged(picture_of(channel, values), WIDTH)
         if self.wipe.value:
@@ -232,6 +252,7 @@ class RunView:
         log = self.run.log()
         if self.trained is not None:
             self._state.content = f"**{self.scene.name}**, {self.run.config.model}, step {int(self.trained.state.step)}"
+        self._skips.content = words_on_skips(self.run) or "*nothing is noted*"
         words = words_on(log, self.run)
         if words == self._log.content:
             return
@@ -244,36 +265,6 @@ class RunView:
                 self._curve = self.page.gui.add_uplot(data, series, scales={"x": uplot.Scale(time=False)}, aspect=1.6)
         else:
             self._curve.data = data
-
-
-def is_training(run: Run) -> bool:
-    """Whether a run is neither at its end nor without news for `QUIET_S`."""
-    log = run.log()
-    news = [path.stat().st_mtime for path in (run.path / LOG, *checkpoint.steps(run.path / CHECKPOINTS)) if path.exists()]
-    ended = bool(log) and log[-1].get("progress", 0.0) >= 1
-    return not ended and bool(news) and time.time() - max(news) < QUIET_S
-
-
-def words_on(log: list[dict[str, Any]], run: Run) -> str:
-    """Markdown on how far a training is and what it left out."""
-    if not log:
-        return "*no line in the log yet*"
-    last = log[-1]
-    unseen = f", unseen {last['psnr_unseen']:.2f} dB" if "psnr_unseen" in last else ""
-    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): "
-             f"training rays {last['psnr_train']:.2f} dB{unseen}",
-             f"{last['skipped']} steps left out because their gradient was not finite"]  # fmt: skip
-    if "occupied" in last:
-        lines.append(f"{100 * last['occupied']:.2f} % of the cells hold anything; the others are skipped")
-    return "  \n".join([*lines, *(f"*{note}*" for note in run.content.get("notes", []))])
-
-
-def curves(log: list[dict[str, Any]]) -> tuple[tuple[NDArray[np.float64], ...], tuple[uplot.Series, ...]]:
-    """PSNR [dB] on training rays and unseen pixels over the seconds of training: columns, and how to draw them."""
-    columns = [np.array([line.get(key, np.nan) for line in log], np.float64) for key in ("seconds", "psnr_train", "psnr_unseen")]
-    series = (uplot.Series(label="seconds"), uplot.Series(label="training rays [dB]", stroke="#d98324", width=1.5),
-              uplot.Series(label="unseen [dB]", stroke="#2f6fde", width=2))  # fmt: skip
-    return tuple(columns), series
 
 
 def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunView:

@@ -29,8 +29,9 @@ class _Watcher:
 class Eyes:
     """All browsers of a page. Pictures are made one at a time, by one thread."""
 
-    def __init__(self, page: Page, paint: Paint) -> None:
-        self._page, self._paint = page, paint
+    def __init__(self, page: Page, paint: Paint, *, moved: Callable[[], None] = lambda: None) -> None:
+        """Begin to watch; `moved` is called whenever somebody moves."""
+        self._page, self._paint, self._somebody_moved = page, paint, moved
         self._watchers: dict[int, _Watcher] = {}
         self._changed = threading.Condition()
         self.levels = 4
@@ -42,11 +43,15 @@ class Eyes:
         with self._changed:
             self._watchers[client.client_id] = _Watcher(client)
             self._changed.notify()
-        client.camera.on_update(lambda camera: self._moved(client.client_id))
+        client.camera.on_update(lambda camera: self._turned(client.client_id))
 
     def _left(self, client: viser.ClientHandle) -> None:
         with self._changed:
             self._watchers.pop(client.client_id, None)
+
+    def _turned(self, client_id: int) -> None:
+        self._somebody_moved()
+        self._moved(client_id)
 
     def _moved(self, client_id: int) -> None:
         with self._changed:

@@ -82,7 +82,9 @@ def test_without_a_command_there_is_help(monkeypatch, capsys) -> None:
     assert code == 2 and out == "" and "error" not in err and "work" in err and err.count("\n") > 5
 
 
-@pytest.mark.parametrize(("typed", "offered"), [("datasets tr", "truth"), ("datasets export x --for", "--format")])
+@pytest.mark.parametrize(("typed", "offered"), [
+    ("datasets tr", "truth"), ("datasets export x --for", "--format"), ("datasets export x --format ner", "nerfstudio"),
+])  # fmt: skip
 def test_the_shell_completes_names(typed: str, offered: str) -> None:
     """As bash asks for it, after `datasets --install-completion`."""
     words = typed.split(" ")

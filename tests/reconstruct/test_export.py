@@ -54,3 +54,14 @@ def test_brightness_of_depth() -> None:
     depth = np.array([[[0.0], [1.0], [1.5], [2.0], [9.0]]])
     assert export.brightness_of_depth(depth, (1.0, 2.0)).ravel() == pytest.approx([0, 1, 0.55, 0.1, 0.1])
     assert not export.brightness_of_depth(0 * depth).any()
+
+
+def test_frames_of_a_path_are_what_the_renderer_sees_from_there(ball: Trained, tmp_path: Path) -> None:
+    views = ball.scene.views
+    frames = [view.world_from_camera for view in (views[1], views[0])]
+    assert export.render_along(ball, frames, tmp_path / "out") == {"out": str(tmp_path / "out"), "views": 2}
+    assert sorted(p.name for p in (tmp_path / "out" / "rgb").iterdir()) == ["0000.png", "0001.png"]
+    seen = ball.renderer.picture(ball.state, views[1], ball.camera(views[0]).undistorted())
+    assert np.array_equal(images.read(tmp_path / "out/depth/0000.exr"), seen.depth)
+    with pytest.raises(Misuse, match="already exists"):
+        export.render_along(ball, frames, tmp_path / "out")

@@ -13,8 +13,9 @@ from datasets.viewer import Page, open_page
 from reconstruct import checkpoint
 from reconstruct.run import CHECKPOINTS, LOG
 from reconstruct.trained import Trained
-from reconstruct.view import NOTHING, QUIET_S, RunView, curves, is_training, words_on
+from reconstruct.view import NOTHING, RunView
 from reconstruct.view_frame import CHANNELS, Eye
+from reconstruct.view_log import QUIET_S, is_training
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -66,6 +67,24 @@ def test_what_is_cut_away_opens_the_ball(shown: Any, ball: Trained) -> None:
     assert behind["opacity"].max() < 0.01
 
 
+def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: Trained) -> None:
+    """Only the ball's front before the middle plane is left, and in front of that nothing; at its end the slider changes nothing."""
+    _, view = shown
+    eye, centre = eye_at(ball), np.array([0.4, 0.0, 0.15])
+    reach = float((centre - eye.world_from_camera[:3, 3]) @ eye.world_from_camera[:3, 2])
+    whole = view.render(eye, 2048, normals=False)
+    view.beyond.value = reach - 0.06
+    front = view.render(eye, 2048, normals=False)
+    view.beyond.value = reach - 0.1
+    nothing = view.render(eye, 2048, normals=False)
+    row, column = (side // 2 for side in whole["depth"].shape[:2])
+    assert front["depth"][row, column, 0] == pytest.approx(whole["depth"][row, column, 0], abs=2e-3)
+    assert (front["opacity"] > 0.5).sum() < 0.7 * (whole["opacity"] > 0.5).sum() and front["depth"].max() < reach - 0.05
+    assert nothing["opacity"].max() < 0.01
+    view.beyond.value, view.cut.value = reach + 0.03, reach  # a slice through the ball's inside, which is hollow
+    assert view.render(eye, 2048, normals=False)["opacity"][row, column, 0] < 0.01
+
+
 def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: Trained) -> None:
     _, view = shown
     looks = iter([False, True])
@@ -93,17 +112,6 @@ def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable
         assert view._take() and int(view.trained.state.step) == 41
         view._say()
         assert "step 41" in view._state.content
-
-
-def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
-    run = make_run()
-    words = words_on(run.log(), run)
-    assert (
-        "step 2 after 2 s" in words and "unseen 11.00 dB" in words and "0 steps left out" in words and "made for a test" in words
-    )
-    (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])
-    assert seconds.tolist() == [0, 1, 2, 3] and train[-1] == 13 and np.isnan(unseen[-1]) and len(series) == 3
-    assert words_on([], run) == "*no line in the log yet*"
 
 
 def test_a_training_that_is_under_way_is_given_room(make_run: Callable[..., Any]) -> None:

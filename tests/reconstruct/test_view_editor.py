@@ -53,7 +53,36 @@ def test_stops_and_curve_are_drawn_and_taken_away(editor: PathEditor) -> None:
     assert node("/path/stops/1") is None and node("/path/curve") is None and node("/path/stops/0") is not None
     editor.remove()
     editor.remove()  # nothing is left
-    assert editor.stops == [] and editor._words.content == "*no stops yet*"
+    assert editor.stops == [] and editor._words.content == "*no stops yet*" and editor.chosen.value == "none"
+
+
+def test_stops_are_put_in_changed_and_taken_out_anywhere(editor: PathEditor) -> None:
+    for place in ((1.0, 0, 0.4), (0.6, 0.9, 0.5), (-0.5, 1.0, 0.4)):
+        editor.add(browser_at(place))
+    editor.chosen.value = "1"
+    editor.add(browser_at((0.9, 0.5, 0.4)))
+    assert [stop.position[0] for stop in editor.stops] == pytest.approx([1.0, 0.9, 0.6, -0.5]) and editor.chosen.value == "2"
+    editor.replace(browser_at((0.8, 0.6, 0.4)))
+    watcher = browser_at((3, 3, 3))
+    editor.go(watcher)
+    assert np.allclose(watcher.camera.position, (0.8, 0.6, 0.4), atol=1e-5)
+    editor.remove()
+    assert [stop.position[0] for stop in editor.stops] == pytest.approx([1.0, 0.6, -0.5])
+    editor.replace(None)
+    editor.go(None)  # browsers that have gone
+
+
+def test_a_closed_path_has_a_leg_more_and_is_taken_up_again(editor: PathEditor) -> None:
+    for place in ((1.0, 0, 0.4), (0.6, 0.9, 0.5), (-0.5, 1.0, 0.4)):
+        editor.add(browser_at(place))
+    editor.closed.value, editor.seconds.value = True, 1.5
+    assert editor.path.seconds == pytest.approx(4.5) and editor.path.closed
+    editor.write()
+    again = PathEditor(editor.page, editor.out, CAMERA, 1.0)
+    assert again.path == editor.path and again.seconds.value == pytest.approx(1.5)
+    editor.out.write_text("fps: fast")
+    broken = PathEditor(editor.page, editor.out, CAMERA, 1.0)
+    assert broken.stops == [] and "fps" in broken._words.content
 
 
 def test_one_stop_is_no_path(editor: PathEditor) -> None:

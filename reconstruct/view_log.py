@@ -1,0 +1,56 @@
+"""What the page of a run says of its training: how far it is, how good, what it left out."""
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from viser import uplot
+
+from reconstruct import checkpoint
+from reconstruct.run import CHECKPOINTS, LOG, Run
+from reconstruct.skipping import record
+
+QUIET_S = 300.0
+"""Without news for so long, a training has been stopped."""
+
+
+def is_training(run: Run) -> bool:
+    """Whether a run is neither at its end nor without news for `QUIET_S`."""
+    log = run.log()
+    news = [path.stat().st_mtime for path in (run.path / LOG, *checkpoint.steps(run.path / CHECKPOINTS)) if path.exists()]
+    ended = bool(log) and log[-1].get("progress", 0.0) >= 1
+    return not ended and bool(news) and time.time() - max(news) < QUIET_S
+
+
+def words_on(log: list[dict[str, Any]], run: Run) -> str:
+    """Markdown on how far a training is and what it left out."""
+    if not log:
+        return "*no line in the log yet*"
+    last = log[-1]
+    unseen = f", unseen {last['psnr_unseen']:.2f} dB" if "psnr_unseen" in last else ""
+    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): "
+             f"training rays {last['psnr_train']:.2f} dB{unseen}",
+             f"{last['skipped']} steps left out because their gradient was not finite"]  # fmt: skip
+    if "occupied" in last:
+        lines.append(f"{100 * last['occupied']:.2f} % of the cells hold anything; the others are skipped")
+    return "  \n".join([*lines, *(f"*{note}*" for note in run.content.get("notes", []))])
+
+
+def curves(log: list[dict[str, Any]]) -> tuple[tuple[NDArray[np.float64], ...], tuple[uplot.Series, ...]]:
+    """PSNR [dB] on training rays and unseen pixels over the seconds of training: columns, and how to draw them."""
+    columns = [np.array([line.get(key, np.nan) for line in log], np.float64) for key in ("seconds", "psnr_train", "psnr_unseen")]
+    series = (uplot.Series(label="seconds"), uplot.Series(label="training rays [dB]", stroke="#d98324", width=1.5),
+              uplot.Series(label="unseen [dB]", stroke="#2f6fde", width=2))  # fmt: skip
+    return tuple(columns), series
+
+
+def words_on_skips(run: Run) -> str:
+    """Markdown on what the training left out and kept, and on what evidence; empty where it has no list."""
+    lines = []
+    for skip in record.read(run.path):
+        name = skip.name.replace("_", " ")
+        lines.append(
+            f"- {f'**{name}** left out' if skip.skipped else f'{name} kept'}: {skip.evidence}  \n  *saves {skip.saving}; costs {skip.cost}*"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,30 @@
+"""What the page of a run says of its training."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from reconstruct.skipping import record
+from reconstruct.view_log import curves, words_on, words_on_skips
+
+
+def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    words = words_on(run.log(), run)
+    assert (
+        "step 2 after 2 s" in words and "unseen 11.00 dB" in words and "0 steps left out" in words and "made for a test" in words
+    )
+    (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])
+    assert seconds.tolist() == [0, 1, 2, 3] and train[-1] == 13 and np.isnan(unseen[-1]) and len(series) == 3
+    assert words_on([], run) == "*no line in the log yet*"
+
+
+def test_what_was_left_out_is_told_with_its_evidence(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    (run.path / record.SKIPS).unlink(missing_ok=True)
+    assert words_on_skips(run) == ""
+    record.write(run.path, [record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB"),
+                            record.Skip("reflection", False, "the pilot lost 1.2 dB without", "half a step", "what the pilot lost")])  # fmt: skip
+    words = words_on_skips(run)
+    assert "**fine levels** left out: no pixel is finer than 2 mm" in words and "reflection kept: the pilot lost 1.2 dB" in words
