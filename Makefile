@@ -9,6 +9,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 BUDGET ?= 220
+DEMO ?= demo
 
 # $(call step,title,command): show the title and the command, run it, show the time that it took.
 define step
@@ -60,12 +61,15 @@ docs: $(READY)
 	$(BIN)/mkdocs build --quiet --strict
 	@echo build/docs/index.html
 
-figures: demo/report/strip.png
-	mkdir -p docs/pictures
-	cp demo/report/strip.png docs/pictures/gold_head.png
+figures: $(DEMO)/report/strip.png build/calibration_bench
+	$(BIN)/python docs/make_figures.py $(DEMO) docs/pictures
+	cp build/calibration_bench/bench.png docs/pictures/calibration_bench.png
 
 demo/report/strip.png:
 	$(MAKE) demo
+
+build/calibration_bench: $(READY)
+	$(BIN)/calib bench --out $@
 
 clean:
 	rm -rf demo build .pytest_cache .ruff_cache .hypothesis *.egg-info

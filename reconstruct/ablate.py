@@ -2,12 +2,13 @@
 
 OUT/study.json        scene, model, preset, common overrides, and the cells: name and what it changes
 OUT/cells/NAME/       a run per cell
-OUT/table.md .csv .tex, OUT/figure.png
+OUT/table.md .csv .tex, OUT/figure.png, OUT/index.html
 
 A cell that was measured is not run again, one that was broken off is gone on with, so that a study can be stopped at any time,
 and further cells can be added to it.
 """
 
+import shlex
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from datasets import files
 from datasets.console import progress
 from datasets.errors import Misuse, nearest
 from datasets.formats import find, load_scene
+from datasets.report_drawing import svg_of
+from datasets.report_page import Number, ReportPage
 from reconstruct import checkpoint, table
 from reconstruct.config import Config, SurfaceConfig
 from reconstruct.evaluate import METRICS, evaluate
@@ -110,9 +113,11 @@ def run(study: Study, out: Path) -> dict[str, Any]:
     columns = table.chosen_columns(rows)
     for suffix, write in table.FORMS.items():
         files.write_text(out / f"table{suffix}", write(rows, columns))
+    drawn = [name for name in FIGURES if name in columns]
     with files.atomic_path(out / "figure.png") as temporary:
-        draw(rows, [name for name in FIGURES if name in columns]).savefig(temporary, dpi=150)
-    return {"out": str(out), "cells": len(rows), "table": str(out / "table.md"), "figure": str(out / "figure.png"),
+        draw(rows, drawn).savefig(temporary, dpi=150)
+    files.write_text(out / "index.html", page(rows, columns, study, out, svg_of(draw(rows, drawn))).render())
+    return {"out": str(out), "cells": len(rows), "table": str(out / "table.md"), "figure": str(out / "figure.png"), "report": str(out / "index.html"),
             "rows": [{"cell": row.label, **{c: row.values.get(c) for c in columns}} for row in rows]}  # fmt: skip
 
 
@@ -161,6 +166,28 @@ def _figures(path: Path) -> dict[str, float | None]:
     return row.values
 
 
+def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, drawing: str) -> ReportPage:
+    """The study as a page: each cell's gain over the base, all figures, what each cell changes."""
+    budget = "" if study.budget_s is None else f" --budget {study.budget_s:g}"
+    common = "".join(f" --set {shlex.quote(override)}" for override in study.overrides)
+    command = f"reconstruct ablate {study.scene} --model {study.model} --preset {study.preset}{budget}{common} --out {out}"
+    report = ReportPage(f"Ablation of {study.model} on {Path(study.scene).name}", made_by=[command])
+    cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
+    base = next((row for row in rows if row.label == BASE), rows[0])
+    report.headline(
+        [(table.heading(name), Number(base.values.get(name))) for name in columns[:4]], f"the base, and {len(rows) - 1} cells"
+    )
+    report.section(
+        "Gain over the base", "Better is to the right. One seed each: a difference that another seed could make is none."
+    )
+    report.drawing(drawing)
+    report.section("All figures")
+    report.table(("cell", *(table.heading(name) for name in columns), "changes"),
+                 [(row.label, *(Number(row.values.get(name)) for name in columns), " ".join(cells[row.label])) for row in rows])  # fmt: skip
+    report.items(f"{table.heading(name)}: {table.definition(name)}" for name in columns)
+    return report
+
+
 def draw(rows: Sequence[Row], columns: Sequence[str]):
     """A figure with a panel per column: each cell's distance from the base, better to the right.
 
@@ -177,7 +204,7 @@ def draw(rows: Sequence[Row], columns: Sequence[str]):
         found = {row.label: value for row in rows if row is not base and (value := row.values.get(column)) is not None}
         gains = [sign * (value - (base.values.get(column) or 0.0)) for value in found.values()]
         axes.barh(list(found), gains, color=["#2f6fde" if gain >= 0 else "#d98324" for gain in gains])
-        axes.axvline(0, color="black", linewidth=0.8)
+        axes.axvline(0, color="#808080", linewidth=0.8)
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)
         axes.set_title(f"{table.heading(column)}, base {table.shown(base.values.get(column), column)}", fontsize=9)
