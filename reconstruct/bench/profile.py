@@ -1,48 +1,28 @@
 """Where the time of a training step goes: the compiled step itself is traced, and its instructions are told by the code they come from.
 
-The compiler keeps for each instruction the calls that led to it. What is fused takes the calls of its last operation. An instruction belongs to
-the stage of the step in whose function it began (samples, surface points, second pass, ...), within it to the module whose work it does, and
-to the forward or the backward pass.
+What instructions are for is found out by `reconstruct.bench.instructions`.
 """
 
 import gzip
 import json
-import re
 import tempfile
 import time
 from collections import defaultdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from datasets.console import progress
 from datasets.scene import Scene
+from reconstruct.bench.instructions import Part, parts_of
 from reconstruct.rays import Pixels
 from reconstruct.step import TrainState
 from reconstruct.trained import Trained
 
 STEPS = 16
 """Steps that are traced, without and with a second pass."""
-STAGES = {"second_pass_terms": "second pass", "surface_point_terms": "surface points", "_descend": "optimiser", "_choose": "choosing samples",
-          "seen": "occupancy grid", "look_around": "occupancy grid", "take": "drawing rays", "decay_term": "decay"}  # fmt: skip
-"""Function within whose call an instruction began, and the stage that it is of; all else is of the samples along the rays."""
-SAMPLES = "samples on rays"
-KERNELS = {"encodings/directional.py": "shading", "encodings/": "encoding", "mlp.py": "networks", "appearance.py": "shading", "rendering.py": "compositing",
-           "sampling/samples.py": "compositing", "sampling/packing.py": "packing", "sampling/occupancy.py": "occupancy",
-           "losses.py": "losses", "safe.py": "shading", "optax/": "optimiser"}  # fmt: skip
-"""Module and the work that is done in it: of an instruction's calls, the innermost that is listed here decides."""
-CONTAINERS = frozenset({"while", "conditional", "call"})
-"""Instructions whose time is that of others inside them."""
-
-
-class Part(NamedTuple):
-    """What an instruction is for."""
-
-    stage: str
-    kernel: str
-    backward: bool
 
 
 def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
@@ -117,72 +97,3 @@ def durations_us(folder: Path) -> dict[str, float]:
             if name is not None:
                 spent[name] += event.get("dur", 0.0)
     return dict(spent)
-
-
-_INSTRUCTION = re.compile(r"^\s*(?:ROOT )?%?([\w.\-]+) = (.*)$")
-_KIND = re.compile(r"^\S+ ([\w\-]+)\(")
-_FRAME, _OPERATION = re.compile(r"stack_frame_id=(\d+)"), re.compile(r'op_name="([^"]*)"')
-
-
-def parts_of(program: str) -> dict[str, Part]:
-    """Part of each instruction of an optimised program (XLA's text), by its name; containers are left out."""
-    stacks = _stacks(program)
-    parts = {}
-    for line in program.splitlines():
-        match = _INSTRUCTION.match(line)
-        if match is None or _kind(match[2]) in CONTAINERS:
-            continue
-        frame, operation = _FRAME.search(line), _OPERATION.search(line)
-        calls = stacks.get(int(frame[1]), []) if frame else []
-        parts[match[1]] = part_of(calls, operation[1] if operation else "")
-    return parts
-
-
-def _kind(instruction: str) -> str:
-    """What an instruction does, after the type of its result: "f32[3]{0} add(...)", "(s32[], f32[]) while(...)"."""
-    if instruction.startswith("("):
-        depth = 0
-        for end, letter in enumerate(instruction):
-            depth += (letter == "(") - (letter == ")")
-            if depth == 0:
-                instruction = f"tuple{instruction[end + 1 :]}"
-                break
-    match = _KIND.match(instruction)
-    return match[1] if match else ""
-
-
-def part_of(calls: list[tuple[str, str]], operation: str) -> Part:
-    """Part of an instruction by its calls (file, function), innermost first, and by the name of its operation."""
-    stage = next((STAGES[function] for _, function in calls if function in STAGES), SAMPLES if calls else "copies")
-    kernels = (kernel for file, _ in calls for place, kernel in KERNELS.items() if place in file)
-    kernel = stage if stage == "optimiser" else next(kernels, "other")
-    return Part(stage, kernel, "transpose(" in operation)
-
-
-def _stacks(program: str) -> dict[int, list[tuple[str, str]]]:
-    """Calls (file, function) of each stack frame, innermost first, from the tables at the head of a program."""
-    tables: dict[str, dict[int, str]] = defaultdict(dict)
-    title = ""
-    for line in program.splitlines():
-        if line in ("FileNames", "FunctionNames", "FileLocations", "StackFrames"):
-            title = line
-        elif title and (match := re.match(r"^(\d+) (.*)$", line)):
-            tables[title][int(match[1])] = match[2].strip('"')
-        elif line.startswith("%") or line.startswith("ENTRY"):
-            break
-    numbers = lambda text: {name: int(value) for name, value in re.findall(r"(\w+)=(\d+)", text)}  # noqa: E731
-    places = {index: numbers(text) for index, text in tables["FileLocations"].items()}
-    frames = {index: numbers(text) for index, text in tables["StackFrames"].items()}
-
-    shifted = any(frame.get("parent_frame_id") == index for index, frame in frames.items())  # some versions count parents from 1
-
-    def calls(index: int) -> list[tuple[str, str]]:
-        found: list[tuple[str, str]] = []
-        while index in frames:
-            place = places[frames[index]["file_location_id"]]
-            function = tables["FunctionNames"].get(place["function_name_id"], "")
-            found.append((tables["FileNames"].get(place["file_name_id"], ""), function.rsplit(".", 1)[-1]))
-            index = frames[index].get("parent_frame_id", 0) - shifted
-        return found
-
-    return {index: calls(index) for index in frames}

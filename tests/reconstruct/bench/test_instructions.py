@@ -3,7 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from reconstruct.bench.profile import SAMPLES, Part, durations_us, part_of, parts_of
+from reconstruct.bench.instructions import SAMPLES, Part, part_of, parts_of
+from reconstruct.bench.profile import durations_us
 from reconstruct.mlp import Mlp
 
 
