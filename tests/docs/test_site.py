@@ -19,8 +19,10 @@ def test_the_site_builds_without_a_warning_and_is_complete(tmp_path: Path) -> No
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert built.returncode == 0 and "WARNING" not in built.stderr, built.stderr
-    pages = {path.stem for path in (tmp_path / "site").glob("*.html")}
-    assert {path.stem for path in DOCS.glob("*.md")} <= pages
+    start = (tmp_path / "site" / "index.html").read_text()
+    assert not [path.stem for path in DOCS.glob("*.md") if f'href="{path.stem}.html"' not in start], (
+        "the menu leads to every page"
+    )
     fetched = r"(?:<(?:script|img|source|iframe)[^>]+src|<link[^>]+href)=[\"']?(?:https?:)?//[^\"' >]+"
     for path in [*(tmp_path / "site").rglob("*.html"), *(tmp_path / "site").rglob("*.css")]:
         text = path.read_text()
@@ -29,9 +31,7 @@ def test_the_site_builds_without_a_warning_and_is_complete(tmp_path: Path) -> No
         assert not outside, f"{path.name} fetches {outside}"
 
 
-def test_every_page_is_in_the_menu_and_every_picture_is_used() -> None:
-    menu = (ROOT / "mkdocs.yml").read_text()
-    assert not [path.name for path in DOCS.glob("*.md") if path.name not in menu]
+def test_every_picture_is_used() -> None:
     shown = "".join(path.read_text() for path in [ROOT / "README.md", *DOCS.glob("*.md")])
     assert not [path.name for path in (DOCS / "pictures").iterdir() if f"pictures/{path.name}" not in shown]
 
