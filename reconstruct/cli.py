@@ -76,10 +76,11 @@ def train(
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
     skips = "".join(f"{record.Skip(**skip).line()}\n" for skip in result["skips"])
-    unseen = f", {result['psnr_unseen']:.2f} dB on unseen pixels" if result["psnr_unseen"] is not None else ""
+    known = {"training rays": result["psnr_train"], "unseen pixels": result["psnr_unseen"]}
+    quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
     console.report(result, as_json=as_json, text=(
         f"{skips}trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
-        f"{result['compilation_s']:.0f} s to compile): {result['psnr_train']:.2f} dB on training rays{unseen}\n{out}"))  # fmt: skip
+        f"{result['compilation_s']:.0f} s to compile): {quality}\n{out}"))  # fmt: skip
 
 
 @app.command("models")

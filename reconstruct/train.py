@@ -84,9 +84,14 @@ class Training:
     """What is left out, and why."""
     _advance: Any = field(default=None)
     _look_around: Any = field(default=None)
+    _finite: dict[str, jax.Array] = field(default_factory=dict)
 
     def chunk(self) -> dict[str, jax.Array]:
-        """Up to `CHUNK` steps, the last of them with the second pass where it is due. Returns the last step's terms."""
+        """Up to `CHUNK` steps, the last of them with the second pass where it is due.
+
+        Returns:
+            The last step's terms, or where they were not finite those of the last chunk that was; empty before there is one.
+        """
         surface, clock = self.run.config.surface, self.clock
         period = clock.lenience * second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
         left = CHUNK if clock.budget_s is not None else min(CHUNK, clock.steps - clock.step)
@@ -108,7 +113,9 @@ class Training:
             self._passed(terms)
         faults = int(terms.pop(FAULTS))
         self._heed(faults, terms)
-        return terms if not faults else {name: jnp.nan_to_num(term, posinf=0.0, neginf=0.0) for name, term in terms.items()}
+        if not faults:
+            self._finite = terms
+        return self._finite  # steps that are left out change nothing
 
     def _passed(self, terms: dict[str, jax.Array]) -> None:
         """Count a second pass, and find out when the next one is worth its time."""
@@ -151,8 +158,8 @@ class Training:
             "seconds": round(self.clock.seconds, 3),
             "progress": round(self.clock.progress, 5),
         }
-        mse = float(terms["mse"])
-        line["psnr_train"] = -10 * float(np.log10(max(mse, 1e-10)))
+        if "mse" in terms:
+            line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
         for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": self.held}.items():
             if pixels is not None:
                 *rays, target = pixels
@@ -222,7 +229,7 @@ def train(
     skips = outcome.told(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
     record.write(out, skips)
     return {"run": str(out), "steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
-            "compilation_s": compiled, "psnr_train": last["psnr_train"], "psnr_unseen": last.get("psnr_unseen"),
+            "compilation_s": compiled, "psnr_train": last.get("psnr_train"), "psnr_unseen": last.get("psnr_unseen"),
             "skipped_steps": last["skipped"], "skips": [asdict(skip) for skip in skips]}  # fmt: skip
 
 
@@ -242,9 +249,8 @@ def _loop(training: Training) -> None:
                 line = training.look(terms)
                 next_look = clock.progress + 1 / LOOKS
                 stopped = training.exhausted
-                shown.note(
-                    f"PSNR {line['psnr_train']:.1f} dB" + (f", unseen {line['psnr_unseen']:.1f}" if "psnr_unseen" in line else "")
-                )
+                known = {"PSNR": "psnr_train", "unseen": "psnr_unseen"}
+                shown.note(", ".join(f"{name} {line[key]:.1f} dB" for name, key in known.items() if key in line))
             if interrupted():
                 training.save()
                 raise KeyboardInterrupt

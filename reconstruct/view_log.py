@@ -28,9 +28,9 @@ def words_on(log: list[dict[str, Any]], run: Run) -> str:
     if not log:
         return "*no line in the log yet*"
     last = log[-1]
-    unseen = f", unseen {last['psnr_unseen']:.2f} dB" if "psnr_unseen" in last else ""
-    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): "
-             f"training rays {last['psnr_train']:.2f} dB{unseen}",
+    known = {"training rays": "psnr_train", "unseen": "psnr_unseen"}
+    quality = ", ".join(f"{name} {last[key]:.2f} dB" for name, key in known.items() if key in last)
+    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): {quality}",
              f"{last['skipped']} steps left out because their gradient was not finite"]  # fmt: skip
     if "occupied" in last:
         lines.append(f"{100 * last['occupied']:.2f} % of the cells hold anything; the others are skipped")
