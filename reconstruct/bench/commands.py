@@ -112,6 +112,7 @@ def scenes_command(
     size: Annotated[int, typer.Option(min=16, max=2000, help="Pixels of a picture's side.")] = 200,
     train: Annotated[int, typer.Option(min=2, help="Views to train on.")] = 60,
     test: Annotated[int, typer.Option(min=1, help="Views to measure.")] = 20,
+    layout: Annotated[str, typer.Option("--format", help="Layout of the folders: koala, blender or llff.")] = "koala",
     as_json: console.Json = False,
 ) -> None:
     """Make the shiny scenes whose shape and light are known exactly."""
@@ -119,6 +120,8 @@ def scenes_command(
     from reconstruct.backend import cache_compilations
     from reconstruct.bench import scenes, shiny
 
+    if layout not in (layouts := ("koala", "blender", "llff")):
+        raise Misuse(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
     for name in names or ():
         if name not in shiny.SCENES:
             raise Misuse(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, shiny.SCENES))
@@ -127,7 +130,7 @@ def scenes_command(
     with console.progress("rendering", len(chosen) * (train + test), "views") as shown:
         for name in chosen:
             shown.note(name)
-            if scenes.provide(name, out / name, size=size, train=train, test=test, done=shown.advance):
+            if scenes.provide(name, out / name, size=size, train=train, test=test, format=layout, done=shown.advance):
                 written.append(name)
     text = "\n".join(f"{out / name}{'' if name in written else '  (was there)'}" for name in chosen)
     console.report({"scenes": [str(out / name) for name in chosen], "written": written}, as_json=as_json, text=text)

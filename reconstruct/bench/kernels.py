@@ -20,10 +20,12 @@ from reconstruct.config import Config
 from reconstruct.encodings.encoding import Encoding
 from reconstruct.encodings.lattice import PermutohedralLattice
 from reconstruct.encodings.voxels import VoxelGrid
+from reconstruct.model import Model
 from reconstruct.rays import Normalisation, Rays
 from reconstruct.rendering import composite, sample_weights
+from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.packing import expected_depth
-from reconstruct.step import StepFunctions, TrainState
+from reconstruct.step import StepFunctions
 
 BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)
 """An object in the cube [-1, 1]^3, seen from four away."""
@@ -62,7 +64,8 @@ class Bench:
 
     config: Config
     functions: StepFunctions
-    state: TrainState
+    model: Model
+    occupancy: Occupancy
     rays: Rays
 
     @classmethod
@@ -73,7 +76,8 @@ class Bench:
         axis = (np.arange(grid) + 0.5) / grid * 2 - 1
         radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
         state = functions.initial(jax.random.key(0), np.abs(radius - 0.6) < OCCUPIED)
-        return cls(config, functions, state, _rays(functions.rays_per_step))
+        assert state.occupancy is not None  # the configuration has one
+        return cls(config, functions, state.model, state.occupancy, _rays(functions.rays_per_step))
 
     def kernels(self, done: Callable[[str], None] = lambda name: None) -> list[Kernel]:
         """All of them, measured one after the other; some seconds."""
@@ -96,7 +100,7 @@ class Bench:
         return [*self._choosing(), *self._encoding(), *self._networks(), *self._compositing(), *self._descending()]
 
     def _choosing(self) -> list[tuple]:
-        sampler, functions, occupancy = self.config.sampler, self.functions, self.state.occupancy
+        sampler, functions, occupancy = self.config.sampler, self.functions, self.occupancy
         steps = functions.steps(self.rays)
         half = jnp.full(self.rays.origins.shape[0], 0.5)
         depth = expected_depth(occupancy, self.rays, steps, half, True)
@@ -122,7 +126,7 @@ class Bench:
         ]
 
     def _encoding(self) -> list[tuple]:
-        encoding, cloud = self.state.model.field.encoding, self._cloud()
+        encoding, cloud = self.model.field.encoding, self._cloud()
         touched = float(cloud.points.shape[1] * corners(encoding) * encoding.num_channels)
         forward = lambda e, p: e(p, None)  # noqa: E731
         shape = jax.eval_shape(forward, encoding, cloud.points)
@@ -146,7 +150,7 @@ class Bench:
         ]
 
     def _networks(self) -> list[tuple]:
-        field, rays = self.state.model.field, self.config.sampler.samples // 8
+        field, rays = self.model.field, self.config.sampler.samples // 8
         appearance = field.appearance
         features = jnp.ones((field.encoding.num_channels, self.config.sampler.samples))
         spatial = lambda network, x: network(x)  # noqa: E731
@@ -190,18 +194,18 @@ class Bench:
     def _descending(self) -> list[tuple]:
         adam = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
 
-        def descend(gradient, state, model):
+        def descend(gradient: Any, state: Any, model: Any) -> Any:
             update, state = adam.update(gradient, state)
             return jax.tree.map(lambda p, u: p - 0.01 * u, model, update), state
 
-        model = self.state.model
+        model: Any = self.model
         return [("optimiser", descend, (jax.tree.map(jnp.ones_like, model), adam.init(model), model), 0, 0)]
 
     def _samples(self):
         """Samples of the batch's rays that meet something, and those rays."""
         sampler, functions = self.config.sampler, self.functions
         half = jnp.full(self.rays.origins.shape[0], 0.5)
-        depth = expected_depth(self.state.occupancy, self.rays, functions.steps(self.rays), half, True)
+        depth = expected_depth(self.occupancy, self.rays, functions.steps(self.rays), half, True)
         order = jnp.argsort(~jnp.any(depth > 0, -1))[: sampler.samples // 8]
         rays, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
         samples, _ = functions.sampled(dense, rays, jitter, jitter, sampler.samples)

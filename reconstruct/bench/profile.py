@@ -36,7 +36,7 @@ def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, functions.normalisation, functions.config.scale, shown)
     advance = jax.jit(functions.advance).lower(*_arguments(trained.state, pixels, False)).compile()
-    parts = parts_of(advance.as_text())
+    parts = parts_of(advance.as_text() or "")
     plain_ms, plain = _traced(advance, trained.state, pixels, parts, second=False)
     second_ms, second = (
         _traced(advance, trained.state, pixels, parts, second=True) if functions.config.surface.enabled else (None, {})

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from datasets import bounds, images, pose
 from datasets.camera_model import Camera
 from datasets.errors import Misuse, nearest
-from datasets.formats import koala, save_scene
+from datasets.formats import detect, load_scene, save_scene
 from datasets.scene import Scene, View
 from reconstruct.bench.shiny import EDITION, RADIUS_M, SCENES
 from reconstruct.bench.tracer import Tracer
@@ -33,19 +33,19 @@ MESH_CELLS = 160
 """Cells along the side of the cube in which the surface is looked for."""
 
 
-def provide(name: str, out: Path, *, size: int = SIZE, train: int = TRAIN, test: int = TEST,
+def provide(name: str, out: Path, *, size: int = SIZE, train: int = TRAIN, test: int = TEST, format: str = "koala",
             done: Callable[[], None] = lambda: None) -> bool:  # fmt: skip
-    """`write` a scene (seed 0, Koala's layout) into `out`, unless it is there already. Returns whether it was written.
+    """`write` a scene (seed 0) into `out`, unless it is there already. Returns whether it was written.
 
     Raises:
         Misuse: `out` holds something else.
     """
-    if (out / koala.FILE).is_file():
-        found = koala.load(out)
+    found = load_scene(out.absolute()) if out.is_dir() and any(out.iterdir()) else None
+    if found is not None and found.provenance == _provenance(name, size, 0):
         counts = tuple(sum(view.split == split for view in found.views) for split in ("train", "test"))
-        if found.provenance == _provenance(name, size, 0) and counts == (train, test):
+        if counts == (train, test) and detect(out) == format:
             return False
-    write(name, out, size=size, train=train, test=test, done=done)
+    write(name, out, size=size, train=train, test=test, format=format, done=done)
     return True
 
 

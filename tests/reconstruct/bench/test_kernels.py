@@ -22,5 +22,5 @@ def test_all_pieces_are_measured() -> None:
 def test_vertices_by_kind_of_grid() -> None:
     for model, count in (("surfnerf", 4), ("zipnerf", 8)):
         bench = Bench.of(load_config(model, "fast", SMALL))
-        assert corners(bench.state.model.field.encoding) == count
+        assert corners(bench.model.field.encoding) == count
         assert bench.rays.origins.shape == (256, 3)

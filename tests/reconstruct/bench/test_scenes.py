@@ -109,7 +109,8 @@ def test_what_is_there_is_kept(ball_folder: Path, tmp_path: Path) -> None:
 
 
 def test_other_layouts(tmp_path: Path) -> None:
-    write("chrome_ball", tmp_path / "blender", size=24, train=2, test=1, format="blender")
+    assert provide("chrome_ball", tmp_path / "blender", size=24, train=2, test=1, format="blender")
+    assert not provide("chrome_ball", tmp_path / "blender", size=24, train=2, test=1, format="blender")
     assert (tmp_path / "blender" / "transforms_train.json").is_file()
     scene = load_scene(tmp_path / "blender")
     assert set(scene.split("test")[0].truth) == {"normals", "depth", "alpha", "diffuse", "specular"}
