@@ -33,12 +33,16 @@ def safe_norm(x: Float[Array, "*shape n"], axis: int = -1) -> Float[Array, "..."
 
 
 def normalise(x: Float[Array, "*shape"], axis: int = -1, floor: float = 1e-12) -> Float[Array, "*shape"]:
-    """x / |x|; vectors shorter than `floor` are divided by `floor`, so that zero stays zero with a finite gradient."""
+    """x / |x|; vectors shorter than `floor` are divided by `floor`, so that zero stays zero.
+
+    These have no direction, and no gradient either: that of the division, 1 / floor, would outgrow float32 where one
+    normalisation follows another.
+    """
     largest, scaled = _by_largest(x, axis)
     squared = jnp.sum(scaled * scaled, axis=axis, keepdims=True)
     usable = largest * jnp.sqrt(jax.lax.stop_gradient(squared)) > floor
     length = jnp.sqrt(jnp.where(usable, squared, 1.0))
-    return jnp.where(usable, scaled / length, x / floor)
+    return jnp.where(usable, scaled / length, jax.lax.stop_gradient(x) / floor)
 
 
 def _by_largest(x: Array, axis: int) -> tuple[Array, Array]:

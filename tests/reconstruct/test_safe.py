@@ -56,6 +56,13 @@ def test_normalised_length_never_exceeds_one_at_the_floor() -> None:
     assert (jnp.diff(length) >= -1e-6).all()
 
 
+def test_what_has_no_direction_has_no_gradient_however_often_it_is_normalised() -> None:
+    twice = jax.grad(lambda x: jnp.sum(normalise(normalise(x))))
+    for size in (0.0, 1e-20, 1e-13):
+        np.testing.assert_array_equal(twice(jnp.full(3, size)), 0)
+    assert np.isfinite(twice(jnp.array([1e-11, 0, 2e-11]))).all()
+
+
 def test_normalisation_has_the_gradient_of_x_over_its_length() -> None:
     x, weights = np.array([0.3, -1.2, 0.7]), np.array([1.0, -2.0, 0.5])
     length = np.linalg.norm(x)
