@@ -120,20 +120,26 @@ def _mean(rows: Sequence[Row], name: str, *, digits: int | None = None) -> Numbe
 
 
 def _against_peers(page: ReportPage, rows: Sequence[Row], peers: Sequence[Row]) -> None:
-    """Rates beside those of other programs."""
+    """Rates beside those of other programs: of the median of all trials of the scene."""
     body = []
     for peer in peers:
-        same = [row for row in rows if row["scene"] == peer["scene"] and row["scale"] == peer["scale"] and row["rays_per_s"]]
-        if peer["rays_per_s"] and same:
-            own = float(np.median([row["rays_per_s"] for row in same]))
-            body.append((peer["program"], f"{peer['scene']} at {peer['scale']:g}", Number(peer["rays_per_s"], digits=0), Number(own, digits=0),
-                         Number(own / peer["rays_per_s"], "times", digits=0), peer["note"]))  # fmt: skip
+        same = [row for row in rows if row["scene"] == peer["scene"] and row["scale"] == peer["scale"]]
+        for words, theirs, ours, unit in (
+            ("training rays", "rays_per_s", "rays_per_s", "1/s"),
+            ("rendering a view", "view_s", "seconds", "s"),
+        ):
+            values = [row[ours] for row in same if row[ours]]
+            if peer[theirs] and values:
+                own = float(np.median(values))
+                ratio = own / peer[theirs] if unit == "1/s" else peer[theirs] / own
+                body.append((peer["program"], f"{peer['scene']} at {peer['scale']:g}", words, Number(peer[theirs], unit), Number(own, unit),
+                             Number(ratio, "times", digits=0), peer["note"]))  # fmt: skip
     if body:
         page.section(
-            "Rays per second beside other programs",
+            "Speed beside other programs",
             "Rays drawn from the training pictures; those that meet nothing cost this program little, and count.",
         )
-        page.table(("program", "scene", "its rays/s", "rays/s here", "ratio", "note"), body)
+        page.table(("program", "scene", "what", "theirs", "here", "faster", "note"), body)
 
 
 def _costs(page: ReportPage, rows: Sequence[Row]) -> None:

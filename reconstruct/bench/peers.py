@@ -1,8 +1,8 @@
 """What other programs reach, from a CSV that a person writes.
 
-    program,scene,scale,seconds,psnr,normal_mae_deg,normal_mae_alpha_acc_deg,depth_rmse_mm,chamfer_mm,rays_per_s,peak_memory_mb,note
+    program,scene,scale,seconds,psnr,normal_mae_deg,normal_mae_alpha_acc_deg,depth_rmse_mm,chamfer_mm,rays_per_s,view_s,peak_memory_mb,note
 
-`program`, `scene` and `seconds` are needed; scene and scale as in the records (lego400 at 0.5). Columns may be left out, and cells be empty.
+`program`, `scene` and `seconds` (of training) are needed; `view_s` is the time to render a test view; scene and scale as in the records (lego400 at 0.5). Columns may be left out, and cells be empty.
 """
 
 import csv
@@ -14,7 +14,7 @@ from reconstruct.bench.records import Row
 
 TEXT = ("program", "scene", "note")
 NUMBERS = ("scale", "seconds", "psnr", "ssim", "normal_mae_deg", "normal_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm",
-           "rays_per_s", "peak_memory_mb")  # fmt: skip
+           "rays_per_s", "view_s", "peak_memory_mb")  # fmt: skip
 NEEDED = ("program", "scene", "seconds")
 
 
