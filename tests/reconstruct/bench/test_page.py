@@ -29,6 +29,7 @@ def test_everything_is_on_the_page(tmp_path: Path, make_row: Callable) -> None:
         "seconds": 30.0,
         "psnr": 9.96,
         "rays_per_s": 125.0,
+        "view_s": None,
         "note": "",
     }
     written = page.write(tmp_path, [peer])
