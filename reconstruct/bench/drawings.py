@@ -34,7 +34,7 @@ def pareto(rows: Sequence[Row], peers: Sequence[Row] = ()) -> str:
                 axes.errorbar(
                     seconds,
                     mean,
-                    [mean - low, high - mean],
+                    np.maximum([mean - low, high - mean], 0),
                     color=colour,
                     label=" ".join(name),
                     marker="o",
@@ -43,7 +43,7 @@ def pareto(rows: Sequence[Row], peers: Sequence[Row] = ()) -> str:
                     linewidth=1.4,
                 )
                 reached += list(zip(seconds, mean, strict=True))
-        for colour, (program, block) in zip(_colours(9)[::-1], _programs(peers).items(), strict=False):
+        for colour, (program, block) in zip(reversed(COLOURS), _programs(peers).items(), strict=False):
             points = [(peer["seconds"], peer[figure]) for peer in block if peer.get(figure) is not None]
             if points:
                 axes.plot(*zip(*points, strict=True), "x--", color=colour, label=program, markersize=6, linewidth=0.8)

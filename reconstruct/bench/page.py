@@ -116,6 +116,8 @@ def _mean(rows: Sequence[Row], name: str, *, digits: int | None = None) -> Numbe
     if not values:
         return Number(None)
     spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
+    if spread is not None and spread <= 1e-9 * abs(float(np.mean(values))):  # the same bits, but for the rounding of their mean
+        spread = None
     return Number(float(np.mean(values)), std=spread if digits is None else None, digits=digits)
 
 

@@ -20,7 +20,8 @@ def test_the_front_is_what_nothing_beats() -> None:
 
 
 def test_drawings_are_whole(make_row: Callable) -> None:
-    rows = [make_row(), make_row(budget_s=30.0, psnr=27.0), make_row(model="zipnerf", psnr=24.0)]
+    same = [make_row(seed=float(seed), psnr=38.53842131961673) for seed in range(3)]  # whose mean may be less than all of them
+    rows = [*same, make_row(budget_s=30.0, psnr=27.0), make_row(model="zipnerf", psnr=24.0)]
     peer = {"program": "other", "scene": "chrome_ball", "scale": 1.0, "seconds": 40.0, "psnr": 10.0}
     for svg in (
         drawings.pareto(rows, [peer]),
