@@ -122,6 +122,9 @@ class LossConfig(Schema):
     interlevel: float = Field(0.01, ge=0, description="Proposal levels follow the final one.")
     distortion: float = Field(0.0, ge=0, description="Weights along a ray gather (real scenes: 0.01).")
     hollowness: float = Field(0.0, ge=0, description="What is solid gets no thinner behind its surface.")
+    hollow_from: float = Field(
+        0.0, ge=0, le=1, description="Share of the training before the hollowness counts: early fog must not be made solid."
+    )
     orientation: float = Field(0.1, ge=0, description="Visible normals face the camera.")
     predicted_normals: float = Field(3e-4, ge=0, description="Predicted normals follow the density's.")
     density_normals: float = Field(3e-4, ge=0, description="The density's normals follow the predicted ones.")

@@ -139,7 +139,9 @@ def distortion_term(rendered: Rendered, samples: RaySamples, scale: Float[Array,
     return {"distortion": weight * jnp.mean(losses.distortion(rendered.weights, middle, length))}
 
 
-def hollowness_term(rendered: Rendered, density: Float[Array, " n"], samples: RaySamples, weight: float) -> Terms:
+def hollowness_term(
+    rendered: Rendered, density: Float[Array, " n"], samples: RaySamples, weight: float | Float[Array, ""]
+) -> Terms:
     """What is solid gets no thinner behind its surface."""
     return {"hollowness": weight * jnp.mean(losses.hollowness(rendered.weights, samples.padded(density)))}
 

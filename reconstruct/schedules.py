@@ -19,6 +19,15 @@ def second_pass_period(progress: float, *, first: int, last: int) -> int:
     return 2 ** round(exponent)
 
 
+RISE = 0.1
+"""Share of the training over which a late loss comes to its weight."""
+
+
+def late(progress: Float[Array, ""], *, start: float) -> Float[Array, ""]:
+    """Factor on a loss that begins at `start`: zero before, then linear to one over the share `RISE`; one throughout from 0."""
+    return jnp.clip((progress - start) / RISE, 0, 1) if start > 0 else jnp.ones(())
+
+
 def encoding_blur(progress: Float[Array, ""], *, first: float, last: float, until: float) -> Float[Array, ""]:
     """Width of the encoding's blur: log-linear from `first` to `last` over the share `until` of the training; 0 is no blur."""
     if first == 0 or last == 0:

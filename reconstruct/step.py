@@ -22,7 +22,7 @@ from reconstruct.sampling.packing import draw, draw_probability, expected_depth,
 from reconstruct.sampling.proposal import Spacing, propose
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
-from reconstruct.schedules import encoding_blur, learning_rate
+from reconstruct.schedules import encoding_blur, late, learning_rate
 
 GRID_PERIOD, GRID_CELLS = 16, 65536
 """Every so many steps the occupancy grid looks at so many cells."""
@@ -104,11 +104,11 @@ class StepFunctions:
         state = self._sharpened(state, progress)
         key, count = jax.random.fold_in(jax.random.key(seed), state.step), self.config.train.accumulate
         if count == 1:
-            gradient, terms, met = self._batch(state, pixels, key, second)
+            gradient, terms, met = self._batch(state, pixels, key, progress, second)
         else:
 
             def add(total: Model, key: PRNGKeyArray):
-                gradient, *rest = self._batch(state, pixels, key, second)
+                gradient, *rest = self._batch(state, pixels, key, progress, second)
                 return jax.tree.map(jnp.add, total, gradient), rest
 
             nothing = jax.tree.map(jnp.zeros_like, state.model)
@@ -122,13 +122,13 @@ class StepFunctions:
             state = eqx.tree_at(lambda s: s.occupancy, state, state.occupancy.seen(*met))
         return state, terms
 
-    def _batch(self, state: TrainState, pixels: Pixels, key: PRNGKeyArray, second):
+    def _batch(self, state: TrainState, pixels: Pixels, key: PRNGKeyArray, progress, second):
         """Gradient and terms of one batch; with an occupancy grid also the cells that it met and their densities."""
         keys = dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
         index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
         rays, colour = _separate(pixels.take(_separate(self._spread(index))))
         batch = _separate(self._spread(self._choose(state, rays, colour, keys["samples"])))
-        loss = lambda model: self._loss(model, batch, keys)  # noqa: E731
+        loss = lambda model: self._loss(model, batch, keys, progress)  # noqa: E731
         (_, (terms, density, surface)), gradient = _separate(jax.value_and_grad(loss, has_aux=True)(state.model))
         if self.config.surface.enabled:
             gradient, more = self._second_pass(state.model, gradient, batch[0], surface, keys["sphere"], second)
@@ -236,7 +236,7 @@ class StepFunctions:
         n = self.normalisation
         return Steps.of(rays, steps=self.config.sampler.steps, bounded=n.bounded, near=n.near, far=n.far)
 
-    def _loss(self, model: Model, batch, keys):
+    def _loss(self, model: Model, batch, keys, progress):
         rays, colour, used, samples = batch
         config, terms, footprint = self.config, {}, Footprint()
         weights = config.losses.in_scene(bounded=self._bounded)
@@ -253,7 +253,8 @@ class StepFunctions:
         if weights.distortion:
             terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), weights.distortion)
         if weights.hollowness:
-            terms |= objective.hollowness_term(rendered, density, samples, weights.hollowness)
+            weight = weights.hollowness * late(progress, start=weights.hollow_from)
+            terms |= objective.hollowness_term(rendered, density, samples, weight)
         if weights.decay:
             terms |= objective.decay_term(model, weights.decay)
         surface = objective.surfaces_of(rendered, samples, rays, config.surface.rays)

@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.schedules import learning_rate, second_pass_period
+from reconstruct.schedules import RISE, late, learning_rate, second_pass_period
 
 
 def test_the_rate_is_log_linear_after_warm_up() -> None:
@@ -24,3 +24,10 @@ def test_the_second_pass_s_period_falls_from_512_to_4_in_powers_of_two() -> None
     np.testing.assert_allclose(shares, 1 / 7, atol=2e-3)  # log-linear: each power for an equal share of the training
     assert second_pass_period(-0.1, first=512, last=4) == 512
     assert second_pass_period(1.1, first=2048, last=16) == 16
+
+
+def test_a_late_loss_rises_from_its_start() -> None:
+    at = lambda p: float(late(jnp.asarray(p), start=0.2))  # noqa: E731
+    assert at(0.0) == at(0.2) == 0.0 and at(0.2 + RISE) == at(1.0) == 1.0
+    np.testing.assert_allclose(at(0.2 + RISE / 2), 0.5, rtol=1e-5)
+    assert float(late(jnp.asarray(0.0), start=0.0)) == 1.0

@@ -75,13 +75,13 @@ def test_accumulated_batches_step_by_their_mean_gradient(monkeypatch: pytest.Mon
     state = functions.initial(jax.random.key(0), None)
     stepped: list = []
 
-    def batch(self, state: TrainState, pixels, key, second):
+    def batch(self, state: TrainState, pixels, key, progress, second):
         value = jax.random.uniform(key)
         cell = (1000 * value).astype(jnp.int32)[None]
         return jax.tree.map(lambda leaf: jnp.full_like(leaf, value), state.model), {"mse": value}, (cell, value[None])
 
     monkeypatch.setattr(StepFunctions, "_batch", batch)
-    monkeypatch.setattr(StepFunctions, "_descend", lambda self, state, gradient, progress: stepped.append(gradient) or state)
+    monkeypatch.setattr(StepFunctions, "_descend", lambda self, state, gradient, *_: stepped.append(gradient) or state)
     after, terms = functions._step(state, None, jnp.asarray(5), jnp.asarray(0.5), jnp.asarray(False))
     values = jax.vmap(jax.random.uniform)(jax.random.split(jax.random.fold_in(jax.random.key(5), 0), 3))
     np.testing.assert_allclose(jax.tree.leaves(stepped[0])[0], np.mean(values), rtol=1e-6)
