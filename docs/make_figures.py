@@ -102,7 +102,7 @@ def pages(demo: Path, out: Path, only: tuple[str, ...] = ()) -> None:
         "view_scene": Shot("datasets", ["view", str(demo / "koala" / "gold_head"), "--quick"], 0.05),
         "view_run": Shot("reconstruct", ["view", run], 0.6, switched=("cameras",)),
         "mesh": Shot(
-            "reconstruct", ["view", run, "--mesh", str(demo / "mesh.ply")], 0.1, channel="nothing", switched=("cameras",)
+            "reconstruct", ["view", run, "--mesh", str(demo / "mesh.ply")], 0.05, channel="nothing", switched=("cameras",)
         ),
     }
     shots = {name: shot for name, shot in shots.items() if not only or name in only}

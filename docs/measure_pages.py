@@ -2,7 +2,7 @@
 
     python docs/measure_pages.py moving RUN [SECONDS]
     python docs/measure_pages.py memory RUN [SECONDS]
-    python docs/measure_pages.py training SCENE [SECONDS]
+    python docs/measure_pages.py training SCENE [SECONDS [alone|open|moving]]
 
 A headless Chromium on the same computer looks at the page, and draws without a graphics card: its work is counted in.
 """
@@ -32,10 +32,10 @@ STEP_S = 0.05
 def main() -> None:
     """Measure one thing and print it as JSON."""
     kinds = {"moving": (moving, 20.0), "memory": (memory, 600.0), "training": (training, 60.0)}
-    if len(sys.argv) not in (3, 4) or sys.argv[1] not in kinds:
+    if not 3 <= len(sys.argv) <= 5 or sys.argv[1] not in kinds:
         raise Misuse("give what to measure and on what", remedy=f"one of {', '.join(kinds)}, then a run or a scene")
     measure, usual = kinds[sys.argv[1]]
-    found = measure(Path(sys.argv[2]), float(sys.argv[3]) if len(sys.argv) == 4 else usual)
+    found = measure(Path(sys.argv[2]), float(sys.argv[3]) if len(sys.argv) > 3 else usual, *sys.argv[4:])
     console.report(found, as_json=True, text="")
 
 
@@ -122,9 +122,9 @@ def _resident_mb() -> int:
     return round(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20)
 
 
-def training(scene: Path, seconds: float) -> dict[str, Any]:
+def training(scene: Path, seconds: float, *kinds: str) -> dict[str, Any]:
     """Steps of a training of so many seconds: alone, with the page open and nobody moving, and with somebody moving all the time."""
-    return {"seconds": seconds, **{kind: _trained(scene, seconds, kind) for kind in ("alone", "page open", "somebody moves")}}
+    return {"seconds": seconds, **{kind: _trained(scene, seconds, kind) for kind in kinds or ("alone", "open", "moving")}}
 
 
 def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
@@ -142,7 +142,7 @@ def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
                 window = opened(
                     stack.enter_context(chromium()), stack.enter_context(served("reconstruct", ["view", str(folder / "run")]))
                 )
-                while kind == "somebody moves" and process.poll() is None:
+                while kind == "moving" and process.poll() is None:
                     drag(window, 2)
             process.wait()
         wall_s = time.monotonic() - begun
