@@ -18,7 +18,7 @@ from datasets.console import progress
 from datasets.scene import Scene
 from reconstruct.bench.instructions import Part, parts_of
 from reconstruct.rays import Pixels
-from reconstruct.step import TrainState
+from reconstruct.step import StepFunctions, TrainState
 from reconstruct.trained import Trained
 
 STEPS = 16
@@ -35,7 +35,7 @@ def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
     functions, views = trained.functions, scene.split("train")
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, functions.normalisation, functions.config.scale, shown)
-    advance = jax.jit(functions.advance).lower(*_arguments(trained.state, pixels, False)).compile()
+    advance = _compiled(functions, trained.state, pixels)
     parts = parts_of(advance.as_text() or "")
     plain_ms, plain = _traced(advance, trained.state, pixels, parts, second=False)
     second_ms, second = (
@@ -47,31 +47,30 @@ def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
             "parts": sorted(rows, key=lambda row: -row[3])}  # fmt: skip
 
 
-def _arguments(state: TrainState, pixels: Pixels, second: bool) -> tuple[Any, ...]:
-    """Of `StepFunctions.advance`; with a second pass it is one step, else `STEPS`."""
-    count = 1 if second else STEPS
-    return (
-        state,
-        pixels,
-        jnp.asarray(0, jnp.int32),
-        jnp.asarray(0.9, jnp.float32),
-        jnp.asarray(count, jnp.int32),
-        jnp.asarray(second),
-    )
+def _compiled(functions: StepFunctions, state: TrainState, pixels: Pixels) -> Any:
+    """The step as training has it: in the memory of the state that it is given."""
+    arguments = (state, pixels, *_rest(1, False))
+    return jax.jit(functions.advance, donate_argnums=(0,)).lower(*arguments).compile()
+
+
+def _rest(count: int, second: bool) -> tuple[jax.Array, ...]:
+    """Arguments of `StepFunctions.advance` beside state and pixels: seed, progress, number of steps, whether with a second pass."""
+    return jnp.asarray(0, jnp.int32), jnp.asarray(0.9, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second)
 
 
 def _traced(
-    advance: Any, state: TrainState, pixels: Pixels, parts: dict[str, Part], *, second: bool
+    advance: Any, start: TrainState, pixels: Pixels, parts: dict[str, Part], *, second: bool
 ) -> tuple[float, dict[Part, float]]:
-    """Milliseconds per step untraced (the fastest of three), and of each part."""
-    arguments, repeats = _arguments(state, pixels, second), 1 if not second else STEPS
-    steps = STEPS
+    """Milliseconds per step untraced (the fastest of three), and of each part; a call with a second pass is one step, else `STEPS`."""
+    calls, count = (STEPS, 1) if second else (1, STEPS)
 
     def go() -> float:
-        start = time.perf_counter()
-        for _ in range(repeats):
-            jax.block_until_ready(advance(*arguments))
-        return 1e3 * (time.perf_counter() - start) / steps
+        state = jax.block_until_ready(jax.tree.map(jnp.copy, start))  # the calls use it up
+        begun = time.perf_counter()
+        for _ in range(calls):
+            state, _ = advance(state, pixels, *_rest(count, second))
+        jax.block_until_ready(state)
+        return 1e3 * (time.perf_counter() - begun) / STEPS
 
     untraced = min(go() for _ in range(3))
     with tempfile.TemporaryDirectory(prefix="koala-trace-") as folder:
@@ -82,7 +81,7 @@ def _traced(
     for name, microseconds in durations.items():
         part = parts.get(name)
         if part is not None:
-            spent[part] += 1e-3 * microseconds / steps
+            spent[part] += 1e-3 * microseconds / STEPS
     return untraced, dict(spent)
 
 
