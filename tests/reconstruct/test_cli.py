@@ -75,7 +75,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("ablate", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
         ("sweep", "--out", tmp_path / "r", "--scene", tmp_path, "--model", "surfnrf"): "did you mean 'surfnerf'",
         ("eval", run, "--split", "val"): "scene has no val views",
-        ("eval", run, "--splat", "val"): "No such option",
+        ("eval", run, "--splat", "val"): "there is no option '--splat'; did you mean '--split'",
         ("mesh", run, "--out", tmp_path / "mesh.stl"): "end --out in .ply, .glb, .obj",
         ("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", "5"): "Invalid value",
         ("report", run, "--out", tmp_path / "r", "--calibration", tmp_path / "none.json"): "no such file",
