@@ -2,7 +2,7 @@
 
     python docs/measure_pages.py moving RUN [SECONDS]
     python docs/measure_pages.py memory RUN [SECONDS]
-    python docs/measure_pages.py training SCENE [SECONDS [alone|open|moving]]
+    python docs/measure_pages.py training SCENE [SECONDS [alone] [open] [moving]]
 
 A headless Chromium on the same computer looks at the page, and draws without a graphics card: its work is counted in.
 """
@@ -32,7 +32,7 @@ STEP_S = 0.05
 def main() -> None:
     """Measure one thing and print it as JSON."""
     kinds = {"moving": (moving, 20.0), "memory": (memory, 600.0), "training": (training, 60.0)}
-    if not 3 <= len(sys.argv) <= 5 or sys.argv[1] not in kinds:
+    if not 3 <= len(sys.argv) <= 7 or sys.argv[1] not in kinds:
         raise Misuse("give what to measure and on what", remedy=f"one of {', '.join(kinds)}, then a run or a scene")
     measure, usual = kinds[sys.argv[1]]
     found = measure(Path(sys.argv[2]), float(sys.argv[3]) if len(sys.argv) > 3 else usual, *sys.argv[4:])
