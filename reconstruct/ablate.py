@@ -36,6 +36,8 @@ BASE = "base"
 FIGURES = ("psnr", "normal_mae_alpha_acc_deg")
 """Columns that the figure draws."""
 LOSSES = ("density", "normal", "bias", "variation")
+PUBLISHED = SurfaceConfig.model_fields
+"""Their weights, where nothing else is said."""
 Cells = dict[str, tuple[str, ...]]
 
 
@@ -57,8 +59,8 @@ class Study:
 def grid(base: Config) -> Cells:
     """The paper's ablations around a configuration, by name; a cell that would repeat the base is left out.
 
-    Sampling of the sphere, neighbours of the total variation, frequency of the second pass, form of the density smoothness, and
-    each loss without (or, where the base has it off, with the published weight).
+    Sampling of the sphere, neighbours of the total variation, frequency of the second pass, form of the density smoothness,
+    each loss without (or, where the base has it off, with the published weight), and the base without hollowness.
     """
     cells: Cells = {BASE: ()}
     surface = base.surface
@@ -69,12 +71,19 @@ def grid(base: Config) -> Cells:
     for first, last in ((2048, 16), (512, 4), (256, 2), (16, 16)):
         cells[f"every {first}/{last}"] = (f"surface.first_period={first}", f"surface.last_period={last}")
     for form in ("tangent", "published"):
-        cells[f"{form} density"] = (f"surface.density_form={form}",)
+        cells[f"{form} density"] = (
+            f"surface.density_form={form}",
+            f"surface.density={surface.density or PUBLISHED['density'].default}",
+        )
     cells = {name: changes for name, changes in cells.items() if name == BASE or not _repeats(surface, changes)}
     for loss in LOSSES:
         weight = getattr(surface, loss)
-        published = SurfaceConfig.model_fields[loss].default
-        cells[f"without {loss}" if weight else f"with {loss}"] = (f"surface.{loss}={0 if weight else published}",)
+        if weight:
+            cells[f"without {loss}"] = (f"surface.{loss}=0",)
+        elif loss != "density":  # its forms are cells already
+            cells[f"with {loss}"] = (f"surface.{loss}={PUBLISHED[loss].default}",)
+    if base.losses.hollowness:
+        cells["without hollowness"] = ("losses.hollowness=0",)
     return cells | {"no regulariser": ("surface.enabled=false",)}
 
 

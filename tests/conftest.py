@@ -1,6 +1,7 @@
 """What tests of every package share: real data where it is there, and small made-up scenes."""
 
 import shutil
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,9 @@ from datasets.scene import Scene, View
 _NUMERICS = ("cloud", "contraction", "encodings", "field", "losses", "mlp", "model", "objective", "rays", "rendering",
              "safe", "sampling", "schedules", "stepfun", "surface")  # fmt: skip
 install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.beartype")  # shapes as annotated, or an error
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts background jobs deaf to Ctrl-C, and their children too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"

@@ -23,7 +23,7 @@ COSTS = {
     "reflection": "in the pilot less than 0.1 dB",
     "consistent_passes": "not measured; normals may drift apart between passes",
     "converged": "0.15 dB better to 1.78 dB worse where it stopped a training",
-    "distortion": "none: the same bits",
+    "distortion": "none: the same figures",
     "structure_from_motion": "none in training",
 }
 """Price of each skip; docs/skipping.md has the figures."""

@@ -20,6 +20,8 @@ from reconstruct.sampling.samples import RaySamples
 from reconstruct.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
 
 SMALL = [
+    "surface.density=0.1",
+    "surface.bias=0.03",
     "encoding.levels=2",
     "encoding.log2_size=8",
     "field.spatial_width=8",
@@ -89,7 +91,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
 
     def total(model: Model, edges: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         samples = RaySamples.from_edges(edges)
-        rendered, _ = render(
+        rendered, density = render(
             model.field,
             rays,
             samples,
@@ -98,6 +100,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         )
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
         terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), 0.01) | objective.decay_term(model, 0.1)
+        terms |= objective.hollowness_term(rendered, density, samples, 0.1)
         found = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
         terms |= objective.surface_point_terms(model.field, rays, found, config.losses, place)
         terms |= objective.second_pass_terms(model.field, rays, found, jax.random.key(1), config.surface, place)

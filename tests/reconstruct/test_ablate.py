@@ -18,13 +18,13 @@ from reconstruct.run import Run
 def test_the_grid_changes_one_thing_at_a_time() -> None:
     cells = ablate.grid(load_config())
     assert cells["base"] == () and "sampling lattice" not in cells and "k = 3" not in cells and "every 512/4" not in cells
-    assert {"sampling fibonacci", "sampling random", "k = 5", "every 2048/16", "published density", "without density",
-            "without normal", "without variation", "no regulariser"} <= set(cells)  # fmt: skip
+    assert {"sampling fibonacci", "sampling random", "k = 5", "every 2048/16", "tangent density", "published density",
+            "without hollowness", "without normal", "without variation", "no regulariser"} <= set(cells)  # fmt: skip
     assert cells["with bias"] == ("surface.bias=0.03",), "the fast preset has it off: the published weight is tried"
-    base = load_config().surface
+    base = load_config()
     for name, changes in cells.items():
-        surface = load_config(overrides=list(changes)).surface
-        assert (surface == base) == (name == "base"), name
+        changed = load_config(overrides=list(changes))
+        assert (changed.surface == base.surface and changed.losses == base.losses) == (name == "base"), name
 
 
 def test_folders_of_cells_are_different() -> None:
