@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -168,9 +168,14 @@ def photograph(browser: Any, url: str, path: Path, shot: Shot) -> None:
     page.close()
 
 
-if __name__ == "__main__":
+def run_program(program: Callable[[], None]) -> None:
+    """Run a program of this folder; what goes wrong is one line and an exit code."""
     try:
-        main()
+        program()
     except KoalaError as error:
         console.hint(f"error: {error}")
         sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    run_program(main)

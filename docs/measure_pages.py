@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from make_figures import chromium, served
+from make_figures import chromium, run_program, served
 
 from datasets import console
-from datasets.errors import KoalaError, Misuse
+from datasets.errors import Misuse
 from datasets.viewer import open_page
 
 STEP_S = 0.05
@@ -161,8 +161,4 @@ def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except KoalaError as error:
-        console.hint(f"error: {error}")
-        sys.exit(error.exit_code)
+    run_program(main)

@@ -141,6 +141,13 @@ class Pixels(eqx.Module):
         part = lambda index: Pixels(self.colour[index], self.directions[index], self.view[index], self.origins, self.radii)  # noqa: E731
         return part(rest), part(held)
 
+    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray, ...]:
+        """(origins, directions, radii, colour over white) of some pixels."""
+        rays, colour = self.take(jnp.asarray(index))
+        colour = np.asarray(colour)
+        target = colour[:, :3] * colour[:, 3:] + 1 - colour[:, 3:]
+        return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), target
+
     def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
         """Rays and colours (float32) of the given pixels."""
         get = lambda a, i: a.at[i].get(mode="promise_in_bounds")  # noqa: E731

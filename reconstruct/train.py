@@ -17,7 +17,7 @@ import numpy as np
 
 from datasets.console import hint, progress
 from datasets.errors import Misuse
-from datasets.scene import Scene
+from datasets.scene import Scene, View
 from reconstruct import checkpoint
 from reconstruct.batch import fitted
 from reconstruct.config import Config
@@ -343,18 +343,23 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fres
     if fresh:
         facts = facts_of(scene, views, pixels, normalisation, possible, config.scale)
         lean, skips = plan(facts, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
-        config = config if planned else lean
-        if config.field.outward and config.field.towards is None:
-            config = merged_config(config, {"field": {"towards": direction_of_cameras(views, normalisation)}})
+        config = config if planned else facing(lean, views, normalisation)
     held = None
     if config.train.patience:
         pixels, apart = pixels.held_out(PROBE)
-        held = _over_white(apart, np.arange(apart.directions.shape[0]))
+        held = apart.over_white(np.arange(apart.directions.shape[0]))
     if fresh and config.sampler.kind == "proposal":
         config = fitted(config, normalisation, pixels)
     functions = StepFunctions(config, normalisation).over(jax.devices())
     state = functions.initial(jax.random.key(config.train.seed), possible, len(views))
     return functions, state, pixels, _probe(scene, config, normalisation), held, skips
+
+
+def facing(config: Config, views: tuple[View, ...], normalisation: Normalisation) -> Config:
+    """The configuration with starting normals that face the views' cameras, where it has any and does not say otherwise."""
+    if not config.field.outward or config.field.towards is not None:
+        return config
+    return merged_config(config, {"field": {"towards": direction_of_cameras(views, normalisation)}})
 
 
 def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
@@ -366,12 +371,4 @@ def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[
     with progress("reading unseen pixels", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
     index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
-    return _over_white(pixels, index)
-
-
-def _over_white(pixels: Pixels, index: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(origins, directions, radii, colour over white) of some pixels."""
-    rays, colour = pixels.take(jnp.asarray(index))
-    colour = np.asarray(colour)
-    target = colour[:, :3] * colour[:, 3:] + 1 - colour[:, 3:]
-    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), target
+    return pixels.over_white(index)

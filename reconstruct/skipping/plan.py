@@ -12,6 +12,7 @@ from reconstruct.models import merged_config
 from reconstruct.rays import Normalisation
 from reconstruct.sampling.steps import BEHIND, FRONT
 from reconstruct.skipping.facts import Facts
+from reconstruct.skipping.pilot import MATTE
 from reconstruct.skipping.record import ELSEWHERE, Skip
 
 ALIKE = 1.5
@@ -123,9 +124,7 @@ def _reflection(config: Config, pilot: Callable[[], float]) -> Decision:
     gain = pilot()
     skipped = gain < WORTH_DB
     if skipped:
-        changes = {"field": {"appearance": "diffuse", "bottleneck": 0, "diffuse_bias": -float(np.log(3))},
-                   "surface": {"bias": 0.0, "variation": 0.0}}  # fmt: skip
-        config = merged_config(config, changes)
+        config = merged_config(config, MATTE)
     return config, Skip.of("reflection", skipped, f"a pilot gains {gain:.2f} dB by reflecting", saving)
 
 

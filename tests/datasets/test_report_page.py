@@ -74,9 +74,10 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 def test_a_browser_sorts_wipes_and_prints(tmp_path: Path, browse: Callable[[str], Any]) -> None:
     filled().write(tmp_path / "page.html")
     window = browse((tmp_path / "page.html").as_uri())
-    column = lambda: window.page.eval_on_selector_all(
-        "table.sortable tbody tr td:first-child", "all => all.map(e => e.textContent)"
-    )  # noqa: E731
+
+    def column() -> list[str]:
+        return window.page.eval_on_selector_all("table.sortable tbody tr td:first-child", "all => all.map(e => e.textContent)")
+
     head = lambda name: window.page.locator("table.sortable th", has_text=name).click()  # noqa: E731
     assert column() == ["b", "a", "c"]
     head("PSNR")

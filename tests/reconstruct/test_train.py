@@ -103,6 +103,7 @@ def test_a_fine_tuning_begins_with_what_the_run_has_learned(
     for one, other in zip(jax.tree.leaves(before.model), jax.tree.leaves(training.state.model), strict=True):
         np.testing.assert_array_equal(one, other)
     assert int(training.state.step) == 0 and training.clock.steps == 3
+    assert training.run.config.field.towards == run.config.field.towards, "what was learned was added to these normals"
     assert (
         training.run.config.surface.enabled and training.run.config.train.rate == training.run.config.train.final_rate == 3.25e-4
     )
