@@ -59,8 +59,9 @@ class Study:
 def grid(base: Config) -> Cells:
     """The paper's ablations around a configuration, by name; a cell that would repeat the base is left out.
 
-    Sampling of the sphere, neighbours of the total variation, frequency of the second pass, form of the density smoothness,
-    each loss without (or, where the base has it off, with the published weight), and the base without hollowness.
+    Sampling of the sphere, neighbours of the total variation (and as the published implementation has them), frequency of the
+    second pass, form of the density smoothness, each loss without (or, where the base has it off, with the published weight),
+    and the base without hollowness.
     """
     cells: Cells = {BASE: ()}
     surface = base.surface
@@ -68,6 +69,7 @@ def grid(base: Config) -> Cells:
         cells[f"sampling {kind}"] = (f"surface.sampling={kind}",)
     for k in (1, 3, 5, 8):
         cells[f"k = {k}"] = (f"surface.neighbours={k}",)
+    cells["published neighbours"] = ("surface.neighbour_form=published", "surface.neighbours=5")
     for first, last in ((2048, 16), (512, 4), (256, 2), (16, 16)):
         cells[f"every {first}/{last}"] = (f"surface.first_period={first}", f"surface.last_period={last}")
     for form in ("tangent", "published"):

@@ -111,6 +111,9 @@ class SurfaceConfig(Schema):
     variation: float = Field(1e-3, ge=0, description="Weight of the specular total variation.")
     density_form: Literal["tangent", "published"] = Field("tangent", description="Form of the density smoothness.")
     neighbours: int = Field(3, ge=1, description="Nearest directions in the total variation's graph.")
+    neighbour_form: Literal["angular", "published"] = Field(
+        "angular", description="What is near there: by angle, or by the cosine of (polar angle, azimuth, length), as published."
+    )
     first_period: int = Field(512, ge=1, description="Steps between second passes at the start (power of two).")
     last_period: int = Field(4, ge=1, description="The same at the end.")
 

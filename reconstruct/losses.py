@@ -85,21 +85,35 @@ def lambertian_bias(specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]
     return jnp.mean(jnp.sum(jnp.square(specular / jnp.maximum(largest, 1e-4)), -1), -1)
 
 
-def specular_variation(
-    specular: Float[Array, "rays n 3"], directions: Float[Array, "rays n 3"], neighbours: int
-) -> Float[Array, " rays"]:
-    """Graph total variation over directions (supplement D): mean |c_i - c_j| over the nearest j by angle.
+def direction_likeness(directions: Float[Array, "rays n 3"], form: str) -> Float[Array, "rays n n"]:
+    """How near directions are to each other, in [-1, 1], as data: neighbours in a graph are those of the largest.
 
-    Gradients go to the sample and not to its neighbours. The nearest by angle are those of largest cosine, found by
-    repeated maximum, which for a handful beats a sort.
+    "angular": the cosine of the angle between them; "published": the cosine between their triples of polar angle, azimuth and
+    length, as the published implementation has it, which tears the sphere along a meridian and stretches its poles.
     """
-    count = directions.shape[1]
-    cosine = jnp.einsum("rix,rjx->rij", directions, directions) - 4 * jnp.eye(count, dtype=directions.dtype)
+    held = jax.lax.stop_gradient(directions)
+    if form == "published":
+        x, y, z = jnp.moveaxis(held, -1, 0)
+        held = jnp.stack([jnp.arctan2(jnp.sqrt(x * x + y * y), z), jnp.arctan2(y, x), jnp.ones_like(z)], -1)
+        held = held / jnp.sqrt(jnp.sum(held * held, -1, keepdims=True))  # at least 1 long: the unit length is one of the three
+    return jnp.einsum("rix,rjx->rij", held, held)
+
+
+def specular_variation(
+    specular: Float[Array, "rays n 3"], likeness: Float[Array, "rays n n"], neighbours: int
+) -> Float[Array, " rays"]:
+    """Graph total variation over directions (supplement D): mean |c_i - c_j| over the nearest j by `likeness`.
+
+    Gradients go to the sample and not to its neighbours. The nearest are found by repeated maximum, which for a handful beats
+    a sort.
+    """
+    count = likeness.shape[1]
+    likeness = likeness - 4 * jnp.eye(count, dtype=likeness.dtype)
     held = jax.lax.stop_gradient(specular)
     total = jnp.zeros(specular.shape[0], specular.dtype)
     for _ in range(min(neighbours, count - 1)):
-        nearest = jnp.argmax(cosine, -1)
+        nearest = jnp.argmax(likeness, -1)
         other = jnp.take_along_axis(held, nearest[..., None], 1)
         total = total + jnp.mean(jnp.sum(jnp.abs(specular - other), -1), -1)
-        cosine = cosine - 4 * jax.nn.one_hot(nearest, count, dtype=cosine.dtype)
+        likeness = likeness - 4 * jax.nn.one_hot(nearest, count, dtype=likeness.dtype)
     return total / max(min(neighbours, count - 1), 1)

@@ -118,7 +118,8 @@ def _directional_terms(
     repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
     shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T), field.appearance.has_diffuse
     colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
-    terms = {"specular_variation": config.variation * losses.specular_variation(colour, inward, config.neighbours)}
+    likeness = losses.direction_likeness(inward, config.neighbour_form)
+    terms = {"specular_variation": config.variation * losses.specular_variation(colour, likeness, config.neighbours)}
     if diffuse and config.bias:
         terms["lambertian_bias"] = config.bias * losses.lambertian_bias(colour)
     return terms

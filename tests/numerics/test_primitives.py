@@ -165,7 +165,7 @@ ROWS = [
         "a mean of order 1", (0 * BALLS,)),
     Row("lambertian_bias", losses.lambertian_bias, (COLOURS,), "black to saturated, all alike", 2e-6, 1e-12, "squares of quotients",
         (0 * COLOURS, )),
-    Row("specular_variation", lambda c, d: losses.specular_variation(c, d, 3), (COLOURS, BALLS), "black to saturated, directions alike", 2e-6, 1e-6,
+    Row("specular_variation", lambda c, d: losses.specular_variation(c, losses.direction_likeness(d, "angular"), 3), (COLOURS, BALLS), "black to saturated, directions alike", 2e-6, 1e-6,
         "differences of order 1", (0 * COLOURS, 0 * BALLS)),
     Row("learning_rate", jax.vmap(lambda p: learning_rate(p, rate=0.01, final_rate=1e-3, warmup=0.02)), (UNIT,), "0 to 1", 5e-6, 0,
         "exp of a logarithm of 1e-10", (np.array([-1.0, 2.0]),)),

@@ -60,7 +60,7 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "smoothness": lambda: losses.density_smoothness(some(2, 4), some(2, 4, 3), some(2, 3), some(2), "tangent"),
     "consistency": lambda: losses.normal_consistency(some(2, 4, 3), some(2, 3)),
     "bias": lambda: losses.lambertian_bias(some(2, 4, 3)),
-    "variation": lambda: losses.specular_variation(some(2, 8, 3), some(2, 8, 3), 3),
+    "variation": lambda: losses.specular_variation(some(2, 8, 3), losses.direction_likeness(some(2, 8, 3), "published"), 3),
 }
 
 

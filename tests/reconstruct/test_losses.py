@@ -141,25 +141,44 @@ def neighbours_by_angle(directions: np.ndarray, count: int) -> np.ndarray:
     return np.argsort(angle, axis=-1)[:, :count]
 
 
+def neighbours_as_published(directions: np.ndarray, count: int) -> np.ndarray:
+    """The same by the cosine between (polar angle, azimuth, length), in float64."""
+    x, y, z = directions.T
+    triples = np.stack([np.arccos(z), np.arctan2(y, x), np.ones_like(z)], -1)
+    cosine = triples @ triples.T / np.outer(*[np.linalg.norm(triples, axis=-1)] * 2)
+    np.fill_diagonal(cosine, -np.inf)
+    return np.argsort(-cosine, axis=-1)[:, :count]
+
+
+NEIGHBOURS = {"angular": neighbours_by_angle, "published": neighbours_as_published}
+
+
+def variation_by_angle(specular: jnp.ndarray, directions: jnp.ndarray, neighbours: int) -> jnp.ndarray:
+    return losses.specular_variation(specular, losses.direction_likeness(directions, "angular"), neighbours)
+
+
 @pytest.mark.parametrize("neighbours", [1, 3, 5])
-def test_specular_variation_runs_over_the_nearest_by_angle(neighbours: int) -> None:
+@pytest.mark.parametrize("form", NEIGHBOURS)
+def test_specular_variation_runs_over_the_nearest(form: str, neighbours: int) -> None:
     specular, directions = np.random.default_rng(12).random((4, 16, 3)), unit((4, 16), 13)
     expected, gradient = np.zeros(4), np.zeros_like(specular)
     for ray in range(4):
-        for i, nearest in enumerate(neighbours_by_angle(directions[ray], neighbours)):
+        for i, nearest in enumerate(NEIGHBOURS[form](directions[ray], neighbours)):
             for j in nearest:
                 difference = specular[ray, i] - specular[ray, j]
                 expected[ray] += np.abs(difference).sum() / (16 * neighbours)
                 gradient[ray, i] += np.sign(difference) / (16 * neighbours)  # to the sample, not to its neighbour
-    np.testing.assert_allclose(losses.specular_variation(*f32(specular, directions), neighbours), expected, rtol=1e-5)
-    ours = jax.grad(lambda s: jnp.sum(losses.specular_variation(s, jnp.asarray(directions, jnp.float32), neighbours)))
-    np.testing.assert_allclose(ours(jnp.asarray(specular, jnp.float32)), gradient, atol=1e-6)
+    likeness = losses.direction_likeness(jnp.asarray(directions, jnp.float32), form)
+    colours = jnp.asarray(specular, jnp.float32)
+    np.testing.assert_allclose(losses.specular_variation(colours, likeness, neighbours), expected, rtol=1e-5)
+    ours = jax.grad(lambda s: jnp.sum(losses.specular_variation(s, likeness, neighbours)))
+    np.testing.assert_allclose(ours(colours), gradient, atol=1e-6)
 
 
 def test_specular_variation_of_few_directions_and_equal_ones() -> None:
     two = f32(np.array([[[0.0, 0, 0], [1, 0, 0]]]), unit((1, 2), 14))
-    np.testing.assert_allclose(losses.specular_variation(*two, 3), 1.0)  # one neighbour is all there is: mean |difference|
-    np.testing.assert_array_equal(losses.specular_variation(jnp.ones((2, 8, 3)), *f32(unit((2, 8), 15)), 3), 0)
+    np.testing.assert_allclose(variation_by_angle(*two, 3), 1.0)  # one neighbour is all there is: mean |difference|
+    np.testing.assert_array_equal(variation_by_angle(jnp.ones((2, 8, 3)), *f32(unit((2, 8), 15)), 3), 0)
     same = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (1, 8, 3))
-    assert gradients_are_finite(lambda s: losses.specular_variation(s, same, 3), jnp.zeros((1, 8, 3)))
-    np.testing.assert_array_equal(losses.specular_variation(jnp.ones((1, 1, 3)), jnp.ones((1, 1, 3)), 3), 0)
+    assert gradients_are_finite(lambda s: variation_by_angle(s, same, 3), jnp.zeros((1, 8, 3)))
+    np.testing.assert_array_equal(variation_by_angle(jnp.ones((1, 1, 3)), jnp.ones((1, 1, 3)), 3), 0)
