@@ -211,6 +211,9 @@ def eval_command(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.json", help="With --renders: write the figures there.")
     ] = None,
+    lpips: Annotated[
+        Path | None, typer.Option(metavar="WEIGHTS.npz", help="Measure LPIPS (AlexNet) too, with these weights; docs/numbers.md.")
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
     """Measure a run on its test views (writes RUN/metrics.json), or renderings made elsewhere with the same ruler."""
@@ -218,14 +221,16 @@ def eval_command(
     from datasets.formats import load_scene
     from reconstruct.backend import cache_compilations
     from reconstruct.evaluate import METRICS, evaluate, table
+    from reconstruct.lpips import Lpips
     from reconstruct.renders import measure
     from reconstruct.trained import Trained
 
+    perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
         cache_compilations()
-        result, where = evaluate(Trained.open(run), split=split), run / METRICS
+        result, where = evaluate(Trained.open(run), split=split, lpips=perceptual), run / METRICS
     elif run is None and renders is not None and scene is not None:
-        result, where = measure(renders, load_scene(scene), split=split, out=out), out
+        result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
     else:
         raise Misuse("give either a run, or --renders DIR --scene SCENE")
     console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())

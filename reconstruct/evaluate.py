@@ -18,6 +18,7 @@ from datasets.formats import find
 from datasets.scene import View
 from reconstruct import mesh, metrics, surface_distance
 from reconstruct.errors import ReconstructError
+from reconstruct.lpips import Lpips
 from reconstruct.rays import read_scaled
 from reconstruct.trained import Trained
 
@@ -27,8 +28,11 @@ TRUE_SURFACE = "truth/object.ply"
 """Where a simulated scene keeps the object's true mesh [m]."""
 
 
-def evaluate(trained: Trained, *, split: str = "test") -> dict[str, Any]:
+def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = None) -> dict[str, Any]:
     """Measure a trained model on the views of one split and write `metrics.json` into its run.
+
+    Args:
+        lpips: measure the perceptual distance too.
 
     Raises:
         Misuse: its scene has no such views.
@@ -44,13 +48,15 @@ def evaluate(trained: Trained, *, split: str = "test") -> dict[str, Any]:
             picture = trained.picture(view)
             seconds = time.perf_counter() - start
             truth = read_truth(view, trained.camera(view))
-            measured.append({"name": view.name, **compare(vars(picture), truth, metric=trained.scene.metric), "seconds": seconds})
+            found = compare(vars(picture), truth, metric=trained.scene.metric, lpips=lpips)
+            measured.append({"name": view.name, **found, "seconds": seconds})
             shown.advance()
             shown.note(f"PSNR {measured[-1]['psnr']:.1f} dB")
     result = {
         "format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "scale": trained.run.config.scale,
         "size": [trained.camera(views[0]).width, trained.camera(views[0]).height], "steps": int(trained.state.step),
         "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s, "definitions": definitions(),
+        **source_of(lpips),
     }  # fmt: skip
     truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
     if truth_mesh.is_file() and trained.scene.metric:
@@ -104,7 +110,11 @@ def _resampled(channel: str, values: NDArray[np.float32], camera: Camera) -> NDA
 
 
 def compare(
-    shown: Mapping[str, NDArray[np.float32]], truth: Mapping[str, NDArray[np.float32]], *, metric: bool
+    shown: Mapping[str, NDArray[np.float32]],
+    truth: Mapping[str, NDArray[np.float32]],
+    *,
+    metric: bool,
+    lpips: Lpips | None = None,
 ) -> dict[str, float | None]:
     """Figures of `metrics.DEFINITIONS` for one picture, as far as there is something to compare.
 
@@ -112,11 +122,14 @@ def compare(
         shown: the maps of a `Picture` by name, as many as there are; "rgb" at least.
         truth: from `read_truth`.
         metric: whether depths are in metres.
+        lpips: measure the perceptual distance too.
     """
     found: dict[str, float | None] = {
         "psnr": metrics.psnr(shown["rgb"], truth["rgb"]),
         "ssim": metrics.ssim(shown["rgb"], truth["rgb"]),
     }
+    if lpips is not None:
+        found["lpips"] = lpips(shown["rgb"], truth["rgb"])
     opacity = shown.get("opacity", np.ones_like(truth["rgb"][..., :1]))
     alpha = truth.get("alpha", np.ones_like(opacity))
     for name, channel in {"normal": "normals", "normal_pred": "normals_pred"}.items():
@@ -139,6 +152,11 @@ def compare(
 def definitions() -> dict[str, str]:
     """Meaning and unit of each figure of a view, as every file of results has them."""
     return {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()}
+
+
+def source_of(lpips: Lpips | None) -> dict[str, dict[str, str]]:
+    """Where the weights of the perceptual distance are from, for a file of results; nothing where it was not measured."""
+    return {} if lpips is None else {"lpips_weights": {"file": lpips.file, "sha256": lpips.sha256}}
 
 
 def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:

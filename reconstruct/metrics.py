@@ -14,6 +14,8 @@ Map = Float[np.ndarray, "height width 1"]
 DEFINITIONS = {
     "psnr": ("dB", "-10 log10 of the mean squared error of clipped sRGB, over white where the picture has an alpha"),
     "ssim": ("", "structural similarity of the same pictures: Gaussian window 11x11, sigma 1.5, mean over pixels and channels"),
+    "lpips": ("", "learned perceptual distance of the same pictures (Zhang et al. 2018): AlexNet, version 0.1, mean over pixels, summed over "
+                  "layers; its weights are those of the file whose SHA-256 stands under lpips_weights"),
     "normal_mae_alpha_acc_deg": ("deg", "mean angle between rendered and true normals, weighted by true alpha times rendered opacity; "
                                         "normals from the density's gradient"),
     "normal_mae_deg": ("deg", "the same, weighted by true alpha alone"),

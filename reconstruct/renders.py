@@ -17,7 +17,8 @@ from datasets.console import progress
 from datasets.errors import DatasetError, Misuse
 from datasets.formats.koala import file_name
 from datasets.scene import Scene, View
-from reconstruct.evaluate import FORMAT, VERSION, compare, definitions, mean, read_truth
+from reconstruct.evaluate import FORMAT, VERSION, compare, definitions, mean, read_truth, source_of
+from reconstruct.lpips import Lpips
 
 FOLDERS = {"rgb": ("rgb", "."), "normals": ("normals_exr", "normals"), "normals_pred": ("normals_pred",), "depth": ("depth",),
            "opacity": ("opacity",), "diffuse": ("diffuse",), "specular": ("specular",)}  # fmt: skip
@@ -27,8 +28,13 @@ MAPS = {"depth": 1, "opacity": 1}
 """Channels of a map; the others have three."""
 
 
-def measure(folder: Path, scene: Scene, *, split: str = "test", out: Path | None = None) -> dict[str, Any]:
+def measure(
+    folder: Path, scene: Scene, *, split: str = "test", out: Path | None = None, lpips: Lpips | None = None
+) -> dict[str, Any]:
     """Figures of the renderings in `folder` of the scene's views of one split; written to `out` (JSON) where that is given.
+
+    Args:
+        lpips: measure the perceptual distance too.
 
     Raises:
         Misuse: no such folder, no such views, a view's rendering is missing, or `out` exists.
@@ -44,12 +50,11 @@ def measure(folder: Path, scene: Scene, *, split: str = "test", out: Path | None
             maps = read_rendering(folder, view)
             height, width = maps["rgb"].shape[:2]
             sizes.add((width, height))
-            measured.append(
-                {"name": view.name, **compare(maps, read_truth(view, view.camera.scaled(width, height)), metric=scene.metric)}
-            )
+            truth = read_truth(view, view.camera.scaled(width, height))
+            measured.append({"name": view.name, **compare(maps, truth, metric=scene.metric, lpips=lpips)})
             shown.advance()
     result = {"format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "size": list(max(sizes)),
-              "renders": str(folder), "mean": mean(measured), "per_view": measured, "definitions": definitions()}  # fmt: skip
+              "renders": str(folder), "mean": mean(measured), "per_view": measured, "definitions": definitions(), **source_of(lpips)}  # fmt: skip
     if out is not None:
         files.write_json(out, result)
     return result

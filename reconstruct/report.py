@@ -24,7 +24,7 @@ from reconstruct.trained import Trained
 VIEWS = 4
 """Test views shown."""
 NAMES = {
-    "psnr": "PSNR", "ssim": "SSIM", "normal_mae_alpha_acc_deg": "normals, mean angle (alpha × opacity)", "normal_mae_deg": "normals, mean angle (alpha)",
+    "psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS", "normal_mae_alpha_acc_deg": "normals, mean angle (alpha × opacity)", "normal_mae_deg": "normals, mean angle (alpha)",
     "normal_pred_mae_alpha_acc_deg": "predicted normals (alpha × opacity)", "normal_pred_mae_deg": "predicted normals (alpha)",
     "disparity_rmse": "disparity RMSE", "depth_rmse_mm": "depth RMSE", "depth_median_mm": "depth, median error",
     "diffuse_psnr": "PSNR, diffuse part", "specular_psnr": "PSNR, specular part", "seconds": "time per view",

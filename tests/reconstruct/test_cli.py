@@ -68,6 +68,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("eval", tmp_path / "nothing"): "is not a run",
         ("eval",): "give either a run, or --renders DIR --scene SCENE",
         ("eval", run, "--renders", tmp_path): "give either a run",
+        ("eval", run, "--lpips", tmp_path / "none.npz"): "no such file",
         ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
         ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
         ("table", run): "was not measured yet",
