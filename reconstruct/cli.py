@@ -6,81 +6,15 @@ from typing import Annotated
 import typer
 
 from datasets import console
+from reconstruct import train_command
 from reconstruct.bench import commands as bench_commands
+from reconstruct.options import ModelName, Preset, RunFolder
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, measure it, and take pictures and geometry out of it.")
 app.add_typer(bench_commands.app, name="bench")
 
 
-def _models(incomplete: str) -> list[str]:
-    """For the shell."""
-    from reconstruct.models import names
-
-    return [name for name in names() if name.startswith(incomplete)]
-
-
-def _presets(incomplete: str) -> list[str]:
-    """For the shell."""
-    return [name for name in ("fast", "paper") if name.startswith(incomplete)]
-
-
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
-
-
-@app.command()
-def train(
-    out: Annotated[Path, typer.Option("--out", help="Folder of the run; must be new, unless --resume.")],
-    scene: Annotated[
-        str | None,
-        typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
-    ] = None,
-    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.", autocompletion=_models)] = "surfnerf",
-    preset: Annotated[
-        str, typer.Option(help="fast: a workstation without GPU; paper: the published sizes.", autocompletion=_presets)
-    ] = "fast",
-    budget: Annotated[float | None, typer.Option(help="Seconds of training proper; without it, train.steps steps.")] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="Override a setting: key=value, e.g. scale=0.5; repeatable.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
-    from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Begin with what a run has learned.")] = None,
-    rays: Annotated[
-        int | None, typer.Option(min=256, help="Rays per step; rate and steps follow by the linear scaling rule.")
-    ] = None,
-    finetune: Annotated[bool, typer.Option("--finetune", help="With --from: go on with the surface regularisers.")] = False,
-    no_skip: Annotated[
-        list[str] | None, typer.Option("--no-skip", metavar="NAME", help="Leave this in, needed or not; repeatable.")
-    ] = None,
-    as_json: console.Json = False,
-) -> None:
-    """Train a model on a scene's training views."""
-    from datasets.errors import Misuse
-    from datasets.formats import find, load_scene
-    from reconstruct.backend import cache_compilations
-    from reconstruct.batch import scaled
-    from reconstruct.models import finetuned, load_config
-    from reconstruct.run import Run
-    from reconstruct.skipping import record
-    from reconstruct.train import train as run_training
-
-    set_ = [*(set_ or ()), *record.forced(no_skip or ())]
-    if (scene is None) == (from_ is None) or finetune != (from_ is not None):
-        raise Misuse("give either a scene, or --from RUN --finetune")
-    start_from = None if from_ is None else Run.open(from_)
-    if start_from is not None:
-        config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
-    else:
-        config, where = load_config(model, preset, set_), find(str(scene))
-        loaded = load_scene(where, measure=not resume)  # a run keeps the bounds that it began with
-    config = config if rays is None else scaled(config, rays)
-    cache_compilations()
-    result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
-    skips = "".join(f"{record.Skip(**skip).line()}\n" for skip in result["skips"])
-    known = {"training rays": result["psnr_train"], "unseen pixels": result["psnr_unseen"]}
-    quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
-    console.report(result, as_json=as_json, text=(
-        f"{skips}trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
-        f"{result['compilation_s']:.0f} s to compile): {quality}\n{out}"))  # fmt: skip
+app.command()(train_command.train)
 
 
 @app.command("models")
@@ -119,8 +53,8 @@ def table_command(
 def ablate_command(
     scene: Annotated[str, typer.Argument(help="Scene folder, as for 'train'.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the study; one that was broken off is gone on with.")],
-    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.", autocompletion=_models)] = "surfnerf",
-    preset: Annotated[str, typer.Option(help="fast or paper.", autocompletion=_presets)] = "fast",
+    model: ModelName = "surfnerf",
+    preset: Preset = "fast",
     budget: Annotated[float | None, typer.Option(help="Seconds of training per cell; without it, train.steps steps.")] = None,
     cells: Annotated[list[str] | None, typer.Option("--cell", help="Only this cell (beside the base); repeatable.")] = None,
     set_: Annotated[
@@ -147,8 +81,8 @@ def skips_command(
     scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scene folders, as for 'train'.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the comparison; one that was broken off is gone on with.")],
     names: Annotated[list[str] | None, typer.Option("--skip", metavar="NAME", help="Only this one; repeatable.")] = None,
-    model: Annotated[str, typer.Option(help="Name of a model, see 'reconstruct models'.", autocompletion=_models)] = "surfnerf",
-    preset: Annotated[str, typer.Option(help="fast or paper.", autocompletion=_presets)] = "fast",
+    model: ModelName = "surfnerf",
+    preset: Preset = "fast",
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting in all trainings: key=value; repeatable.")
     ] = None,
@@ -168,7 +102,7 @@ def sweep_command(
     out: Annotated[Path, typer.Option("--out", help="Folder of the sweep; one that was broken off is gone on with.")],
     scenes: Annotated[list[str], typer.Option("--scene", help="Scene folder, as for 'train'; repeatable.")],
     models: Annotated[list[str], typer.Option("--model", help="Name of a model; repeatable.")],
-    preset: Annotated[str, typer.Option(help="fast or paper.", autocompletion=_presets)] = "fast",
+    preset: Preset = "fast",
     budget: Annotated[float | None, typer.Option(help="Seconds of training per run; without it, train.steps steps.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting in all runs: key=value; repeatable.")

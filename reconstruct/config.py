@@ -163,6 +163,7 @@ class TrainConfig(Schema):
         0.0, ge=0, le=1, description="Stop when held-out training pixels got no better for this share of the training; 0: never."
     )
     checkpoint_s: float = Field(60.0, gt=0, description="Seconds between checkpoints.")
+    tensorboard: bool = Field(False, description="Write the log as TensorBoard's event files too (extra 'tensorboard').")
 
 
 class SkipConfig(Schema):

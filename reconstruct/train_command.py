@@ -1,0 +1,65 @@
+"""`reconstruct train`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from datasets import console
+from reconstruct.options import ModelName, Preset
+
+
+def train(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the run; must be new, unless --resume.")],
+    scene: Annotated[
+        str | None,
+        typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
+    ] = None,
+    model: ModelName = "surfnerf",
+    preset: Preset = "fast",
+    budget: Annotated[float | None, typer.Option(help="Seconds of training proper; without it, train.steps steps.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Override a setting: key=value, e.g. scale=0.5; repeatable.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
+    from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Begin with what a run has learned.")] = None,
+    rays: Annotated[
+        int | None, typer.Option(min=256, help="Rays per step; rate and steps follow by the linear scaling rule.")
+    ] = None,
+    finetune: Annotated[bool, typer.Option("--finetune", help="With --from: go on with the surface regularisers.")] = False,
+    no_skip: Annotated[
+        list[str] | None, typer.Option("--no-skip", metavar="NAME", help="Leave this in, needed or not; repeatable.")
+    ] = None,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write the log for TensorBoard too (extra 'tensorboard').")
+    ] = False,
+    as_json: console.Json = False,
+) -> None:
+    """Train a model on a scene's training views."""
+    from datasets.errors import Misuse
+    from datasets.formats import find, load_scene
+    from reconstruct.backend import cache_compilations
+    from reconstruct.batch import scaled
+    from reconstruct.models import finetuned, load_config
+    from reconstruct.run import Run
+    from reconstruct.skipping import record
+    from reconstruct.train import train as run_training
+
+    set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
+    if (scene is None) == (from_ is None) or finetune != (from_ is not None):
+        raise Misuse("give either a scene, or --from RUN --finetune")
+    start_from = None if from_ is None else Run.open(from_)
+    if start_from is not None:
+        config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
+    else:
+        config, where = load_config(model, preset, set_), find(str(scene))
+        loaded = load_scene(where, measure=not resume)  # a run keeps the bounds that it began with
+    config = config if rays is None else scaled(config, rays)
+    cache_compilations()
+    result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
+    skips = "".join(f"{record.Skip(**skip).line()}\n" for skip in result["skips"])
+    known = {"training rays": result["psnr_train"], "unseen pixels": result["psnr_unseen"]}
+    quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
+    console.report(result, as_json=as_json, text=(
+        f"{skips}trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
+        f"{result['compilation_s']:.0f} s to compile): {quality}\n{out}"))  # fmt: skip
