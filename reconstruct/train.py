@@ -22,6 +22,7 @@ from reconstruct import checkpoint
 from reconstruct.batch import fitted
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
+from reconstruct.event_log import EventLog, event_log, require_writer
 from reconstruct.faults import FAULTS, RECURS, cause
 from reconstruct.hull import cells_in_masks, cells_in_sight
 from reconstruct.models import merged_config
@@ -82,6 +83,8 @@ class Training:
     """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
     skips: list[record.Skip] = field(default_factory=list)
     """What is left out, and why."""
+    events: EventLog | None = None
+    """Where each look goes beside the run's log."""
     _advance: Any = field(default=None)
     _look_around: Any = field(default=None)
     _finite: dict[str, jax.Array] = field(default_factory=dict)
@@ -169,6 +172,8 @@ class Training:
         if self.state.occupancy is not None:
             line["occupied"] = float(jnp.mean(self.state.occupancy.occupied.astype(jnp.float32)))
         self.run.append_log(line)
+        if self.events is not None:
+            self.events.write(line)
         return line
 
     @property
@@ -214,12 +219,16 @@ def train(
     """
     if budget_s is not None and not budget_s > 0:
         raise Misuse("budget is not a positive time", why=f"{budget_s} s")
+    if config.train.tensorboard:
+        require_writer()
     started = time.perf_counter()
     training = _resumed(scene, out, budget_s) if resume else start(scene, scene_path, config, out, budget_s, start_from)
     prepared = time.perf_counter() - started
     try:
         compiled = training.compile()
-        _loop(training)
+        wanted = training.run.config.train.tensorboard
+        with event_log(training.run.path, wanted=wanted, step=training.clock.step) as training.events:
+            _loop(training)
     except BaseException:
         if training.clock.step == 0:  # nothing was trained: leave nothing behind
             shutil.rmtree(out)
