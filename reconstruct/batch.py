@@ -31,6 +31,7 @@ def scaled(config: Config, rays: int) -> Config:
                                               "first_period": period(surface.first_period), "last_period": period(surface.last_period)}),
         "train": train.model_copy(update={"rate": train.rate / factor, "final_rate": train.final_rate / factor,
                                           "steps": round(train.steps * factor)}),
+        "poses": config.poses.model_copy(update={"rate": config.poses.rate / factor, "final_rate": config.poses.final_rate / factor}),
     })  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from reconstruct.errors import ReconstructError
 from reconstruct.step import TrainState
 
 KEPT = 2
-SCENE_SIZED = (".visits", ".per_image")
+SCENE_SIZED = (".visits", ".per_image", ".poses")
 """Ends of the paths of leaves whose length is the scene's, not the configuration's: taken as they were stored."""
 
 

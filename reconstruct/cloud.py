@@ -26,11 +26,18 @@ class Cloud(eqx.Module):
     """Standard deviation, of all axes or of each [scene unit]; None for points without extent."""
     bounded: bool = eqx.field(static=True)
     group: int = eqx.field(static=True, default=1)
+    followed: bool = eqx.field(static=True, default=False)
+    """Whether a gradient goes to the points: they are data elsewhere."""
 
     def encoded(self, encoding: Encoding) -> Float[Array, "channels n"]:
         """Features of each place."""
         points, scale = jax.lax.optimization_barrier(self.contracted())
-        return self._averaged(encoding(points, scale))
+        if not self.followed:
+            return self._averaged(encoding(points, scale))
+        held = jax.lax.stop_gradient(points)
+        features, jacobian = encoding.value_and_jacobian(held, scale)
+        slopes = jax.lax.stop_gradient(jacobian)
+        return self._averaged(features + jnp.einsum("cxn,xn->cn", slopes, points - held))  # adds nothing but a gradient
 
     def encoded_with_jacobian(self, encoding: Encoding) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""

@@ -166,6 +166,22 @@ class TrainConfig(Schema):
     tensorboard: bool = Field(False, description="Write the log as TensorBoard's event files too (extra 'tensorboard').")
 
 
+class PoseConfig(Schema):
+    """Refinement of the training views' poses; docs/poses.md has what it brings."""
+
+    enabled: bool = Field(False, description="Learn a small correction of each training view's pose.")
+    sigma_m: float = Field(
+        5e-4, gt=0, description="Standard deviation of a camera's position as it was calibrated [world unit: metres in captures]."
+    )
+    sigma_rad: float = Field(8.7e-4, gt=0, description="The same of its angle about each axis [rad].")
+    rate: float = Field(0.02, ge=0, description="Learning rate, in these standard deviations.")
+    final_rate: float = Field(0.001, gt=0, description="The same at the end; log-linear between.")
+    start: float = Field(
+        0.1, ge=0, le=1, description="Share of the training before poses move; over the next tenth they come to it."
+    )
+    prior: float = Field(1e-5, ge=0, description="Weight of the squared corrections, in standard deviations, halved.")
+
+
 class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has what it costs."""
 
@@ -197,6 +213,7 @@ class Config(Schema):
     losses: LossConfig = LossConfig()
     train: TrainConfig = TrainConfig()
     skip: SkipConfig = SkipConfig()
+    poses: PoseConfig = PoseConfig()
 
     def with_surroundings(self) -> "Config":
         """The configuration for a scene that is more than its object's box."""

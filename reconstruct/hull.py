@@ -13,12 +13,21 @@ from reconstruct.sampling.occupancy import cell_centres
 
 
 def cells_in_masks(
-    pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, grid: int, scale: float
+    pixels: Pixels,
+    views: tuple[View, ...],
+    normalisation: Normalisation,
+    grid: int,
+    scale: float,
+    *,
+    slack: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.bool_] | None:
     """(grid^3,) True for cells of the cube that every mask allows; None where all pixels belong to the object.
 
     A cell is ruled out by a view where no pixel within its projected size belongs to the object. Cells outside a view's
     picture, or behind it, are not ruled out by it.
+
+    Args:
+        slack: how far cameras may be from where the views have them [scene unit], and turned [rad].
     """
     alpha = np.asarray(pixels.colour[:, 3])
     if (alpha > 0.99).all():
@@ -28,6 +37,9 @@ def cells_in_masks(
     centres = cell_centres(grid, 1.0) / normalisation.scale + normalisation.centre
     half_diagonal = np.sqrt(3) / grid / normalisation.scale
     alive = np.arange(len(centres))
+    beyond = (
+        {"mode": "constant", "cval": True} if any(slack) else {}
+    )  # what is beyond the picture may be in that of the true camera
     for index in np.random.default_rng(0).permutation(len(views)):  # views far apart rule out most, soonest
         view = views[index]
         camera = scaled_camera(view, scale)
@@ -35,8 +47,9 @@ def cells_in_masks(
         points = (centres[alive] - position) @ rotation
         depth = points[:, 2]
         nearest = max(depth.min(initial=np.inf), 1e-6)
-        reach = int(np.ceil(half_diagonal * camera.fx / nearest)) + 1
-        mask = maximum_filter(masks[index].reshape(camera.height, camera.width), size=2 * min(reach, 32) + 1)
+        uncertain = slack[0] / normalisation.scale / nearest + slack[1]
+        reach = int(np.ceil((half_diagonal / nearest + uncertain) * camera.fx)) + 1
+        mask = maximum_filter(masks[index].reshape(camera.height, camera.width), size=2 * min(reach, 32) + 1, **beyond)
         pixels = camera.project(np.where(depth[:, None] > 1e-6, points, [0, 0, 1.0])) if len(points) else np.zeros((0, 2))
         column, row = np.floor(np.clip(pixels, -1e6, 1e6)).astype(int).T
         seen = (depth > 1e-6) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)

@@ -23,17 +23,20 @@ class Model(eqx.Module):
     proposals: tuple[Proposal, ...]
     per_image: Float[Array, "views gains"] | None = None
     """Logarithm of each training view's gain, one for all colours or one for each; counted from the views' mean."""
+    poses: Float[Array, "views 6"] | None = None
+    """Correction of each training view's pose; see `twists`."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, config: Config, views: int = 0) -> "Model":
-        """Fresh weights; proposals and the gains of `views` training views only where the configuration wants them."""
+        """Fresh weights; proposals, and gains and poses of `views` training views, only where the configuration wants them."""
         field_key, *keys = jax.random.split(key, 1 + len(config.sampler.proposal_finest))
         wanted = zip(keys, config.sampler.proposal_finest, strict=True) if config.sampler.kind == "proposal" else ()
         sampler, bias = config.sampler, config.field.density_bias
         proposals = tuple(Proposal.create(k, config.encoding, finest, bias, width=sampler.proposal_width, depth=sampler.proposal_depth)
                           for k, finest in wanted)  # fmt: skip
         gains = {"none": None, "exposure": jnp.zeros((views, 1)), "colour": jnp.zeros((views, 3))}[config.train.per_image]
-        return cls(Field.create(field_key, config.encoding, config.field), proposals, gains)
+        poses = jnp.zeros((views, 6)) if config.poses.enabled else None
+        return cls(Field.create(field_key, config.encoding, config.field), proposals, gains, poses)
 
 
 class Rendered(eqx.Module):

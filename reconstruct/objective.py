@@ -147,6 +147,11 @@ def hollowness_term(
     return {"hollowness": weight * jnp.mean(losses.hollowness(rendered.weights, samples.padded(density)))}
 
 
+def pose_term(corrections: Float[Array, "views 6"], weight: float) -> Terms:
+    """Corrections of poses, in standard deviations of the given poses, stay near zero: half their mean square per view."""
+    return {"poses": weight / 2 * jnp.mean(jnp.sum(corrections * corrections, -1))}
+
+
 def decay_term(model: Model, weight: float) -> Terms:
     """Mean square of the tables' values, summed over levels (and over proposals, where there are any)."""
     encodings = [model.field.encoding, *(proposal.encoding for proposal in model.proposals)]

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
@@ -16,6 +16,7 @@ from reconstruct.rays import Rays, view_rays
 from reconstruct.rendering import composite
 from reconstruct.safe import normalise
 from reconstruct.sampling.packing import expected_depth
+from reconstruct.sampling.samples import RaySamples
 from reconstruct.step import StepFunctions, TrainState
 
 CHUNK, CAPACITY = 4096, 65536
@@ -43,6 +44,17 @@ class Picture:
     """The same from the predicted normals."""
 
 
+def sampled_rays(functions: StepFunctions, state: TrainState, rays: Rays) -> tuple[RaySamples, Footprint, Bool[Array, " rays"]]:
+    """Where rays are looked at, what stands for their frustums, and which of them found room; nothing is left to chance."""
+    if state.occupancy is None:
+        samples, _, _, footprint = functions.propose(state.model, rays, None)
+        return jax.lax.optimization_barrier(samples), footprint, jnp.ones(rays.origins.shape[0], bool)
+    middle = jnp.full(rays.origins.shape[0], 0.5)
+    depth = expected_depth(state.occupancy, rays, functions.steps(rays), middle, functions.normalisation.bounded)
+    samples, fits = functions.sampled(jax.lax.optimization_barrier(depth), rays, middle, middle, CAPACITY)
+    return jax.lax.optimization_barrier(samples), Footprint(), fits
+
+
 @dataclass
 class Renderer:
     """Renders views of a training state. Compiles once per instance."""
@@ -50,6 +62,12 @@ class Renderer:
     functions: StepFunctions
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
     _compiled: dict = field(default_factory=dict)
+
+    @property
+    def behind(self) -> tuple[float, float, float]:
+        """What is seen where a ray meets nothing: the background, or black where surroundings are part of the scene."""
+        normalisation = self.functions.normalisation
+        return self.background if normalisation.bounded or normalisation.backdrop else (0.0, 0.0, 0.0)
 
     def picture(self, state: TrainState, view: View, camera: Camera | None = None, *, normals: bool = True) -> Picture:
         """Render a view, through its own camera or another one at the same place.
@@ -101,31 +119,20 @@ class Renderer:
         self, state: TrainState, rays: Rays, with_normals: bool, furthest: Float[Array, ""] | None
     ) -> tuple[Float[Array, "rays channels"], Array]:
         """All channels side by side, and how many rays from the first on found room."""
-        functions, model, footprint = self.functions, state.model, Footprint()
-        bounded = functions.normalisation.bounded
-        blank = bounded or functions.normalisation.backdrop
-        if state.occupancy is None:
-            samples, _, _, footprint = functions.propose(model, rays, None)
-            done = jnp.asarray(rays.origins.shape[0])
-        else:
-            middle = jnp.full(rays.origins.shape[0], 0.5)
-            depth = expected_depth(state.occupancy, rays, functions.steps(rays), middle, bounded)
-            samples, fits = functions.sampled(jax.lax.optimization_barrier(depth), rays, middle, middle, CAPACITY)
-            done = jnp.sum(fits)
-        samples = jax.lax.optimization_barrier(samples)
+        functions, model = self.functions, state.model
+        samples, footprint, fits = sampled_rays(functions, state, rays)
         if furthest is not None:  # an interval of no length absorbs nothing
             samples = eqx.tree_at(lambda s: s.length, samples, jnp.where(samples.t > furthest, 0.0, samples.length))
-        cloud = cloud_of(rays, samples, bounded=bounded, footprint=footprint)
+        cloud = cloud_of(rays, samples, bounded=functions.normalisation.bounded, footprint=footprint)
         rendered, _ = render(model.field, rays, samples, cloud, deferred=functions.config.field.shading == "deferred")
         normals = jnp.zeros_like(rendered.normals_pred)
         if with_normals:
             _, _, per_sample = model.field.with_normals(cloud)
             normals = composite(per_sample, samples.packed(rendered.weights), samples)
-        background = jnp.asarray(self.background if blank else (0.0, 0.0, 0.0))
         columns = {
-            "rgb": jnp.clip(rendered.over(background[None]), 0, 1), "opacity": rendered.opacity[:, None],
+            "rgb": jnp.clip(rendered.over(jnp.asarray(self.behind)[None]), 0, 1), "opacity": rendered.opacity[:, None],
             "diffuse": rendered.diffuse, "specular": rendered.specular, "roughness": rendered.roughness[:, None],
             "depth": jnp.where(rendered.opacity > 0.01, rendered.depth, 0.0)[:, None],
             "normals_pred": rendered.normals_pred, "normals": normals,
         }  # fmt: skip
-        return jnp.concatenate([columns[name] for name in CHANNELS], -1), done
+        return jnp.concatenate([columns[name] for name in CHANNELS], -1), jnp.sum(fits)

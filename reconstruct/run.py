@@ -4,6 +4,7 @@ RUN/run.json        configuration, scene, normalisation, versions
 RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, every loss
 RUN/events.out.*    the same for TensorBoard, where that was wanted
 RUN/checkpoints/    training states
+RUN/poses.json      where poses were refined: those of the training views
 """
 
 import json

@@ -23,6 +23,7 @@ from reconstruct.sampling.proposal import Spacing, propose
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
 from reconstruct.schedules import encoding_blur, late, learning_rate
+from reconstruct.twists import followed, moved, without_gauge
 
 GRID_PERIOD, GRID_CELLS = 16, 65536
 """Every so many steps the occupancy grid looks at so many cells."""
@@ -117,7 +118,7 @@ class StepFunctions:
             terms, met = jax.tree.map(lambda t: jnp.mean(t, 0), terms), jax.tree.map(jnp.ravel, met)
         finite = finite_parts(gradient)
         terms |= {FAULTS: packed(finite, terms)}
-        state = self._descend(state, gradient, progress, jnp.all(jnp.stack(list(finite.values()))))
+        state = self._descend(state, gradient, progress, jnp.all(jnp.stack(list(finite.values()))), pixels)
         if met is not None:  # keep in the grid what the step met anyway
             state = eqx.tree_at(lambda s: s.occupancy, state, state.occupancy.seen(*met))
         return state, terms
@@ -127,6 +128,7 @@ class StepFunctions:
         keys = dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
         index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
         rays, colour = _separate(pixels.take(_separate(self._spread(index))))
+        rays = moved(rays, state.model.poses)
         batch = _separate(self._spread(self._choose(state, rays, colour, keys["samples"])))
         loss = lambda model: self._loss(model, batch, keys, progress)  # noqa: E731
         (_, (terms, density, surface)), gradient = _separate(jax.value_and_grad(loss, has_aux=True)(state.model))
@@ -240,10 +242,13 @@ class StepFunctions:
         rays, colour, used, samples = batch
         config, terms, footprint = self.config, {}, Footprint()
         weights = config.losses.in_scene(bounded=self._bounded)
+        seen = followed(rays, model.poses)  # poses follow the picture; where else the field is looked at is data
         if samples is None:
             samples, sdist, levels, footprint = self.propose(model, rays, keys["samples"])
-        cloud = cloud_of(rays, samples, bounded=self._bounded, footprint=footprint)
-        rendered, density = render(model.field, rays, samples, cloud, deferred=config.field.shading == "deferred")
+        cloud = replace(cloud_of(seen, samples, bounded=self._bounded, footprint=footprint), followed=model.poses is not None)
+        rendered, density = render(model.field, seen, samples, cloud, deferred=config.field.shading == "deferred")
+        if model.poses is not None and config.poses.prior:
+            terms |= objective.pose_term(model.poses / self._pose_sigma, config.poses.prior)
         if model.per_image is not None:
             rendered = rendered.exposed((model.per_image - jnp.mean(model.per_image, 0))[rays.view])
         background = jax.random.uniform(keys["background"], (rays.origins.shape[0], 3))
@@ -273,16 +278,32 @@ class StepFunctions:
         sdist, levels = propose(model.proposals, rays, spacing, key, sampler, density_at)
         return RaySamples.from_edges(spacing.t(sdist)), sdist, levels, footprint
 
-    def _descend(self, state: TrainState, gradient: Model, progress, finite: Bool[Array, ""]) -> TrainState:
+    def _descend(self, state: TrainState, gradient: Model, progress, finite: Bool[Array, ""], pixels: Pixels) -> TrainState:
         """Adam; a gradient that is not finite changes nothing and is counted."""
         train = self.config.train
         rate = learning_rate(progress, rate=train.rate, final_rate=train.final_rate, warmup=train.warmup)
         update, optimiser = self._adam().update(gradient, state.optimiser)
         rates = jax.tree_util.tree_map_with_path(lambda path, _: rate * self._share(path), state.model)
-        moved = jax.tree.map(lambda p, u, r: p - r * u, state.model, update, rates)
+        model = jax.tree.map(lambda p, u, r: p - r * u, state.model, update, rates)
+        if state.model.poses is not None:
+            step = self._pose_rate(progress) * without_gauge(update.poses, pixels.origins, self._pose_sigma)
+            model = eqx.tree_at(lambda m: m.poses, model, state.model.poses - step * self._pose_sigma)
         keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, old)  # noqa: E731
-        return TrainState(keep(moved, state.model), keep(optimiser, state.optimiser), state.occupancy, state.step + 1,
+        return TrainState(keep(model, state.model), keep(optimiser, state.optimiser), state.occupancy, state.step + 1,
                           state.skipped + jnp.where(finite, 0, 1))  # fmt: skip
+
+    @property
+    def _pose_sigma(self) -> Float[Array, " 6"]:
+        """Standard deviations of a pose as it was calibrated, as a twist has them [scene unit, rad]."""
+        poses = self.config.poses
+        return jnp.array([poses.sigma_m * self.normalisation.scale] * 3 + [poses.sigma_rad] * 3)
+
+    def _pose_rate(self, progress) -> Float[Array, ""]:
+        """Learning rate of poses, in standard deviations."""
+        poses = self.config.poses
+        return late(progress, start=poses.start) * learning_rate(
+            progress, rate=poses.rate, final_rate=poses.final_rate, warmup=0.0
+        )
 
     def _share(self, path: tuple) -> float:
         """Factor on the learning rate of the parameter at `path`: tables see few samples each, networks all of them."""

@@ -18,7 +18,7 @@ import numpy as np
 from datasets.console import hint, progress
 from datasets.errors import Misuse
 from datasets.scene import Scene, View
-from reconstruct import checkpoint
+from reconstruct import checkpoint, poses
 from reconstruct.batch import fitted
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
@@ -79,7 +79,7 @@ class Training:
     probe: tuple[np.ndarray, ...] | None
     clock: Clock
     renderer: Renderer
-    held: tuple[np.ndarray, ...] | None = None
+    held: Pixels | None = None
     """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
     skips: list[record.Skip] = field(default_factory=list)
     """What is left out, and why."""
@@ -163,7 +163,8 @@ class Training:
         }
         if "mse" in terms:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
-        for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": self.held}.items():
+        held = None if self.held is None else poses.over_white(self.held, self.state.model.poses)
+        for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": held}.items():
             if pixels is not None:
                 *rays, target = pixels
                 rendered = self.renderer.rays(self.state, *rays)["rgb"]
@@ -237,6 +238,7 @@ def train(
     last = training.run.log()[-1]
     skips = outcome.told(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
     record.write(out, skips)
+    poses.write(training.run.path, scene, training.run.normalisation, training.state.model.poses)
     return {"run": str(out), "steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
             "compilation_s": compiled, "psnr_train": last.get("psnr_train"), "psnr_unseen": last.get("psnr_unseen"),
             "skipped_steps": last["skipped"], "skips": [asdict(skip) for skip in skips]}  # fmt: skip
@@ -345,7 +347,8 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fres
     possible = None
     if config.sampler.kind == "occupancy" and config.skip.empty_rays:
         if normalisation.bounded:
-            possible = cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale)
+            slack = poses.slack(config.poses, normalisation)
+            possible = cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale, slack=slack)
         else:
             possible = cells_in_sight(views, normalisation, config.sampler.outer_grid)
     skips: list[record.Skip] = []
@@ -355,8 +358,7 @@ def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fres
         config = config if planned else facing(lean, views, normalisation)
     held = None
     if config.train.patience:
-        pixels, apart = pixels.held_out(PROBE)
-        held = apart.over_white(np.arange(apart.directions.shape[0]))
+        pixels, held = pixels.held_out(PROBE)
     if fresh and config.sampler.kind == "proposal":
         config = fitted(config, normalisation, pixels)
     functions = StepFunctions(config, normalisation).over(jax.devices())

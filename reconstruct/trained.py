@@ -7,7 +7,7 @@ import jax
 
 from datasets.camera_model import Camera
 from datasets.scene import Scene, View
-from reconstruct import checkpoint
+from reconstruct import checkpoint, poses
 from reconstruct.rays import scaled_camera, view_rays
 from reconstruct.renderer import CHUNK, Picture, Renderer
 from reconstruct.run import CHECKPOINTS, Run
@@ -20,6 +20,7 @@ class Trained:
 
     run: Run
     scene: Scene
+    """With the training views' poses as they were refined, where they were."""
     functions: StepFunctions
     state: TrainState
     renderer: Renderer
@@ -36,6 +37,7 @@ class Trained:
         scene = run.scene()
         functions = StepFunctions(run.config, run.normalisation)
         state, _ = checkpoint.load(run.path / CHECKPOINTS, functions.initial(jax.random.key(0), None))
+        scene = poses.refined(scene, run.normalisation, state.model.poses)
         return cls(run, scene, functions, state, Renderer(functions))
 
     def camera(self, view: View) -> Camera:

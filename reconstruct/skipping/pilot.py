@@ -21,6 +21,7 @@ SMALL = {
     "sampler": {"kind": "occupancy", "rays": 2048, "samples": 8192},
     "surface": {"enabled": False},
     "train": {"accumulate": 1, "per_image": "none"},
+    "poses": {"enabled": False},
 }
 MATTE = {
     "field": {"appearance": "diffuse", "bottleneck": 0, "diffuse_bias": -math.log(3)},

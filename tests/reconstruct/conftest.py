@@ -1,6 +1,7 @@
 """A ball whose field, pictures, surface and truth are known exactly, and a run on disk that nobody has trained."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -110,6 +111,15 @@ def small_config() -> Config:
                                   "sampler.grid=32", "field.density_bias=0.5"])  # fmt: skip
 
 
+class Painted(Ball):
+    """The ball with waves of colour all over, so that a picture tells where it was taken from."""
+
+    def __call__(self, cloud: Cloud) -> tuple[jax.Array, Material]:
+        density, material = super().__call__(cloud)
+        waves = 0.3 + 0.15 * jnp.sin(jnp.array([[9.0], [11.0], [13.0]]) * cloud.points) + 0.1 * jnp.cos(7 * cloud.points[::-1])
+        return density, eqx.tree_at(lambda m: m.diffuse, material, waves)
+
+
 @pytest.fixture
 def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Path) -> Callable[..., Run]:
     """Factory of runs on disk as a training leaves them, with fresh weights."""
@@ -130,6 +140,14 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
         return run
 
     return make
+
+
+@pytest.fixture
+def painted(ball: Trained) -> Trained:
+    """The ball with a painted surface."""
+    field = ball.state.model.field
+    solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, field.radius)
+    return replace(ball, state=eqx.tree_at(lambda s: s.model, ball.state, Model(solid, ())))
 
 
 @pytest.fixture

@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,6 +91,23 @@ def test_features_are_averaged_over_groups_in_contracted_space() -> None:
     averaged, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, scale, False, 6))
     np.testing.assert_allclose(averaged, features, atol=1e-9)
     assert jacobian.shape == (4, 3, 3)
+
+
+@pytest.mark.parametrize("group", [1, 6])
+def test_points_that_are_followed_get_the_gradient_of_the_features(group: int) -> None:
+    """Against the analytic derivative to the scene's coordinates, inside and outside the unit ball; elsewhere points are data."""
+    lattice = PermutohedralLattice.create(jax.random.key(0), levels=2, features=2, log2_size=8, coarsest=2.0, finest=4.0)
+    lattice = eqx.tree_at(lambda e: e.table, lattice, jax.random.normal(jax.random.key(2), lattice.table.shape))
+    points, weights = jax.random.normal(jax.random.key(1), (3, 18)) * 2, jax.random.normal(jax.random.key(3), (4, 18 // group))
+    lengths = jnp.linalg.norm(points, axis=0)
+    assert (lengths > 1).any() and (lengths < 1).any()
+    encoded = jax.jit(lambda p, followed: Cloud(p, None, False, group, followed).encoded(lattice), static_argnums=1)
+    np.testing.assert_array_equal(encoded(points, True), encoded(points, False))
+    slopes = [jax.grad(lambda p, f=followed: jnp.sum(weights * encoded(p, f)))(points) for followed in (True, False)]
+    _, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, None, False, group))
+    expected = np.einsum("cn,cxn->xn", weights, jacobian)
+    np.testing.assert_allclose(slopes[0].reshape(3, -1, group).sum(-1), expected, atol=1e-5 * np.abs(expected).max())
+    assert np.abs(expected).max() > 0.1 and not slopes[1].any()
 
 
 @pytest.mark.parametrize(("t0", "t1"), [(1.0, 1.2), (0.5, 3.0), (1e-3, 1.0), (2.0, 2.0)])

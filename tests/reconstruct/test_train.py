@@ -14,10 +14,12 @@ from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.models import finetuned, load_config, merged_config
+from reconstruct.poses import POSES
 from reconstruct.run import CHECKPOINTS, FAULTS, Run
 from reconstruct.skipping import record
 from reconstruct.step import StepFunctions
 from reconstruct.train import start, train
+from reconstruct.trained import Trained
 
 
 @pytest.fixture
@@ -39,6 +41,7 @@ def final_leaves(run: Path) -> list[np.ndarray]:
 
 def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
     scene, folder = ball_scene
+    config = merged_config(config, {"poses": {"enabled": True}})
     whole = train(scene, folder, config, tmp_path / "whole")
     assert whole["steps"] == 40 and whole["skipped_steps"] == 0 and np.isfinite(whole["psnr_train"])
 
@@ -55,6 +58,14 @@ def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path]
     assert [line["step"] for line in Run.open(tmp_path / "whole").log()][-1] == 40
     assert [skip["name"] for skip in whole["skips"]] == [skip.name for skip in record.read(tmp_path / "broken")]
     assert files.read_json(tmp_path / "whole" / "skips.json") == whole["skips"] == resumed["skips"]
+    assert (tmp_path / "whole" / POSES).read_text() == (tmp_path / "broken" / POSES).read_text()
+    trained = Trained.open(tmp_path / "whole")
+    assert np.abs(trained.state.model.poses).max() > 0
+    apart = [
+        np.abs(old.world_from_camera - new.world_from_camera).max()
+        for old, new in zip(scene.views, trained.scene.views, strict=True)
+    ]
+    assert [bool(size) for size in apart] == [view.split == "train" for view in scene.views], "unseen views keep their poses"
 
 
 def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_recur(
@@ -125,7 +136,7 @@ def test_a_training_stops_when_held_out_pixels_stop_improving(
     training = start(scene, folder, merged_config(config, {"train": {"patience": 0.2}}), tmp_path / "run")
     assert training.held is not None and not training.exhausted
     size = scene.views[0].camera.width * scene.views[0].camera.height
-    assert len(training.held[3]) + training.pixels.directions.shape[0] == 4 * size, "held out, not doubled"
+    assert len(training.held.directions) + training.pixels.directions.shape[0] == 4 * size, "held out, not doubled"
     for progress, psnr in ((0.1, 20.0), (0.2, 21.0), (0.3, 21.01), (0.35, 20.5)):
         training.run.append_log({"progress": progress, "psnr_held_out": psnr})
         assert not training.exhausted
