@@ -155,6 +155,9 @@ class TrainConfig(Schema):
     first_blur: float = Field(0.02, ge=0, description="Standard deviation of every sample at the start [scene unit]; 0: none.")
     last_blur: float = Field(0.001, ge=0, description="The same once `blur_until` of the training is done.")
     blur_until: float = Field(0.5, gt=0, le=1, description="Share of the training over which the blur shrinks.")
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="Factors of the networks' products while training; sums and everything else are float32."
+    )
     accumulate: int = Field(1, ge=1, description="Batches whose mean gradient makes one step.")
     per_image: Literal["none", "exposure", "colour"] = Field(
         "none", description="What each training image may have of its own: nothing, a gain, or a gain per colour."

@@ -15,6 +15,7 @@ from reconstruct import objective
 from reconstruct.cloud import Cloud
 from reconstruct.config import Config
 from reconstruct.faults import FAULTS, finite_parts, packed
+from reconstruct.mlp import computed_in
 from reconstruct.model import Footprint, Model, cloud_of, render
 from reconstruct.rays import Normalisation, Pixels, Rays
 from reconstruct.sampling.occupancy import Occupancy
@@ -158,6 +159,7 @@ class StepFunctions:
         """The gradient with the regularisers' added where `second` is true; elsewhere nothing is computed."""
 
         def weighted(model: Model):
+            model = computed_in(self.config.train.precision, model)
             terms = objective.second_pass_terms(model.field, rays, surface, key, self.config.surface, self._place)
             return objective.total(terms), terms
 
@@ -239,6 +241,7 @@ class StepFunctions:
         return Steps.of(rays, steps=self.config.sampler.steps, bounded=n.bounded, near=n.near, far=n.far)
 
     def _loss(self, model: Model, batch, keys, progress):
+        model = computed_in(self.config.train.precision, model)
         rays, colour, used, samples = batch
         config, terms, footprint = self.config, {}, Footprint()
         weights = config.losses.in_scene(bounded=self._bounded)
