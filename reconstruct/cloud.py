@@ -3,11 +3,13 @@
 Knows the contraction, so that fields see contracted coordinates and everybody else the scene's own.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from reconstruct.contraction import contract, contraction_scale, pull_back
 from reconstruct.encodings.encoding import Encoding, Scale
@@ -28,6 +30,11 @@ class Cloud(eqx.Module):
     group: int = eqx.field(static=True, default=1)
     followed: bool = eqx.field(static=True, default=False)
     """Whether a gradient goes to the points: they are data elsewhere."""
+
+    def of(self, chosen: Int[Array, " m"]) -> "Cloud":
+        """Some of the places, by their indices."""
+        pick = lambda v: v.reshape(*v.shape[:-1], -1, self.group)[..., chosen, :].reshape(*v.shape[:-1], -1)  # noqa: E731
+        return replace(self, points=pick(self.points), scale=None if self.scale is None else pick(self.scale))
 
     def encoded(self, encoding: Encoding) -> Float[Array, "channels n"]:
         """Features of each place."""

@@ -123,3 +123,13 @@ def test_one_gaussian_has_the_frustum_s_mean_and_variances(t0: float, t1: float)
     expected = var_t * squared + var_r * (1 - squared / squared.sum(-1, keepdims=True))
     np.testing.assert_allclose(np.asarray(cloud.scale.T) ** 2, expected, rtol=2e-3, atol=2e-8)  # at (2, 2) of float32 rounding
     assert cloud.scale.shape == (3, 5) and cloud.group == 1
+
+
+@pytest.mark.parametrize("group", [1, 6])
+def test_some_of_the_places_keep_their_gaussians(group: int) -> None:
+    points, scale = jax.random.normal(jax.random.key(2), (3, 5 * group)), jnp.linspace(0.01, 0.2, 5 * group)
+    some = Cloud(points, scale, True, group).of(jnp.array([3, 0, 3]))
+    entries = np.concatenate([np.arange(i * group, (i + 1) * group) for i in (3, 0, 3)])
+    np.testing.assert_array_equal(some.points, points[:, entries])
+    np.testing.assert_array_equal(some.scale, scale[entries])
+    assert some.group == group and Cloud(points, None, True, group).of(jnp.array([1])).scale is None
