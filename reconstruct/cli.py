@@ -145,6 +145,9 @@ def eval_command(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.json", help="With --renders: write the figures there.")
     ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Measure also after each view's pose was aligned by itself to the model.")
+    ] = False,
     lpips: Annotated[
         Path | None, typer.Option(metavar="WEIGHTS.npz", help="Measure LPIPS (AlexNet) too, with these weights; docs/numbers.md.")
     ] = None,
@@ -162,8 +165,8 @@ def eval_command(
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
         cache_compilations()
-        result, where = evaluate(Trained.open(run), split=split, lpips=perceptual), run / METRICS
-    elif run is None and renders is not None and scene is not None:
+        result, where = evaluate(Trained.open(run), split=split, lpips=perceptual, align=align), run / METRICS
+    elif run is None and renders is not None and scene is not None and not align:
         result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
     else:
         raise Misuse("give either a run, or --renders DIR --scene SCENE")

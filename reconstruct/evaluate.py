@@ -4,7 +4,7 @@ RUN/metrics.json    each figure per view and on average, what it means, and the 
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from datasets.camera_model import Camera
 from datasets.console import progress
 from datasets.formats import find
 from datasets.scene import View
-from reconstruct import mesh, metrics, surface_distance
+from reconstruct import mesh, metrics, poses, surface_distance
+from reconstruct.align import Aligner
 from reconstruct.errors import ReconstructError
 from reconstruct.lpips import Lpips
 from reconstruct.rays import read_scaled
@@ -24,15 +25,23 @@ from reconstruct.trained import Trained
 
 FORMAT, VERSION = "koala-metrics", 1
 METRICS = "metrics.json"
+ALIGNED = {
+    "aligned": "figures of the same views after each one's pose was aligned by itself to the model, which stayed as it was; neither the training nor "
+               "any other figure knows of it, and the pixels that decided are measured with the others",
+    "pixels": "pixels of the view that decided its pose, drawn at random",
+    "steps": "steps of Levenberg's and Marquardt's method",
+}  # fmt: skip
+"""What figures of aligned views are."""
 TRUE_SURFACE = "truth/object.ply"
 """Where a simulated scene keeps the object's true mesh [m]."""
 
 
-def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = None) -> dict[str, Any]:
+def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = None, align: bool = False) -> dict[str, Any]:
     """Measure a trained model on the views of one split and write `metrics.json` into its run.
 
     Args:
         lpips: measure the perceptual distance too.
+        align: beside the figures of the views as they are, those after each view's pose was aligned to the model.
 
     Raises:
         Misuse: its scene has no such views.
@@ -41,7 +50,25 @@ def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = Non
     start = time.perf_counter()
     trained.warm_up(views[0])
     compilation_s = time.perf_counter() - start
-    measured = []
+    measured = _measured(trained, views, lpips)
+    result = {
+        "format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "scale": trained.run.config.scale,
+        "size": [trained.camera(views[0]).width, trained.camera(views[0]).height], "steps": int(trained.state.step),
+        "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s, "definitions": definitions(),
+        **source_of(lpips),
+    }  # fmt: skip
+    if align:
+        result |= {"aligned": _aligned(trained, views, lpips)}
+    truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
+    if truth_mesh.is_file() and trained.scene.metric:
+        result |= {"mesh": compare_surface(trained, truth_mesh), "mesh_definitions": surface_distance.DEFINITIONS}
+    files.write_json(trained.run.path / METRICS, result)
+    return result
+
+
+def _measured(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> list[dict[str, Any]]:
+    """Figures of each view as it is rendered from its pose."""
+    measured: list[dict[str, Any]] = []
     with progress("evaluating", len(views), "views") as shown:
         for view in views:
             start = time.perf_counter()
@@ -52,17 +79,21 @@ def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = Non
             measured.append({"name": view.name, **found, "seconds": seconds})
             shown.advance()
             shown.note(f"PSNR {measured[-1]['psnr']:.1f} dB")
-    result = {
-        "format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "scale": trained.run.config.scale,
-        "size": [trained.camera(views[0]).width, trained.camera(views[0]).height], "steps": int(trained.state.step),
-        "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s, "definitions": definitions(),
-        **source_of(lpips),
-    }  # fmt: skip
-    truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
-    if truth_mesh.is_file() and trained.scene.metric:
-        result |= {"mesh": compare_surface(trained, truth_mesh), "mesh_definitions": surface_distance.DEFINITIONS}
-    files.write_json(trained.run.path / METRICS, result)
-    return result
+    return measured
+
+
+def _aligned(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> dict[str, Any]:
+    """The same after each view's pose was aligned by itself, how far that moved it, and what that means."""
+    aligner, found = Aligner(trained), []
+    with progress("aligning", len(views), "views") as shown:
+        for view in views:
+            found.append(aligner(view))
+            shown.advance()
+    measured = _measured(trained, [one.view for one in found], lpips)
+    moved = [poses.change(view, one.view, trained.scene.box) for view, one in zip(views, found, strict=True)]
+    per_view = [{**figures, **size, "pixels": one.pixels, "steps": one.steps}
+                for figures, size, one in zip(measured, moved, found, strict=True)]  # fmt: skip
+    return {"mean": mean(measured), "per_view": per_view, "definitions": ALIGNED | poses.DEFINITIONS}
 
 
 def compare_surface(trained: Trained, truth: Path) -> dict[str, float] | None:
@@ -175,6 +206,9 @@ def table(result: dict[str, Any]) -> str:
     lines = [f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}{trained}"]
     for name, value in result["mean"].items():
         lines.append(f"  {name:<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
+    for name, value in result.get("aligned", {}).get("mean", {}).items():
+        if name in ("psnr", "ssim", "lpips"):
+            lines.append(f"  {name + ', each pose aligned':<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
     for name, value in (result.get("mesh") or {}).items():
         lines.append(f"  {'mesh ' + name:<32}{value:>9.3f} {'mm' if name.endswith('_mm') else ''}".rstrip())
     return "\n".join(lines)

@@ -37,9 +37,6 @@ def cells_in_masks(
     centres = cell_centres(grid, 1.0) / normalisation.scale + normalisation.centre
     half_diagonal = np.sqrt(3) / grid / normalisation.scale
     alive = np.arange(len(centres))
-    beyond = (
-        {"mode": "constant", "cval": True} if any(slack) else {}
-    )  # what is beyond the picture may be in that of the true camera
     for index in np.random.default_rng(0).permutation(len(views)):  # views far apart rule out most, soonest
         view = views[index]
         camera = scaled_camera(view, scale)
@@ -47,12 +44,17 @@ def cells_in_masks(
         points = (centres[alive] - position) @ rotation
         depth = points[:, 2]
         nearest = max(depth.min(initial=np.inf), 1e-6)
-        uncertain = slack[0] / normalisation.scale / nearest + slack[1]
-        reach = int(np.ceil((half_diagonal / nearest + uncertain) * camera.fx)) + 1
-        mask = maximum_filter(masks[index].reshape(camera.height, camera.width), size=2 * min(reach, 32) + 1, **beyond)
+        margin = int(np.ceil((slack[0] / normalisation.scale / nearest + slack[1]) * camera.fx))
+        reach = int(np.ceil(half_diagonal * camera.fx / nearest)) + 1 + margin
+        mask = maximum_filter(masks[index].reshape(camera.height, camera.width), size=2 * min(reach, 32) + 1)
         pixels = camera.project(np.where(depth[:, None] > 1e-6, points, [0, 0, 1.0])) if len(points) else np.zeros((0, 2))
         column, row = np.floor(np.clip(pixels, -1e6, 1e6)).astype(int).T
-        seen = (depth > 1e-6) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        seen = (
+            (depth > 1e-6)
+            & (np.minimum(column, row) >= margin)
+            & (column < camera.width - margin)
+            & (row < camera.height - margin)
+        )
         keep = np.ones(len(alive), bool)
         keep[seen] = mask[row[seen], column[seen]]
         alive = alive[keep]

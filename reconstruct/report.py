@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets import files, images
 from datasets.console import progress
 from datasets.report_page import Number, ReportPage
-from reconstruct import metrics
+from reconstruct import metrics, poses
 from reconstruct.evaluate import FORMAT, METRICS, VERSION, evaluate, read_truth
 from reconstruct.export import brightness_of_depth
 from reconstruct.renderer import Picture
@@ -222,6 +222,10 @@ def _work(run: Run, result: dict[str, Any]) -> list[str]:
         facts.append(f"{100 * log[-1]['occupied']:.2f} % of the cells hold anything at the end; the others are skipped")
     if log:
         facts.append(f"{log[-1]['skipped']} of {log[-1]['step']} steps were left out because their gradient was not finite")
+    if refined := poses.summary(run.path):
+        facts.append(refined)
+    if "aligned" in result:
+        facts.append(f"with each view's pose aligned by itself to the model, PSNR is {result['aligned']['mean']['psnr']:.2f} dB")
     facts.append(f"{result['mean']['seconds']:.2f} s per rendered view, all channels and density normals included")
     return [*facts, *(str(note) for note in content.get("notes", []))]
 

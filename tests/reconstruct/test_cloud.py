@@ -98,11 +98,11 @@ def test_points_that_are_followed_get_the_gradient_of_the_features(group: int) -
     """Against the analytic derivative to the scene's coordinates, inside and outside the unit ball; elsewhere points are data."""
     lattice = PermutohedralLattice.create(jax.random.key(0), levels=2, features=2, log2_size=8, coarsest=2.0, finest=4.0)
     lattice = eqx.tree_at(lambda e: e.table, lattice, jax.random.normal(jax.random.key(2), lattice.table.shape))
-    points, weights = jax.random.normal(jax.random.key(1), (3, 18)) * 2, jax.random.normal(jax.random.key(3), (4, 18 // group))
+    points, weights = jax.random.normal(jax.random.key(1), (3, 18)) * 0.6, jax.random.normal(jax.random.key(3), (4, 18 // group))
     lengths = jnp.linalg.norm(points, axis=0)
     assert (lengths > 1).any() and (lengths < 1).any()
     encoded = jax.jit(lambda p, followed: Cloud(p, None, False, group, followed).encoded(lattice), static_argnums=1)
-    np.testing.assert_array_equal(encoded(points, True), encoded(points, False))
+    np.testing.assert_allclose(encoded(points, True), encoded(points, False), atol=1e-6)  # sums in another order
     slopes = [jax.grad(lambda p, f=followed: jnp.sum(weights * encoded(p, f)))(points) for followed in (True, False)]
     _, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, None, False, group))
     expected = np.einsum("cn,cxn->xn", weights, jacobian)

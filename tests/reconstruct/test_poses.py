@@ -166,11 +166,12 @@ def test_poses_that_were_not_refined_are_those_given(make_run: Callable[..., Run
 def test_masks_rule_out_less_where_cameras_may_have_moved(ball_scene: tuple[Scene, Path], config: Config) -> None:
     """Cameras moved by five standard deviations cut off what the true ones see; with that slack the hull keeps it."""
     scene = ball_scene[0]
+    config = merged_config(config, {"poses": {"sigma_m": SIGMA_M / 5, "sigma_rad": SIGMA_RAD / 5}})
     views, normalisation = scene.split("train"), Normalisation.of(scene)
     away = tuple(
         replace(
             view,
-            world_from_camera=poses.corrected(view.world_from_camera, sign * 5 * np.array([SIGMA_M, 0, 0, 0, SIGMA_RAD, 0]), 1.0),
+            world_from_camera=poses.corrected(view.world_from_camera, sign * np.array([SIGMA_M, 0, 0, 0, SIGMA_RAD, 0]), 1.0),
         )
         for view, sign in zip(views, (1, -1, 1, -1), strict=True)
     )
@@ -181,5 +182,5 @@ def test_masks_rule_out_less_where_cameras_may_have_moved(ball_scene: tuple[Scen
         for those, slack in ((views, (0.0, 0.0)), (away, (0.0, 0.0)), (away, poses.slack(config.poses, normalisation)))
     )
     assert (true & ~cut).sum() > 0 and not (true & ~kept).any()
-    assert kept.sum() < 0.5 * kept.size, "it still rules out"
+    assert kept.sum() < 0.9 * kept.size, "it still rules out"
     assert poses.slack(merged_config(config, {"poses": {"enabled": False}}).poses, normalisation) == (0, 0)
