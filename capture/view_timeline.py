@@ -13,6 +13,9 @@ from capture.trajectory import Trajectory
 from capture.viewpoints import Viewpoint
 from datasets.recording import Recording
 
+WAIT_S = 1.0
+"""Longest that an arm stands still in the playback of a recording, beside settling."""
+
 
 @dataclass(frozen=True)
 class Stop:
@@ -111,20 +114,35 @@ def _wanted(viewpoint: Viewpoint, flange_from_camera: NDArray[np.float64]) -> ND
     return kinematics.forward(viewpoint.joints) @ flange_from_camera
 
 
+def _without_waits(clock: NDArray[np.float64], joints: NDArray[np.float64], trajectory: Trajectory) -> NDArray[np.float64]:
+    """(n,) times [s] at which views are shown: as on the clock, but no way takes longer than its motion, its settling and `WAIT_S`.
+
+    An arm that waited for a person, or for a simulated camera's picture, would stand still for most of the playback.
+    """
+    swings = np.abs(np.diff(joints, axis=0)).max(-1, initial=0.0)
+    longest = (
+        np.array([move_duration(trajectory.motion, float(swing)) for swing in swings]) + trajectory.motion.settle_time_s + WAIT_S
+    )
+    return np.concatenate([[0.0], np.cumsum(np.minimum(np.diff(clock), longest))])
+
+
 def of_recording(recording: Recording, flange_from_camera: NDArray[np.float64]) -> Timeline:
     """What a recording has: where the controller said the arm was, at its own times. Between the views the way is drawn straight."""
     frames = sorted(recording.frames, key=lambda frame: frame.robot_time_s)
     if not frames:
         return Timeline(np.zeros(0), np.zeros((0, 6)), (), ("no views have been taken yet",))
-    seconds = np.array([frame.robot_time_s for frame in frames]) - frames[0].robot_time_s
+    trajectory = Trajectory.model_validate(recording.trajectory)
+    clock = np.array([frame.robot_time_s for frame in frames]) - frames[0].robot_time_s
+    seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory)
     stops = tuple(
         Stop(frame.name, frame.split, frame.base_from_flange @ flange_from_camera, float(when), image=recording.image_path(frame),
              measured=f"exposed for {1e-3 * frame.exposure_us:g} ms, {frame.settle_s:.2f} s after the motion")
         for frame, when in zip(frames, seconds, strict=True)
     )  # fmt: skip
-    asked = len(Trajectory.model_validate(recording.trajectory).viewpoints())
     notes = [
-        f"{len(frames)} of {asked} views, {seconds[-1]:.0f} s by the controller's clock",
+        f"{len(frames)} of {len(trajectory.viewpoints())} views, {clock[-1]:.0f} s by the controller's clock",
         "between views the way is drawn straight",
     ]
+    if clock[-1] - seconds[-1] > WAIT_S:
+        notes.append(f"{clock[-1] - seconds[-1]:.0f} s of waiting are left out")
     return Timeline(seconds, np.stack([frame.joints for frame in frames]), stops, tuple(notes))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from capture import kinematics
-from capture.planning import duration, plan
+from capture.planning import duration, move_duration, plan
 from capture.rig_description import RigDescription
 from capture.trajectory import Trajectory, load_trajectory
-from capture.view_timeline import of_recording, of_trajectory
+from capture.view_timeline import WAIT_S, of_recording, of_trajectory
 from datasets.recording import Frame, Recording
 
 MOUNT = RigDescription().flange_from_camera.matrix()
@@ -55,18 +55,31 @@ def test_where_nothing_can_be_taken_there_is_no_time() -> None:
     assert timeline.end == 0 and len(timeline.seconds) == 0 and all(stop.reason for stop in timeline.stops)
 
 
-def test_a_recording_is_played_by_the_controllers_clock(tmp_path: Path) -> None:
-    session = trajectory(count=3)
-    recording = Recording.create(tmp_path / "r", {"trajectory": session.model_dump(mode="json")})
-    angles = np.deg2rad([[10.0 * i, -60, 80, -100, -90, 5] for i in range(2)])
-    for i, joints in enumerate(angles):
-        recording.append(Frame(i, f"{i:03d}", "train", f"images/{i:03d}.png", kinematics.forward(joints), joints, 50.0 + 4 * i,
+def recording_of(folder: Path, waits_s: list[float], angles: np.ndarray) -> Recording:
+    """Views at these joint angles, with so much time between them."""
+    recording = Recording.create(folder / "r", {"trajectory": trajectory(count=3).model_dump(mode="json")})
+    for i, (joints, clock) in enumerate(zip(angles, 50.0 + np.cumsum([0.0, *waits_s]), strict=True)):
+        recording.append(Frame(i, f"{i:03d}", "train", f"images/{i:03d}.png", kinematics.forward(joints), joints, float(clock),
                                0, 0, 1e4, 0.3, ""))  # fmt: skip
-    timeline = of_recording(recording, MOUNT)
-    assert [stop.seconds for stop in timeline.stops] == [0, 4] and timeline.end == 4
-    assert np.allclose(timeline.at(2.0), angles.mean(0))  # half way between the two
+    return recording
+
+
+def test_a_recording_is_played_by_the_controllers_clock(tmp_path: Path) -> None:
+    angles = np.deg2rad([[10.0 * i, -60, 80, -100, -90, 5] for i in range(2)])
+    timeline = of_recording(recording_of(tmp_path, [1.5], angles), MOUNT)
+    assert [stop.seconds for stop in timeline.stops] == [0, 1.5] and timeline.end == 1.5
+    assert np.allclose(timeline.at(0.75), angles.mean(0))  # half way between the two
     assert np.allclose(timeline.stops[1].base_from_camera, kinematics.forward(angles[1]) @ MOUNT)
-    assert timeline.notes[0].startswith("2 of 3 views")
+    assert timeline.notes[0].startswith("2 of 3 views, 2 s") and "left out" not in " ".join(timeline.notes)
+
+
+def test_an_arm_that_waited_for_hours_is_not_watched_waiting(tmp_path: Path) -> None:
+    angles = np.deg2rad([[10.0 * i, -60, 80, -100, -90, 5] for i in range(3)])
+    timeline = of_recording(recording_of(tmp_path, [7200.0, 1.5], angles), MOUNT)
+    motion = trajectory(count=3).motion
+    first = move_duration(motion, np.deg2rad(10.0)) + motion.settle_time_s + WAIT_S
+    assert [stop.seconds for stop in timeline.stops] == pytest.approx([0, first, first + 1.5])
+    assert "7202 s by the controller's clock" in timeline.notes[0] and f"{7200 - first:.0f} s of waiting" in timeline.notes[2]
 
 
 def test_a_recording_that_has_just_begun_shows_nothing_yet(tmp_path: Path) -> None:
