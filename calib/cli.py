@@ -219,7 +219,7 @@ def board_command(
 def bench_command(
     out: Annotated[Path, typer.Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
     quick: Annotated[
-        bool, typer.Option("--quick", help="A few points of 40 trials: a minute instead of a quarter of an hour.")
+        bool, typer.Option("--quick", help="A few points of 40 trials: a minute instead of three quarters of an hour.")
     ] = False,
     trials: Annotated[
         int | None, typer.Option("--trials", min=2, help="Sessions per point; default 200, with --quick 40.")
