@@ -105,6 +105,9 @@ class SurfaceConfig(Schema):
         "lattice", description="Lattice directions on shells, the same without shells, or independent random directions."
     )
     kappa: float = Field(0.0, ge=0, description="Concentration of the sphere lattice; 0 is uniform.")
+    reach: float = Field(
+        1.0, gt=0, description="Radius of the ball of samples, as a multiple of the half-width of the pixel's footprint."
+    )
     density: float = Field(0.1, ge=0, description="Weight of density smoothness.")
     normal: float = Field(0.1, ge=0, description="Weight of normal consistency.")
     bias: float = Field(0.03, ge=0, description="Weight of the Lambertian bias.")

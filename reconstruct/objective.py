@@ -86,9 +86,10 @@ def second_pass_terms(
     _, material, normal = field.with_normals(place.of(rays, surface))
     per_ray = {}
     if config.density or config.normal:
-        offsets = directions * (radii[:, None] * surface.radius[:, None, None])
+        reach = config.reach * surface.radius
+        offsets = directions * (radii[:, None] * reach[:, None, None])
         around = field.with_normals(place.of(rays, surface, offsets))
-        per_ray |= _spatial_terms(around, directions, normal, surface.radius, config)
+        per_ray |= _spatial_terms(around, directions, normal, reach, config)
     if config.variation or (config.bias and field.appearance.has_diffuse):
         per_ray |= _directional_terms(field, material, directions, normal, config)
     used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
