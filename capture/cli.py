@@ -72,7 +72,8 @@ def run_command(
                 recording = record(session, opened, out, resume=resume, planned=planned, advance=advance)
                 taken = len(recording.frames)
     except KeyboardInterrupt:
-        raise KoalaError("stopped by Ctrl-C, the arm stands still", where=out, remedy=_how_to_resume(out)) from None
+        how = "by Ctrl-C or from the page" if view else "by Ctrl-C"
+        raise KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=_how_to_resume(out)) from None
     seconds = time.monotonic() - start
     console.report({"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": scene or None}, as_json=as_json,
                    text=f"{out}: {taken} views in {seconds:.0f} s")  # fmt: skip
