@@ -70,6 +70,6 @@ def needed_bytes(config: Config, normalisation: Normalisation, pixels: Pixels) -
 
 def memory_limit() -> int:
     """Bytes that a step may take on the first device: of its own memory, or of the machine's where it has none."""
-    stats = jax.devices()[0].memory_stats() or {}
+    stats = jax.local_devices()[0].memory_stats() or {}
     total = stats.get("bytes_limit") or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return int(SHARE * total)

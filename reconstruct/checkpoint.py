@@ -62,4 +62,6 @@ def _checkpointer():
     import orbax.checkpoint as ocp
 
     logging.getLogger("absl").setLevel(logging.ERROR)
-    return ocp.PyTreeCheckpointer()
+    alone = {jax.process_index()}  # of several processes one writes, and each reads by itself
+    options = ocp.options.MultiprocessingOptions(primary_host=jax.process_index(), active_processes=alone)
+    return ocp.Checkpointer(ocp.PyTreeCheckpointHandler(multiprocessing_options=options), multiprocessing_options=options)

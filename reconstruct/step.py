@@ -11,6 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from datasets.errors import Misuse
 from reconstruct import objective
 from reconstruct.cloud import Cloud
 from reconstruct.config import Config
@@ -171,10 +172,17 @@ class StepFunctions:
         return jax.lax.cond(second, with_regularisers, lambda gradient: (gradient, nothing), gradient)
 
     def over(self, devices: Sequence[jax.Device]) -> "StepFunctions":
-        """The same on as many of the devices as divide every batch evenly; on one, nothing is divided."""
+        """The same on as many of the devices as divide every batch evenly; on one, nothing is divided.
+
+        Raises:
+            Misuse: the devices are of several processes, none of which can be left out, and do not divide every batch.
+        """
         sampler = self.config.sampler
         batches = (self._drawn, self._kept) if sampler.kind == "proposal" else (self._drawn, self._kept, sampler.samples)
         count = math.gcd(len(devices), *batches)
+        if count < len(devices) and len({device.process_index for device in devices}) > 1:
+            raise Misuse(f"{len(devices)} devices do not divide a batch evenly", where="sampler.rays and sampler.samples",
+                         why=f"{', '.join(map(str, sorted(set(batches))))}", remedy="choose multiples, or another number of processes")  # fmt: skip
         mesh = None if count == 1 else jax.sharding.Mesh(np.array(devices[:count]), ("rays",))
         return replace(self, mesh=mesh)
 

@@ -17,23 +17,19 @@ import numpy as np
 
 from datasets.console import hint, progress
 from datasets.errors import Misuse
-from datasets.scene import Scene, View
-from reconstruct import checkpoint, poses
-from reconstruct.batch import fitted
+from datasets.scene import Scene
+from reconstruct import checkpoint, distributed, poses
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.event_log import EventLog, event_log, require_writer
 from reconstruct.faults import FAULTS, RECURS, cause
-from reconstruct.hull import cells_in_masks, cells_in_sight
-from reconstruct.models import merged_config
-from reconstruct.rays import Normalisation, Pixels, direction_of_cameras
+from reconstruct.preparation import prepare
+from reconstruct.rays import Pixels
 from reconstruct.renderer import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.schedules import second_pass_period
 from reconstruct.skipping import outcome, record
-from reconstruct.skipping.facts import facts_of
-from reconstruct.skipping.pilot import gain_by_reflecting
-from reconstruct.skipping.plan import lenses, normalisation_of, plan
+from reconstruct.skipping.plan import normalisation_of
 from reconstruct.step import GRID_PERIOD, StepFunctions, TrainState
 from reconstruct.view_courtesy import give_way
 
@@ -41,8 +37,6 @@ CHUNK = 16
 """At most so many steps between two looks at the clock."""
 LOOKS = 40
 """Lines in the log over a whole training."""
-PROBE = 4096
-"""Pixels of unseen views that each look renders; never trained on, not on the training's clock."""
 WORTH_DB = 0.02
 """Held-out pixels must get better by so much for a training to count as still improving [dB]."""
 
@@ -144,7 +138,7 @@ class Training:
         scalar = lambda v, d: jnp.asarray(v, d)  # noqa: E731
         placed: dict[str, Any] = {}
         if (everywhere := self.functions.everywhere) is not None:
-            self.state, self.pixels = jax.device_put((self.state, self.pixels), everywhere)
+            self.state, self.pixels = distributed.on_all((self.state, self.pixels), everywhere)
             placed = {"out_shardings": everywhere}
         lowered = jax.jit(self.functions.advance, donate_argnums=(0,), **placed).lower(
             self.state, self.pixels, scalar(0, jnp.int32), scalar(0, jnp.float32), scalar(1, jnp.int32), scalar(False, bool))  # fmt: skip
@@ -156,6 +150,7 @@ class Training:
 
     def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:
         """One line for the log; renders the probe."""
+        state = distributed.own_copy(self.state)
         line: dict[str, Any] = {
             "step": self.clock.step,
             "seconds": round(self.clock.seconds, 3),
@@ -163,15 +158,15 @@ class Training:
         }
         if "mse" in terms:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
-        held = None if self.held is None else poses.over_white(self.held, self.state.model.poses)
+        held = None if self.held is None else poses.over_white(self.held, state.model.poses)
         for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": held}.items():
             if pixels is not None:
                 *rays, target = pixels
-                rendered = self.renderer.rays(self.state, *rays)["rgb"]
+                rendered = self.renderer.rays(state, *rays)["rgb"]
                 line[name] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
-        line |= {"skipped": int(self.state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
-        if self.state.occupancy is not None:
-            line["occupied"] = float(jnp.mean(self.state.occupancy.occupied.astype(jnp.float32)))
+        line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
+        if state.occupancy is not None:
+            line["occupied"] = float(jnp.mean(state.occupancy.occupied.astype(jnp.float32)))
         self.run.append_log(line)
         if self.events is not None:
             self.events.write(line)
@@ -190,7 +185,9 @@ class Training:
         return seen[-1][1] - since >= self.run.config.train.patience
 
     def save(self) -> None:
-        """Checkpoint state and clock."""
+        """Checkpoint state and clock, where this process is the one that does."""
+        if not distributed.writes():
+            return
         kept = ("seconds", "step", "since_second_pass", "since_look", "lenience", "passes", "passes_left_out")
         clock = {name: getattr(self.clock, name) for name in kept}
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)
@@ -222,13 +219,19 @@ def train(
         raise Misuse("budget is not a positive time", why=f"{budget_s} s")
     if config.train.tensorboard:
         require_writer()
-    started = time.perf_counter()
-    training = _resumed(scene, out, budget_s) if resume else start(scene, scene_path, config, out, budget_s, start_from)
-    prepared = time.perf_counter() - started
+    with distributed.folder_for(out, resume=resume) as folder:
+        started = time.perf_counter()
+        training = _resumed(scene, folder, budget_s) if resume else start(scene, scene_path, config, folder, budget_s, start_from)
+        return _completed(training, scene, time.perf_counter() - started) | {"run": str(out)}
+
+
+def _completed(training: Training, scene: Scene, prepared: float) -> dict[str, Any]:
+    """Train to the end; what `train` returns."""
+    out = training.run.path
     try:
         compiled = training.compile()
         wanted = training.run.config.train.tensorboard
-        with event_log(training.run.path, wanted=wanted, step=training.clock.step) as training.events:
+        with event_log(out, wanted=wanted, step=training.clock.step) as training.events:
             _loop(training)
     except BaseException:
         if training.clock.step == 0:  # nothing was trained: leave nothing behind
@@ -238,8 +241,8 @@ def train(
     last = training.run.log()[-1]
     skips = outcome.told(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
     record.write(out, skips)
-    poses.write(training.run.path, scene, training.run.normalisation, training.state.model.poses)
-    return {"run": str(out), "steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
+    poses.write(out, scene, training.run.normalisation, distributed.own_copy(training.state.model.poses))
+    return {"steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
             "compilation_s": compiled, "psnr_train": last.get("psnr_train"), "psnr_unseen": last.get("psnr_unseen"),
             "skipped_steps": last["skipped"], "skips": [asdict(skip) for skip in skips]}  # fmt: skip
 
@@ -250,19 +253,21 @@ def _loop(training: Training) -> None:
     total, unit = (clock.steps, "steps") if clock.budget_s is None else (clock.budget_s, "s")
     with progress("training", total, unit) as shown, _interrupt_between_chunks() as interrupted:
         shown.advance(clock.step if clock.budget_s is None else clock.seconds)
-        stopped = training.exhausted
+        stopped = bool(distributed.decided(training.exhausted))
         while clock.progress < 1 and not stopped:
             before = (clock.step, clock.seconds)
             begun = time.monotonic()
             terms = training.chunk()
             give_way(training.run.path, time.monotonic() - begun, until=interrupted)
+            said = distributed.gathered([clock.seconds, interrupted()])
+            clock.seconds = float(said[0, 0])
             if clock.progress >= next_look or clock.progress >= 1:
                 line = training.look(terms)
                 next_look = clock.progress + 1 / LOOKS
-                stopped = training.exhausted
+                stopped = bool(distributed.decided(training.exhausted))
                 known = {"PSNR": "psnr_train", "unseen": "psnr_unseen"}
                 shown.note(", ".join(f"{name} {line[key]:.1f} dB" for name, key in known.items() if key in line))
-            if interrupted():
+            if said[:, 1].any():
                 training.save()
                 raise KeyboardInterrupt
             if time.monotonic() > next_save:
@@ -293,10 +298,8 @@ def start(
 
     refuse_existing(out)
     normalisation = normalisation_of(scene, config) if start_from is None else start_from.normalisation
-    functions, state, pixels, probe, held, skips = _prepare(
-        scene, config, normalisation, fresh=True, planned=start_from is not None
-    )
-    config = functions.config
+    prepared = prepare(scene, config, normalisation, fresh=True, planned=start_from is not None)
+    config, state = prepared.functions.config, prepared.state
     about = {
         "scene_name": scene.name,
         "box": scene.box.tolist(),
@@ -304,14 +307,16 @@ def start(
         "notes": list(scene.notes),
         "budget_s": budget_s,
         "device": jax.devices()[0].device_kind,
+        "devices": jax.device_count(),
         "versions": {"jax": jax.__version__, "numpy": np.__version__},
     }
     if start_from is not None:
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
     run = Run.create(out, config, scene_path, normalisation, about)
-    record.write(out, skips)
-    return Training(run, functions, state, pixels, probe, Clock(config.train.steps, budget_s), Renderer(functions), held, skips)
+    record.write(out, prepared.skips)
+    return Training(run, prepared.functions, state, prepared.pixels, prepared.probe, Clock(config.train.steps, budget_s),
+                    Renderer(prepared.functions), prepared.held, prepared.skips)  # fmt: skip
 
 
 def _continued(fresh: TrainState, run: Run) -> TrainState:
@@ -326,60 +331,10 @@ def _continued(fresh: TrainState, run: Run) -> TrainState:
 
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     run = Run.open(out)
-    functions, state, pixels, probe, held, _ = _prepare(scene, run.config, run.normalisation)
-    state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
+    prepared = prepare(scene, run.config, run.normalisation)
+    state, clock = checkpoint.load(run.path / CHECKPOINTS, prepared.state)
     budget_s = budget_s or run.content.get("budget_s")
     seconds = clock.pop("seconds")
     clock = Clock(run.config.train.steps, budget_s, seconds, **{name: int(value) for name, value in clock.items()})
-    return Training(run, functions, state, pixels, probe, clock, Renderer(functions), held, record.read(out))
-
-
-def _prepare(scene: Scene, config: Config, normalisation: Normalisation, *, fresh: bool = False, planned: bool = False):
-    """Everything that a training needs beside its run.
-
-    Args:
-        fresh: decide what is left out, and take as many rays per step as there is memory for.
-        planned: the model's sizes were decided by an earlier training already.
-    """
-    views = lenses(scene.split("train"), config)
-    with progress("reading images", len(views), "images") as shown:
-        pixels = Pixels.load(views, normalisation, config.scale, shown)
-    possible = None
-    if config.sampler.kind == "occupancy" and config.skip.empty_rays:
-        if normalisation.bounded:
-            slack = poses.slack(config.poses, normalisation)
-            possible = cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale, slack=slack)
-        else:
-            possible = cells_in_sight(views, normalisation, config.sampler.outer_grid)
-    skips: list[record.Skip] = []
-    if fresh:
-        facts = facts_of(scene, views, pixels, normalisation, possible, config.scale)
-        lean, skips = plan(facts, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
-        config = config if planned else facing(lean, views, normalisation)
-    held = None
-    if config.train.patience:
-        pixels, held = pixels.held_out(PROBE)
-    if fresh and config.sampler.kind == "proposal":
-        config = fitted(config, normalisation, pixels)
-    functions = StepFunctions(config, normalisation).over(jax.devices())
-    state = functions.initial(jax.random.key(config.train.seed), possible, len(views))
-    return functions, state, pixels, _probe(scene, config, normalisation), held, skips
-
-
-def facing(config: Config, views: tuple[View, ...], normalisation: Normalisation) -> Config:
-    """The configuration with starting normals that face the views' cameras, where it has any and does not say otherwise."""
-    if not config.field.outward or config.field.towards is not None:
-        return config
-    return merged_config(config, {"field": {"towards": direction_of_cameras(views, normalisation)}})
-
-
-def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
-    """Random pixels of a few test views: (origins, directions, radii, colour over white)."""
-    views = [view for view in scene.views if view.split == "test"]
-    if not views:
-        return None
-    views = tuple(views[:: max(1, len(views) // 4)][:4])
-    with progress("reading unseen pixels", len(views), "images") as shown:
-        pixels = Pixels.load(views, normalisation, config.scale, shown)
-    index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
-    return pixels.over_white(index)
+    return Training(run, prepared.functions, state, prepared.pixels, prepared.probe, clock, Renderer(prepared.functions),
+                    prepared.held, record.read(out))  # fmt: skip

@@ -33,11 +33,24 @@ def train(
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Write the log for TensorBoard too (extra 'tensorboard').")
     ] = False,
+    coordinator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", envvar="JAX_COORDINATOR_ADDRESS", help="Train in several processes: the first one's address."
+        ),
+    ] = None,
+    processes: Annotated[
+        int | None, typer.Option(min=1, envvar="JAX_NUM_PROCESSES", help="With --coordinator: how many there are.")
+    ] = None,
+    process: Annotated[
+        int | None, typer.Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: which of them this is, from 0.")
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
     """Train a model on a scene's training views."""
     from datasets.errors import Misuse
     from datasets.formats import find, load_scene
+    from reconstruct import distributed
     from reconstruct.backend import cache_compilations
     from reconstruct.batch import scaled
     from reconstruct.models import finetuned, load_config
@@ -48,6 +61,7 @@ def train(
     set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
     if (scene is None) == (from_ is None) or finetune != (from_ is not None):
         raise Misuse("give either a scene, or --from RUN --finetune")
+    distributed.join(coordinator, processes, process)
     start_from = None if from_ is None else Run.open(from_)
     if start_from is not None:
         config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
