@@ -65,6 +65,7 @@ class Aligner:
         colour = picture[:, :3]
         if picture.shape[-1] == 4:
             colour = colour * picture[:, 3:] + 1 - picture[:, 3:]
+        colour = np.clip(colour, 0, 1)  # brighter than white is shown as white, and measured so
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
         origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
         rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))

@@ -56,6 +56,6 @@ def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
     assert "psnr, each pose aligned" in evaluate.table(both) and "aligned" not in evaluate.table(plain)
     aligned = Aligner(trained)(views[0]).view
     apart = [poses.change(scene.views[0], view, box)["moved_px"] for view in (views[0], aligned)]
-    assert apart[0] > 0.25 and apart[1] < 0.2 * apart[0], apart  # what the steps along each ray of 2 mm leave
+    assert apart[0] > 0.15 and apart[1] < 0.2 * apart[0], apart  # what the steps along each ray of 2 mm leave
     assert right["moved_px"] < 0.05
     assert trained.state is before, "the model stays as it was"
