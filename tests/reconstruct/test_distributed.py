@@ -22,7 +22,7 @@ from reconstruct.rays import Normalisation
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.step import StepFunctions
 
-PATIENCE_S = 280
+PATIENCE_S = 840
 """For processes that compile on a computer that may be busy with other things."""
 COMMAND = "from reconstruct.cli import main; main()"
 SMALL = ["encoding.levels=1", "encoding.log2_size=6", "field.spatial_width=4", "field.view_width=4", "field.bottleneck=2",
@@ -94,6 +94,7 @@ def together(commands: list[list[str]], cache: Path) -> list[tuple[int, str, str
     return ended
 
 
+@pytest.mark.timeout(900)
 def test_processes_agree(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "run.json").write_text("{}")
@@ -112,6 +113,7 @@ def test_processes_agree(tmp_path: Path) -> None:
     assert first["left"] and not second["left"] and (tmp_path / "new" / "log").read_text() == "0", "only the first one's stays"
 
 
+@pytest.mark.timeout(900)
 def test_two_processes_come_to_what_one_comes_to(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
     """Sums over devices come in another order; Adam makes of a rounding's sign a step: 0.1 % of terms, 0.001 of weights."""
     train = ["-c", COMMAND, "train", str(ball_scene[1]), "--json", *(word for change in SMALL for word in ("--set", change))]
