@@ -22,7 +22,7 @@ from datasets.formats import find, load_scene
 from datasets.report_drawing import svg_of
 from datasets.report_page import Number, ReportPage
 from reconstruct import checkpoint, table
-from reconstruct.config import Config, SurfaceConfig
+from reconstruct.config import Config, LossConfig, SurfaceConfig
 from reconstruct.evaluate import METRICS, evaluate
 from reconstruct.models import load_config
 from reconstruct.run import CHECKPOINTS, RUN
@@ -60,8 +60,9 @@ def grid(base: Config) -> Cells:
     """The paper's ablations around a configuration, by name; a cell that would repeat the base is left out.
 
     Sampling of the sphere, neighbours of the total variation (and as the published implementation has them), frequency of the
-    second pass, form of the density smoothness, each loss without (or, where the base has it off, with the published weight),
-    and the base without hollowness.
+    second pass, form of the density smoothness, each loss without (or, where the base has it off, with the published weight), and
+    the base without hollowness. "no second pass" has none of the four regularisers; "no regulariser" has the losses that Ref-NeRF
+    has, at its weights.
     """
     cells: Cells = {BASE: ()}
     surface = base.surface
@@ -86,7 +87,16 @@ def grid(base: Config) -> Cells:
             cells[f"with {loss}"] = (f"surface.{loss}={PUBLISHED[loss].default}",)
     if base.losses.hollowness:
         cells["without hollowness"] = ("losses.hollowness=0",)
-    return cells | {"no regulariser": ("surface.enabled=false",)}
+    cells["no second pass"] = ("surface.enabled=false",)
+    published = LossConfig()
+    return cells | {
+        "no regulariser": (
+            "surface.enabled=false",
+            "losses.hollowness=0",
+            f"losses.predicted_normals={published.predicted_normals}",
+            f"losses.density_normals={published.density_normals}",
+        )
+    }
 
 
 def _repeats(surface: SurfaceConfig, changes: Sequence[str]) -> bool:
