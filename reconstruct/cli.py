@@ -292,14 +292,19 @@ def mesh_command(
         mesh.save_points(mesh.points_on(surface, points), out)
     size = surface.extents.tolist()
     unit = "m" if trained.scene.metric else "units"
+    open_at = mesh.sides_reached(surface, trained.scene.box)
     result = {
         "out": str(out),
         "vertices": len(surface.vertices),
         "faces": len(surface.faces),
         "size": size,
         "metric": trained.scene.metric,
+        "open_at": open_at,
     }
     text = f"{len(surface.faces)} triangles, {' x '.join(f'{side:.3f}' for side in size)} {unit}\n{out}"
+    if open_at:
+        more = "; surroundings may be part of it" if len(open_at) > 1 else "; --watertight closes it"
+        text = f"open where it leaves the object's box, at {', '.join(open_at)}{more}\n{text}"
     console.report(result, as_json=as_json, text=text)
 
 

@@ -76,6 +76,20 @@ def extract(
     return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)
 
 
+def sides_reached(surface: "trimesh.Trimesh", box: Float[np.ndarray, "2 3"]) -> list[str]:
+    """Sides of the object's box at which the surface ends, such as "-z": cut by them, or surroundings that were taken along.
+
+    A side counts where open edges of the surface lie at it, to a thousandth of the box's longest side, or beyond, as the grid does.
+    """
+    from trimesh.grouping import group_rows
+
+    edges = surface.edges[group_rows(surface.edges_sorted, require_count=1)]
+    ends = surface.vertices[np.unique(edges)] if len(edges) else np.zeros((0, 3))
+    low, high = box
+    at = np.stack([ends - low, high - ends]).min(1, initial=np.inf) < 1e-3 * (high - low).max()
+    return [f"{'-+'[side]}{'xyz'[axis]}" for axis in range(3) for side in range(2) if at[side, axis]]
+
+
 def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
     """The density with solid matter wherever the surface and the sides of the box shut it in.
 

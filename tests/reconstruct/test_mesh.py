@@ -104,6 +104,7 @@ def test_a_surface_that_leaves_the_box_can_be_closed(ball: Trained) -> None:
     half = replace(ball, scene=replace(ball.scene, box=np.stack([low, [high[0], high[1], CENTRE[2]]])))
     surface, closed = mesh.extract(half, resolution=64), mesh.extract(half, resolution=64, watertight=True)
     assert not surface.is_watertight and closed.is_watertight
+    assert mesh.sides_reached(surface, half.scene.box) == ["+z"] and mesh.sides_reached(closed, half.scene.box) == []
     assert closed.volume == pytest.approx(2 / 3 * np.pi * RADIUS**3, rel=0.1)
 
 
