@@ -92,8 +92,9 @@ class Training:
         surface, clock = self.run.config.surface, self.clock
         period = clock.lenience * second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
         left = CHUNK if clock.budget_s is not None else min(CHUNK, clock.steps - clock.step)
-        count = max(1, min(left, period - clock.since_second_pass))
-        second = surface.enabled and clock.since_second_pass + count >= period
+        until_due = period - clock.since_second_pass if surface.enabled else left
+        count = max(1, min(left, until_due))
+        second = surface.enabled and count >= until_due
         start = time.perf_counter()
         self.state, terms = self._advance(self.state, self.pixels, jnp.asarray(self.run.config.train.seed, jnp.int32),
                                           jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))  # fmt: skip

@@ -13,6 +13,7 @@ from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
+from reconstruct.faults import FAULTS as FAULT_BITS
 from reconstruct.models import finetuned, load_config, merged_config
 from reconstruct.poses import POSES
 from reconstruct.run import CHECKPOINTS, FAULTS, Run
@@ -37,6 +38,25 @@ def final_leaves(run: Path) -> list[np.ndarray]:
     found = checkpoint.steps(run / CHECKPOINTS)[-1]
     content = checkpoint._checkpointer().restore(found.resolve())
     return [np.asarray(leaf) for leaf in jax.tree.leaves(content["state"])]
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_due(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, enabled: bool
+) -> None:
+    """A look at the clock waits for the device: with one at every step a training takes twice as long."""
+    config = merged_config(config, {"surface": {"enabled": enabled, "first_period": 8, "last_period": 8}})
+    training, done = start(ball_scene[0], ball_scene[1], config, tmp_path / "run", budget_s=1e3), []
+
+    def advance(state, pixels, seed, progress, count, second):
+        done.append((int(count), bool(second)))
+        return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
+
+    training._advance, training._look_around = advance, lambda state, seed: state
+    for _ in range(4):
+        training.chunk()
+    assert done == ([(8, True)] * 4 if enabled else [(16, False)] * 4)
+    assert training.clock.step == (32 if enabled else 64)
 
 
 def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
