@@ -36,8 +36,9 @@ BASE = "base"
 FIGURES = ("psnr", "normal_mae_alpha_acc_deg")
 """Columns that the figure draws."""
 LOSSES = ("density", "normal", "bias", "variation")
-PUBLISHED = SurfaceConfig.model_fields
-"""Their weights, where nothing else is said."""
+PUBLISHED, REFNERF = SurfaceConfig(), LossConfig()
+"""The weights of both, where nothing else is said."""
+NO_PASS = "surface.enabled=false"
 Cells = dict[str, tuple[str, ...]]
 
 
@@ -76,7 +77,7 @@ def grid(base: Config) -> Cells:
     for form in ("tangent", "published"):
         cells[f"{form} density"] = (
             f"surface.density_form={form}",
-            f"surface.density={surface.density or PUBLISHED['density'].default}",
+            f"surface.density={surface.density or PUBLISHED.density}",
         )
     cells = {name: changes for name, changes in cells.items() if name == BASE or not _repeats(surface, changes)}
     for loss in LOSSES:
@@ -84,17 +85,16 @@ def grid(base: Config) -> Cells:
         if weight:
             cells[f"without {loss}"] = (f"surface.{loss}=0",)
         elif loss != "density":  # its forms are cells already
-            cells[f"with {loss}"] = (f"surface.{loss}={PUBLISHED[loss].default}",)
+            cells[f"with {loss}"] = (f"surface.{loss}={getattr(PUBLISHED, loss)}",)
     if base.losses.hollowness:
         cells["without hollowness"] = ("losses.hollowness=0",)
-    cells["no second pass"] = ("surface.enabled=false",)
-    published = LossConfig()
+    cells["no second pass"] = (NO_PASS,)
     return cells | {
         "no regulariser": (
-            "surface.enabled=false",
+            NO_PASS,
             "losses.hollowness=0",
-            f"losses.predicted_normals={published.predicted_normals}",
-            f"losses.density_normals={published.density_normals}",
+            f"losses.predicted_normals={REFNERF.predicted_normals}",
+            f"losses.density_normals={REFNERF.density_normals}",
         )
     }
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from datasets.scene import View
 from reconstruct.model import cloud_of, render
 from reconstruct.poses import corrected
-from reconstruct.rays import Rays, read_scaled, view_rays
+from reconstruct.rays import Rays, over, read_scaled, view_rays
 from reconstruct.renderer import sampled_rays
 from reconstruct.step import StepFunctions, TrainState
 from reconstruct.trained import Trained
@@ -62,10 +62,7 @@ class Aligner:
         """Align one view to its picture."""
         trained, camera = self.trained, self.trained.camera(view)
         picture = read_scaled(view, trained.run.config.scale).reshape(camera.height * camera.width, -1)
-        colour = picture[:, :3]
-        if picture.shape[-1] == 4:
-            colour = colour * picture[:, 3:] + 1 - picture[:, 3:]
-        colour = np.clip(colour, 0, 1)  # brighter than white is shown as white, and measured so
+        colour = np.clip(over(picture), 0, 1)  # brighter than white is shown as white, and measured so
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
         origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
         rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))
@@ -75,8 +72,7 @@ class Aligner:
 
     def _solved(self, rays: Rays, target: NDArray[np.float32]) -> tuple[NDArray[np.float64], int]:
         """The twist, and in how many steps it was found."""
-        poses, scale = self.trained.run.config.poses, self.trained.run.normalisation.scale
-        sigma = np.array([poses.sigma_m * scale] * 3 + [poses.sigma_rad] * 3)
+        sigma = np.array(self.trained.run.config.poses.sigma(self.trained.run.normalisation.scale))
         twist, damping = np.zeros(6), 1e-3
         error, slopes = self._errors(rays, target, twist * sigma, sigma)
         telling = np.abs(error[np.any(slopes != 0, -1)])

@@ -187,6 +187,10 @@ class PoseConfig(Schema):
     )
     prior: float = Field(1e-5, ge=0, description="Weight of the squared corrections, in standard deviations, halved.")
 
+    def sigma(self, scale: float) -> tuple[float, ...]:
+        """Standard deviations of a twist's six parts [scene unit, rad], for so many scene units per world unit."""
+        return (self.sigma_m * scale,) * 3 + (self.sigma_rad,) * 3
+
 
 class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has what it costs."""

@@ -20,7 +20,7 @@ from reconstruct import mesh, metrics, poses, surface_distance
 from reconstruct.align import Aligner
 from reconstruct.errors import ReconstructError
 from reconstruct.lpips import Lpips
-from reconstruct.rays import read_scaled
+from reconstruct.rays import over, read_scaled
 from reconstruct.trained import Trained
 
 FORMAT, VERSION = "koala-metrics", 1
@@ -115,10 +115,7 @@ def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
     """
     scale = camera.width / view.camera.width
     picture = read_scaled(view, scale)
-    maps = {"rgb": picture[..., :3]}
-    if picture.shape[-1] == 4:
-        alpha = picture[..., 3:]
-        maps = {"rgb": picture[..., :3] * alpha + (1 - alpha), "alpha": alpha}
+    maps = {"rgb": over(picture)} | ({"alpha": picture[..., 3:]} if picture.shape[-1] == 4 else {})
     for channel in view.truth:
         maps[channel] = _resampled(channel, view.read_truth(channel), camera)
     if "alpha" not in maps and "depth" in maps:

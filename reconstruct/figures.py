@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from datasets import files, images, pose
 from datasets.console import progress
 from datasets.scene import View
+from reconstruct import losses
 from reconstruct.appearance import Material
 from reconstruct.cloud import Cloud
 from reconstruct.field import Field
@@ -50,7 +51,7 @@ def draw_all(trained: Trained, out: Path, *, steps: int = STEPS) -> dict[str, An
             "sphere": draw_sphere(surface.samples, surface.kappa),
             "weights": draw_weights(*weights_while_training(trained, steps)),
             "bias": draw_bias(trained),
-            "graph": draw_graph(point[1], surface.samples, surface.neighbours),
+            "graph": draw_graph(point[1], surface.samples, surface.neighbours, surface.neighbour_form),
         }
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=140)
@@ -201,7 +202,7 @@ def draw_bias(trained: Trained) -> Figure:
     return figure
 
 
-def draw_graph(normal: NDArray, count: int, neighbours: int, seed: int = 0) -> Figure:
+def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angular", seed: int = 0) -> Figure:
     """D.1: directions flipped into the visible hemisphere, as a polar map about the normal and from above, with their graph."""
     drawn, _ = ball_samples(jax.random.key(seed), 1, count, 0.0, "lattice")
     directions = np.asarray(drawn[0], np.float64)
@@ -209,8 +210,8 @@ def draw_graph(normal: NDArray, count: int, neighbours: int, seed: int = 0) -> F
     visible = np.where(flipped[:, None], -directions, directions)
     across, up = _tangents(normal)
     local = np.stack([visible @ across, visible @ up, visible @ normal], -1)
-    cosine = local @ local.T - 4 * np.eye(count)
-    nearest = np.argsort(-cosine, axis=1)[:, :neighbours]
+    likeness = np.asarray(losses.direction_likeness(jnp.asarray(-visible[None], jnp.float32), form))[0] - 4 * np.eye(count)
+    nearest = np.argsort(-likeness, axis=1)[:, :neighbours]
     azimuth, elevation = angles_of(local)
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     for index, (title, x, y) in enumerate((("polar map", azimuth, elevation), ("from above", local[:, 0], local[:, 1]))):
@@ -221,7 +222,7 @@ def draw_graph(normal: NDArray, count: int, neighbours: int, seed: int = 0) -> F
                     axes.plot([x[i], x[j]], [y[i], y[j]], color="0.8", linewidth=0.8, zorder=0)
         axes.scatter(x[~flipped], y[~flipped], color="#2f6fde", label="as drawn")
         axes.scatter(x[flipped], y[flipped], color="#d98324", label="flipped")
-        axes.set_title(f"{title}, {neighbours} nearest by angle")
+        axes.set_title(f"{title}, {neighbours} nearest, {form}")
     figure.axes[0].set(xlabel="azimuth about the normal [deg]", ylabel="elevation above the surface [deg]")
     figure.axes[1].set(aspect="equal", xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
     figure.axes[0].legend(fontsize=8)

@@ -12,7 +12,7 @@ from reconstruct.cloud import Cloud, points_on_rays
 from reconstruct.config import LossConfig, SurfaceConfig
 from reconstruct.field import Field
 from reconstruct.model import Footprint, Model, Rendered, cloud_of
-from reconstruct.rays import Rays
+from reconstruct.rays import Rays, over
 from reconstruct.sampling.proposal import Proposal
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.stepfun import resample_blurred
@@ -33,8 +33,7 @@ def photometric(
     width: float,
 ) -> Terms:
     """Charbonnier loss and mean square error of the rays that were rendered."""
-    target = colour[:, :3] * colour[:, 3:] + (1 - colour[:, 3:]) * background
-    error = rendered.over(background) - target
+    error = rendered.over(background) - over(colour, background)
     count = jnp.maximum(jnp.sum(used), 1)
     share = used[:, None] / (3 * count)
     return {"photometric": jnp.sum(losses.charbonnier(error, width) * share), "mse": jnp.sum(error * error * share)}

@@ -16,7 +16,7 @@ from datasets import files, pose
 from datasets.errors import DatasetError
 from datasets.scene import Scene, View
 from reconstruct.config import PoseConfig
-from reconstruct.rays import Normalisation, Pixels
+from reconstruct.rays import Normalisation, Pixels, over
 from reconstruct.twists import Twists, moved
 
 FORMAT, VERSION = "koala-poses", 1
@@ -116,12 +116,12 @@ def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, floa
     """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given."""
     if not config.enabled:
         return 0.0, 0.0
-    return FURTHEST * config.sigma_m * normalisation.scale, FURTHEST * config.sigma_rad
+    _, _, position, angle, _, _ = config.sigma(normalisation.scale)
+    return FURTHEST * position, FURTHEST * angle
 
 
 def over_white(pixels: Pixels, twists: Twists | None) -> tuple[np.ndarray, ...]:
     """(origins, directions, radii, colour over white) of all given pixels, as the corrected cameras see them."""
-    every = jnp.arange(pixels.directions.shape[0])
-    rays = moved(pixels.take(every)[0], twists)
-    *_, colour = pixels.over_white(np.asarray(every))
-    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), colour
+    rays, colour = pixels.take(jnp.arange(pixels.directions.shape[0]))
+    rays = moved(rays, twists)
+    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))

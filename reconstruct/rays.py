@@ -1,11 +1,12 @@
 """From a scene's views to rays in the normalised scene, and to the table of pixels that training draws from."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import NDArray
 
 from datasets import images
@@ -103,6 +104,14 @@ def read_scaled(view: View, scale: float) -> Float[np.ndarray, "height width cha
     return picture
 
 
+def over(picture: Shaped[Any, "... channels"], background: float | Float[Any, "... 3"] = 1.0) -> Float[Any, "... 3"]:
+    """Colours over a background, white unless another is given; as they are where there is no alpha beside them."""
+    if picture.shape[-1] == 3:
+        return picture
+    alpha = picture[..., 3:]
+    return picture[..., :3] * alpha + (1 - alpha) * background
+
+
 class Pixels(eqx.Module):
     """Every training pixel: its colour and its ray. Origins are kept per view."""
 
@@ -144,9 +153,7 @@ class Pixels(eqx.Module):
     def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray, ...]:
         """(origins, directions, radii, colour over white) of some pixels."""
         rays, colour = self.take(jnp.asarray(index))
-        colour = np.asarray(colour)
-        target = colour[:, :3] * colour[:, 3:] + 1 - colour[:, 3:]
-        return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), target
+        return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))
 
     def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
         """Rays and colours (float32) of the given pixels."""

@@ -156,6 +156,13 @@ class Renderer:
         ends = np.cumsum(list(CHANNELS.values()))
         return dict(zip(CHANNELS, np.split(values, ends[:-1], -1), strict=True))
 
+    def warm_up(self, state: TrainState, origins, directions, radii) -> None:
+        """Compile what `rays` needs for so many rays, normals included, by rendering a few of them."""
+        given = (origins, directions, radii)
+        few = _chosen(given, _slice(0, len(origins), len(origins)))
+        self._meets(state, (few.origins, few.directions, few.radii))
+        jax.block_until_ready(self._function(True, False)(state, few, jnp.asarray(np.inf, jnp.float32)))
+
     def _meets(self, state: TrainState, rays: Lists) -> Bool[np.ndarray, " n"]:
         """Which rays meet occupied space: where pictures are of an object alone, most do not, and cost a look at the grid."""
         count = len(rays[0])

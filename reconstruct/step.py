@@ -306,8 +306,7 @@ class StepFunctions:
     @property
     def _pose_sigma(self) -> Float[Array, " 6"]:
         """Standard deviations of a pose as it was calibrated, as a twist has them [scene unit, rad]."""
-        poses = self.config.poses
-        return jnp.array([poses.sigma_m * self.normalisation.scale] * 3 + [poses.sigma_rad] * 3)
+        return jnp.array(self.config.poses.sigma(self.normalisation.scale))
 
     def _pose_rate(self, progress) -> Float[Array, ""]:
         """Learning rate of poses, in standard deviations."""

@@ -8,7 +8,7 @@ import jax
 from datasets.camera_model import Camera
 from datasets.scene import Scene, View
 from reconstruct import checkpoint, poses
-from reconstruct.rays import scaled_camera
+from reconstruct.rays import scaled_camera, view_rays
 from reconstruct.renderer import Picture, Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.step import StepFunctions, TrainState
@@ -49,5 +49,5 @@ class Trained:
         return self.renderer.picture(self.state, view, self.camera(view))
 
     def warm_up(self, view: View) -> None:
-        """Compile what `picture` needs for views of this size, by rendering this one."""
-        self.picture(view)
+        """Compile what `picture` needs for views of this size."""
+        self.renderer.warm_up(self.state, *view_rays(view, self.run.normalisation, self.camera(view)))
