@@ -36,7 +36,7 @@ demo: $(READY)
 	$(call step,train Surf-NeRF for $(BUDGET) s,$(BIN)/reconstruct train demo/koala/gold_head --preset fast --budget $(BUDGET) --out demo/run)
 	$(call step,measure it on the test views,$(BIN)/reconstruct eval demo/run)
 	$(call step,write the report,$(BIN)/reconstruct report demo/run --calibration demo/calibration.json --out demo/report)
-	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --out demo/mesh.ply)
+	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --stands-on -z --out demo/mesh.ply)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
 
 test: $(READY)

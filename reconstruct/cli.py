@@ -269,6 +269,10 @@ def mesh_command(
     watertight: Annotated[bool, typer.Option("--watertight", help="Close the surface where it leaves the box.")] = False,
     faces: Annotated[int | None, typer.Option(min=4, help="Simplify to about so many triangles.")] = None,
     points: Annotated[int | None, typer.Option(min=1, help="Write so many points on the surface instead (PLY).")] = None,
+    stands_on: Annotated[
+        str | None,
+        typer.Option(metavar="SIDE", help="Leave out what reaches into the box through any side but this one, e.g. -z."),
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
     """Take the object's surface out of a run, as a coloured triangle mesh or points in world coordinates."""
@@ -276,36 +280,25 @@ def mesh_command(
     from datasets.files import refuse_existing
     from reconstruct import mesh
     from reconstruct.backend import cache_compilations
+    from reconstruct.surroundings import SIDES
     from reconstruct.trained import Trained
 
     suffixes = mesh.SUFFIXES if points is None else (".ply",)
     if out.suffix.lower() not in suffixes:
         raise Misuse(f"{'meshes' if points is None else 'points'} are not written as '{out.suffix}'", where=out,
                      remedy=f"end --out in {', '.join(suffixes)}")  # fmt: skip
+    if stands_on is not None and stands_on not in SIDES:
+        raise Misuse(f"there is no side '{stands_on}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
     refuse_existing(out)
     cache_compilations()
     trained = Trained.open(run)
-    surface = mesh.extract(trained, resolution=resolution, level=level, watertight=watertight, faces=faces)
+    surface = mesh.extract(trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on)
     if points is None:
         mesh.save(surface, out)
     else:
         mesh.save_points(mesh.points_on(surface, points), out)
-    size = surface.extents.tolist()
-    unit = "m" if trained.scene.metric else "units"
-    open_at = mesh.sides_reached(surface, trained.scene.box)
-    result = {
-        "out": str(out),
-        "vertices": len(surface.vertices),
-        "faces": len(surface.faces),
-        "size": size,
-        "metric": trained.scene.metric,
-        "open_at": open_at,
-    }
-    text = f"{len(surface.faces)} triangles, {' x '.join(f'{side:.3f}' for side in size)} {unit}\n{out}"
-    if open_at:
-        more = "; surroundings may be part of it" if len(open_at) > 1 else "; --watertight closes it"
-        text = f"open where it leaves the object's box, at {', '.join(open_at)}{more}\n{text}"
-    console.report(result, as_json=as_json, text=text)
+    result, text = mesh.summary(surface, trained.scene)
+    console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
 
 
 @app.command("report")

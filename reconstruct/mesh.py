@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from datasets.console import progress
 from datasets.files import atomic_path
+from datasets.scene import Scene
 from reconstruct.cloud import Cloud
 from reconstruct.errors import ReconstructError
 from reconstruct.field import Field
 from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.surroundings import SIDES, filled, left_out
 from reconstruct.trained import Trained
 
 if TYPE_CHECKING:
@@ -37,7 +39,13 @@ SMALLEST_PART = 0.05
 
 
 def extract(
-    trained: Trained, *, resolution: int = RESOLUTION, level: float = LEVEL, watertight: bool = False, faces: int | None = None
+    trained: Trained,
+    *,
+    resolution: int = RESOLUTION,
+    level: float = LEVEL,
+    watertight: bool = False,
+    faces: int | None = None,
+    stands_on: str | None = None,
 ) -> "trimesh.Trimesh":
     """Mesh of the object: world coordinates, outward vertex normals, colours as seen straight on.
 
@@ -46,6 +54,7 @@ def extract(
         level: see `LEVEL`; above 0 and below 1.
         watertight: close the surface where it leaves the box, for printing and for volumes.
         faces: simplify to about so many triangles (quadric error, Garland and Heckbert 1997); None keeps all.
+        stands_on: leave out what reaches into the box through any other side, such as "-z"; None keeps all, see `surroundings`.
 
     Raises:
         ReconstructError: there is no surface in the box.
@@ -62,6 +71,8 @@ def extract(
                                remedy="train longer, or check the scene's box")  # fmt: skip
     spacing = axes[0][1] - axes[0][0]
     first = np.array([axis[0] for axis in axes])
+    if stands_on is not None:
+        density = left_out(density, threshold, stands_on)
     if watertight:
         density, first = np.pad(filled(density, threshold), 1), first - spacing
     # Density grows exponentially into the surface: interpolating its logarithm does not pull the surface to the empty side.
@@ -76,6 +87,26 @@ def extract(
     return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)
 
 
+def summary(surface: "trimesh.Trimesh", scene: Scene) -> tuple[dict[str, Any], str]:
+    """What a surface consists of, where it ends and in which unit, for a program and for a person."""
+    size, open_at = surface.extents.tolist(), sides_reached(surface, scene.box)
+    found = {
+        "vertices": len(surface.vertices),
+        "faces": len(surface.faces),
+        "size": size,
+        "metric": scene.metric,
+        "open_at": open_at,
+    }
+    text = f"{len(surface.faces)} triangles, {' x '.join(f'{side:.3f}' for side in size)} {'m' if scene.metric else 'units'}"
+    if len(open_at) == 1:
+        text = f"open at {open_at[0]}, where it leaves the object's box; --watertight closes it\n{text}"
+    elif open_at:
+        sides, example = ", ".join(open_at), "-z" if "-z" in open_at else open_at[0]
+        text = (f"open at {sides}, where it leaves the object's box: surroundings may be part of it; "
+                f"--stands-on {example} leaves out what reaches in through other sides\n{text}")  # fmt: skip
+    return found, text
+
+
 def sides_reached(surface: "trimesh.Trimesh", box: Float[np.ndarray, "2 3"]) -> list[str]:
     """Sides of the object's box at which the surface ends, such as "-z": cut by them, or surroundings that were taken along.
 
@@ -87,24 +118,7 @@ def sides_reached(surface: "trimesh.Trimesh", box: Float[np.ndarray, "2 3"]) -> 
     ends = surface.vertices[np.unique(edges)] if len(edges) else np.zeros((0, 3))
     low, high = box
     at = np.stack([ends - low, high - ends]).min(1, initial=np.inf) < 1e-3 * (high - low).max()
-    return [f"{'-+'[side]}{'xyz'[axis]}" for axis in range(3) for side in range(2) if at[side, axis]]
-
-
-def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
-    """The density with solid matter wherever the surface and the sides of the box shut it in.
-
-    Nobody sees the inside of a solid, so that a model may leave it empty; where the object is cut by a side of the box, what its
-    outline there encloses is its inside.
-    """
-    from scipy.ndimage import binary_fill_holes
-
-    solid = density > threshold
-    for axis in range(3):
-        for side in (0, -1):
-            face = tuple(side if i == axis else slice(None) for i in range(3))
-            solid[face] = binary_fill_holes(solid[face])
-    inside = binary_fill_holes(solid) & (density <= threshold)
-    return np.where(inside, max(float(density.max()), threshold), density)
+    return [side for side, reached in zip(SIDES, at.T.reshape(-1), strict=True) if reached]
 
 
 def grid_axes(trained: Trained, resolution: int) -> tuple[NDArray[np.float64], ...]:

@@ -79,6 +79,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("eval", run, "--splat", "val"): "there is no option '--splat'; did you mean '--split'",
         ("mesh", run, "--out", tmp_path / "mesh.stl"): "end --out in .ply, .glb, .obj",
         ("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", "5"): "Invalid value",
+        ("mesh", run, "--out", tmp_path / "mesh.ply", "--stands-on", "-w"): "there is no side '-w' of the box; one of -x, +x",
         ("report", run, "--out", tmp_path / "r", "--calibration", tmp_path / "none.json"): "no such file",
     }
     before = sorted(tmp_path.iterdir())

@@ -108,6 +108,30 @@ def test_a_surface_that_leaves_the_box_can_be_closed(ball: Trained) -> None:
     assert closed.volume == pytest.approx(2 / 3 * np.pi * RADIUS**3, rel=0.1)
 
 
+def test_what_reaches_in_from_outside_can_be_left_out(ball: Trained) -> None:
+    """The box is cut through the ball from the side: nothing is left but that, and the ball is not taken for surroundings."""
+    low, high = ball.scene.box
+    half = replace(ball, scene=replace(ball.scene, box=np.stack([[CENTRE[0], *low[1:]], high])))
+    whole = mesh.extract(half, resolution=48)
+    for side in ("-x", "-z"):
+        np.testing.assert_array_equal(mesh.extract(half, resolution=48, stands_on=side).vertices, whole.vertices)
+
+
+def test_the_summary_names_the_sides_and_what_to_do(ball: Trained) -> None:
+    surface = mesh.extract(ball, resolution=32)
+    found, text = mesh.summary(surface, ball.scene)
+    width = f"{2 * expected_radius(0.5):.3f}"
+    assert found["open_at"] == [] and text == f"{len(surface.faces)} triangles, {width} x {width} x {width} m"
+    box = np.stack([ball.scene.box[0], [*ball.scene.box[1, :2], CENTRE[2]]])
+    half = replace(ball, scene=replace(ball.scene, box=box))
+    _, text = mesh.summary(mesh.extract(half, resolution=32), half.scene)
+    assert "open at +z, where it leaves the object's box; --watertight" in text
+    box = np.stack([[CENTRE[0], *box[0, 1:]], box[1]])
+    corner = replace(ball, scene=replace(ball.scene, box=box))
+    found, text = mesh.summary(mesh.extract(corner, resolution=32), corner.scene)
+    assert found["open_at"] == ["-x", "+z"] and "open at -x, +z" in text and "--stands-on -x leaves out" in text
+
+
 def test_a_simpler_mesh_keeps_the_shape_and_its_colours(ball: Trained) -> None:
     fine = mesh.extract(ball, resolution=96)
     simple = mesh.extract(ball, resolution=96, faces=1000)
