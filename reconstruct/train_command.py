@@ -71,7 +71,10 @@ def train(
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
-    skips = "".join(f"{record.Skip(**skip).line()}\n" for skip in result["skips"])
+    unneeded = "".join(f"  {line}\n" for line in record.left_out([record.Skip(**skip) for skip in result["skips"]]))
+    skips = (
+        f"left out, because this scene does not need it (every decision: {out / record.SKIPS}):\n{unneeded}" if unneeded else ""
+    )
     known = {"training rays": result["psnr_train"], "unseen pixels": result["psnr_unseen"]}
     quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
     console.report(result, as_json=as_json, text=(

@@ -13,7 +13,7 @@ from reconstruct.rays import Normalisation
 from reconstruct.sampling.steps import BEHIND, FRONT
 from reconstruct.skipping.facts import Facts
 from reconstruct.skipping.pilot import MATTE
-from reconstruct.skipping.record import ELSEWHERE, Skip
+from reconstruct.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
 
 ALIKE = 1.5
 """Footprints whose largest is less than so many times the smallest count as uniform."""
@@ -71,9 +71,9 @@ def _surroundings(facts: Facts, config: Config) -> Skip:
 def _empty_rays(facts: Facts, config: Config) -> Skip:
     if config.sampler.kind != "occupancy":
         return Skip.of("empty_rays", False, "proposals have no grid", "nothing")
-    by = "masks" if facts.bounded else "what too few cameras see"
-    evidence = f"{by}: {1 - facts.possible:.0%} of the cells can hold nothing" if config.skip.empty_rays else "forced"
-    return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in empty cells, and rays that meet no others")
+    by = "that masks rule out" if facts.bounded else "that too few cameras see"
+    evidence = f"{1 - facts.possible:.0%} of the space can hold nothing {by}" if config.skip.empty_rays else "forced"
+    return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in there, and rays that meet nothing else")
 
 
 def _fine_levels(facts: Facts, config: Config) -> Decision:
@@ -106,7 +106,7 @@ def _table_size(facts: Facts, config: Config) -> Decision:
 
 def _multisampling(facts: Facts, config: Config) -> Decision:
     if config.sampler.kind != "proposal" or config.sampler.frustum != "hexagon":
-        return config, Skip.of("multisampling", True, "this model takes one place per sample", "nothing more")
+        return config, Skip.of("multisampling", True, "this model takes one place per sample", NOTHING_MORE)
     ratio = facts.largest / max(facts.smallest, 1e-9)
     evidence = f"footprints differ by up to {ratio:.2g} times"
     skipped = ratio < ALIKE and config.skip.multisampling
@@ -118,7 +118,7 @@ def _multisampling(facts: Facts, config: Config) -> Decision:
 def _reflection(config: Config, pilot: Callable[[], float]) -> Decision:
     saving = "the view network, and two of the four regularisers"
     if config.field.appearance == "diffuse":
-        return config, Skip.of("reflection", True, "the model has none", "nothing more")
+        return config, Skip.of("reflection", True, "the model has none", NOTHING_MORE)
     if config.field.appearance != "reflection" or not config.skip.reflection:
         return config, Skip.of("reflection", False, "not looked at: a pilot takes half a minute", saving)
     gain = pilot()
@@ -130,7 +130,7 @@ def _reflection(config: Config, pilot: Callable[[], float]) -> Decision:
 
 def _consistent_passes(config: Config) -> Skip:
     if not (config.surface.enabled and config.surface.normal):
-        return Skip.of("consistent_passes", True, "this model has no second pass", "nothing more")
+        return Skip.of("consistent_passes", True, "this model has no second pass", NOTHING_MORE)
     evidence = "rays without a surface take no part" + ("" if config.skip.consistent_passes else "; all passes run")
     return Skip.of("consistent_passes", config.skip.consistent_passes, evidence, "up to 3 of 4 second passes")
 

@@ -11,6 +11,8 @@ from reconstruct.config import SkipConfig
 SKIPS = "skips.json"
 NAMES = tuple(SkipConfig.model_fields)
 """What can be forced."""
+NOTHING_MORE = "nothing more"
+"""Saving of what the model would not have done anyway."""
 ELSEWHERE = {"structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them"}
 """What a person may look for in the list although training has no part in it, and where it is decided."""
 
@@ -27,6 +29,18 @@ COSTS = {
     "structure_from_motion": "none in training",
 }
 """Price of each skip; docs/skipping.md has the figures."""
+PLAIN = {
+    "surroundings": "what is around the object",
+    "empty_rays": "empty space",
+    "fine_levels": "detail that is finer than a pixel can show",
+    "table_size": "memory for more places than there are",
+    "multisampling": "several samples at one place",
+    "reflection": "the model's reflection",
+    "consistent_passes": "comparing normals that agree already",
+    "converged": "training that brings nothing more",
+    "distortion": "straightening pictures that are straight",
+}
+"""What is left out, in words for everybody; what a training does not decide is not among it."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +61,11 @@ class Skip:
         """A decision with the price that is known of its kind."""
         return cls(name, skipped, evidence, saving, COSTS[name])
 
-    def line(self) -> str:
-        """For a person."""
-        return f"{'skips' if self.skipped else 'keeps'} {self.name:<22}{self.evidence}; saves {self.saving}"
+
+def left_out(skips: Sequence[Skip]) -> list[str]:
+    """A line for each thing that was left out and saved something: what, why, what that saved."""
+    return [f"{PLAIN[skip.name]}: {skip.evidence}; saves {skip.saving}"
+            for skip in skips if skip.skipped and skip.name in PLAIN and skip.saving != NOTHING_MORE]  # fmt: skip
 
 
 def forced(names: Sequence[str]) -> list[str]:

@@ -33,14 +33,21 @@ def test_an_unknown_name_is_answered_with_the_nearest(name: str, answer: str) ->
         record.forced([name])
 
 
-def test_a_line_says_what_why_and_how_much() -> None:
-    assert SKIPS[0].line().split() == ["skips", "empty_rays", "masks;", "saves", "much"]
-    assert SKIPS[1].line().startswith("keeps converged")
+def test_a_person_reads_what_was_left_out_why_and_what_it_saved_and_nothing_else() -> None:
+    beside = Skip.of("multisampling", True, "this model takes one place per sample", record.NOTHING_MORE)
+    elsewhere = Skip.of("structure_from_motion", True, "poses from the scene", "matching the views")
+    assert record.left_out([*SKIPS, beside, elsewhere]) == [
+        "empty space: masks; saves much", "comparing normals that agree already: all run; saves passes"]  # fmt: skip
+    assert not any(name in line for line in record.left_out(SKIPS) for name in record.NAMES), "words, and no names of settings"
+
+
+def test_every_skip_has_words_for_everybody() -> None:
+    assert set(record.PLAIN) == set(record.NAMES)
 
 
 def test_the_end_tells_what_came_of_it() -> None:
     told = outcome.told(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
-    assert told[0].evidence == "masks; the grid ruled out 90% in the end"
+    assert told[0].evidence == "masks; in the end 90% were empty"
     assert told[1] == SKIPS[1], "what was not skipped has no outcome"
     assert told[2].evidence == "all run; 5 of 8 second passes were left out"
 
