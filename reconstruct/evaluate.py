@@ -16,7 +16,7 @@ from datasets.camera_model import Camera
 from datasets.console import progress
 from datasets.formats import find
 from datasets.scene import View
-from reconstruct import mesh, metrics, poses, surface_distance
+from reconstruct import mesh, metrics, poses, surface_distance, words
 from reconstruct.align import Aligner
 from reconstruct.errors import ReconstructError
 from reconstruct.lpips import Lpips
@@ -32,6 +32,8 @@ ALIGNED = {
     "steps": "steps of Levenberg's and Marquardt's method",
 }  # fmt: skip
 """What figures of aligned views are."""
+ALIGNED_SHOWN = ("psnr", "ssim", "lpips")
+"""Those of them that a person is shown."""
 TRUE_SURFACE = "truth/object.ply"
 """Where a simulated scene keeps the object's true mesh [m]."""
 
@@ -201,11 +203,9 @@ def table(result: dict[str, Any]) -> str:
     """The averages for a person, a line each, with units."""
     trained = f", after {result['steps']} steps" if "steps" in result else ""
     lines = [f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}{trained}"]
-    for name, value in result["mean"].items():
-        lines.append(f"  {name:<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
-    for name, value in result.get("aligned", {}).get("mean", {}).items():
-        if name in ("psnr", "ssim", "lpips"):
-            lines.append(f"  {name + ', each pose aligned':<32}{value:>9.3f} {metrics.DEFINITIONS[name][0]}".rstrip())
-    for name, value in (result.get("mesh") or {}).items():
-        lines.append(f"  {'mesh ' + name:<32}{value:>9.3f} {'mm' if name.endswith('_mm') else ''}".rstrip())
+    figures = [(words.heading(name), name, value) for name, value in result["mean"].items()]
+    aligned = result.get("aligned", {}).get("mean", {})
+    figures += [(f"{words.heading(name)}, each pose aligned", name, aligned[name]) for name in ALIGNED_SHOWN if name in aligned]
+    figures += [(words.heading(name), name, value) for name, value in (result.get("mesh") or {}).items()]
+    lines += [f"  {heading:<50}{words.rounded(name, value):>8}" for heading, name, value in figures]
     return "\n".join(lines)

@@ -20,19 +20,15 @@ from reconstruct.renderer import Picture
 from reconstruct.run import Run
 from reconstruct.skipping import record
 from reconstruct.trained import Trained
+from reconstruct.words import NAMES, unit
 
 VIEWS = 4
 """Test views shown."""
-NAMES = {
-    "psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS", "normal_mae_alpha_acc_deg": "normals, mean angle (alpha × opacity)", "normal_mae_deg": "normals, mean angle (alpha)",
-    "normal_pred_mae_alpha_acc_deg": "predicted normals (alpha × opacity)", "normal_pred_mae_deg": "predicted normals (alpha)",
-    "disparity_rmse": "disparity RMSE", "depth_rmse_mm": "depth RMSE", "depth_median_mm": "depth, median error",
-    "diffuse_psnr": "PSNR, diffuse part", "specular_psnr": "PSNR, specular part", "seconds": "time per view",
-    "chamfer_mm": "mesh, Chamfer distance", "accuracy_mm": "mesh to truth", "completeness_mm": "truth to mesh", "f_score": "mesh, F-score",
+CALIBRATION = {
     "hand_eye_mm": "hand-eye pose, position", "hand_eye_deg": "hand-eye pose, angle", "camera_mm": "camera poses, position (median)",
     "camera_deg": "camera poses, angle (median)", "held_out_px": "corners on unseen views", "held_out_mm": "the same at the target",
 }  # fmt: skip
-"""What figures are called in the report."""
+"""What figures of a calibration are called."""
 Figure = tuple[str, Number, str]
 """Name, value with its unit, meaning."""
 
@@ -79,7 +75,7 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[F
     page.section("Each test view")
     columns = [name for name in metrics.DEFINITIONS if any(view.get(name) is not None for view in result["per_view"])]
     page.table(("view", *(NAMES[name] for name in columns)),
-               [(view["name"], *(Number(view.get(name), metrics.DEFINITIONS[name][0]) for name in columns))
+               [(view["name"], *(Number(view.get(name), unit(name)) for name in columns))
                 for view in result["per_view"]])  # fmt: skip
     page.section("Error over time")
     if (drawn := _curve(run)) is None:
@@ -144,19 +140,14 @@ def _where(values: NDArray[np.float32], shown: NDArray[np.bool_] | None) -> NDAr
 def _scores(result: dict[str, Any]) -> list[Figure]:
     figures = []
     for name, value in result["mean"].items():
-        unit, meaning = metrics.DEFINITIONS[name]
-        figures.append((NAMES[name], Number(value, unit), meaning))
+        figures.append((NAMES[name], Number(value, unit(name)), metrics.DEFINITIONS[name][1]))
     return figures
 
 
 def _mesh_scores(result: dict[str, Any]) -> list[Figure]:
     scores = result.get("mesh") or {}
-    units = result.get("mesh_definitions", {})
-    return [
-        (NAMES[name], Number(value, "mm" if name.endswith("_mm") else ""), units.get(name, ""))
-        for name, value in scores.items()
-        if name in NAMES
-    ]
+    meanings = result.get("mesh_definitions", {})
+    return [(NAMES[name], Number(value, unit(name)), meanings.get(name, "")) for name, value in scores.items() if name in NAMES]
 
 
 def _calibration_scores(path: Path | None) -> list[Figure]:
@@ -172,19 +163,28 @@ def _calibration_scores(path: Path | None) -> list[Figure]:
     if calibration.flange_from_camera is not None and has_truth(recording):
         error = calibration_error(recording, calibration)
         for name in ("hand_eye_mm", "hand_eye_deg", "camera_mm", "camera_deg"):
-            scores.append((NAMES[name], Number(error[name], name.rsplit("_", 1)[1]), "error against the truth of the simulation"))
+            scores.append(
+                (CALIBRATION[name], Number(error[name], name.rsplit("_", 1)[1]), "error against the truth of the simulation")
+            )
     for name in ("held_out_px", "held_out_mm"):
         if calibration.residuals.get(name) is not None:
             value = Number(calibration.residuals[name], name.rsplit("_", 1)[1])
-            scores.append((NAMES[name], value, "root mean square, each view predicted from the others"))
+            scores.append((CALIBRATION[name], value, "root mean square, each view predicted from the others"))
     return scores
 
 
 def _headline(run: Run, result: dict[str, Any]) -> tuple[list[tuple[str, Number]], str]:
     """The result at a glance, and on what it was measured."""
-    labels = {"psnr": "PSNR", "ssim": "SSIM", "normal_mae_alpha_acc_deg": "normals", "depth_rmse_mm": "depth"}
-    shown = [(label, Number(result["mean"][name], metrics.DEFINITIONS[name][0], digits=3 if name == "ssim" else 2))
+    labels = {
+        "psnr": "PSNR",
+        "ssim": "SSIM",
+        "normal_mae_alpha_acc_deg": "normals, mean error",
+        "depth_median_mm": "depth, median error",
+    }
+    shown = [(label, Number(result["mean"][name], unit(name), digits=3 if name == "ssim" else 2))
              for name, label in labels.items() if result["mean"].get(name) is not None]  # fmt: skip
+    if result.get("mesh"):
+        shown.append((NAMES["chamfer_mm"], Number(result["mesh"]["chamfer_mm"], "mm", digits=2)))
     log = run.log()
     trained = f", after {log[-1]['seconds']:.0f} s of training ({log[-1]['step']} steps)" if log else ""
     return shown, f"on {result['views']} {result['split']} views at {result['size'][0]}×{result['size'][1]}{trained}"

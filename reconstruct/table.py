@@ -15,6 +15,7 @@ from datasets.errors import DatasetError, Misuse, nearest
 from reconstruct import metrics, surface_distance
 from reconstruct.evaluate import FORMAT, METRICS, VERSION
 from reconstruct.run import Run
+from reconstruct.words import unit
 
 COLUMNS = ("psnr", "ssim", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
 """Shown where nothing else is asked for, as far as it was measured: the paper's, with the normal error in both of its definitions."""
@@ -95,8 +96,7 @@ def shown(value: float | None, column: str) -> str:
 
 def heading(column: str) -> str:
     """Name and unit of a column."""
-    unit = metrics.DEFINITIONS[column][0] if column in metrics.DEFINITIONS else "mm" if column.endswith("_mm") else ""
-    return f"{HEADINGS[column]} [{unit}]" if unit else HEADINGS[column]
+    return f"{HEADINGS[column]} [{unit(column)}]" if unit(column) else HEADINGS[column]
 
 
 def markdown(rows: Sequence[Row], columns: Sequence[str]) -> str:

@@ -28,7 +28,7 @@ def test_a_model_that_is_the_truth_scores_as_one(ball: Trained) -> None:
     assert written["mean"] == found and set(found) <= set(written["definitions"])
     assert written["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in written["per_view"]]))
     shown = evaluate.table(result)
-    assert "2 test views at 48x40" in shown and "mesh chamfer_mm" in shown
+    assert "2 test views at 48x40" in shown and "mesh, Chamfer distance [mm]" in shown and "depth, median error [mm]" in shown
 
 
 def test_missing_split_is_misuse(ball: Trained) -> None:

@@ -143,6 +143,6 @@ def test_a_run_is_measured_with_it(ball: Trained, weights_file: Path, lpips: Lpi
     assert written["mean"]["lpips"] == pytest.approx(np.mean([each["lpips"] for each in written["per_view"]]))
     assert "AlexNet, version 0.1" in written["definitions"]["lpips"]
     assert written["lpips_weights"] == {"file": weights_file.name, "sha256": lpips.sha256} and len(lpips.sha256) == 64
-    assert "lpips" in evaluate.table(result)
+    assert "LPIPS" in evaluate.table(result)
     rows = table.rows_of_runs([ball.run.path])
     assert "LPIPS" in table.markdown(rows, table.chosen_columns(rows))

@@ -22,6 +22,11 @@ def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: Trained, tmp
     assert page.count("<img") == 2 * 5 * 2, "two views, five channels, truth and rendering"
     assert page.count('<div class="wipe">') == 10
     assert f"{result['mean']['psnr']:.2f} dB" in page and "<svg" in page and "Chamfer" in page
+    headline = re.search(r'<div class="headline">(.*?)</div></div>', page)[1]
+    assert "depth, median error" in headline and "RMS" not in headline and "Chamfer" in headline, (
+        "one outlier spoils a root mean square"
+    )
+    assert "depth, RMS error" in page
     assert f"reconstruct eval {ball.run.path}" in page and "made for a test" in page and "$" not in page
     assert (ball.run.path / "metrics.json").is_file(), "the run was measured"
     strip = images.read(tmp_path / "report" / "strip.png")
