@@ -16,7 +16,7 @@ from datasets.errors import KoalaError
 from datasets.findings import Finding
 from datasets.matching import Matches
 from datasets.scene import Scene
-from datasets.triangulate import agreement, explained
+from datasets.triangulate import DOUBTFUL, agreement, explained
 
 VIEWS = 40
 """Views that are searched at most."""
@@ -24,9 +24,6 @@ FEWEST = 150
 """Matches below which nothing is said of poses."""
 CLEARLY = 0.1
 """Another convention must explain twice as many matches, and this share of all more."""
-POOR, POOR_VIEW = 0.15, 0.15
-"""Share of explained matches below which all poses, or that of one view, are doubted: by chance it is 0.02; a golden head in small
-pictures has 0.34."""
 USUAL = 0.6
 """Share that half of the views must reach before a single one is doubted."""
 BRIGHTER = 1.5
@@ -69,7 +66,7 @@ def _convention(scene: Scene, matches: Matches, matrices: NDArray[np.float64]) -
     if others[best] > max(given + CLEARLY, 2 * given):
         return [Finding("error", "poses follow another convention", scene.name, f"{shares}, {100 * others[best]:.0f}% were they not {best}",
                         "convert the poses where they are written")]  # fmt: skip
-    if given < POOR:
+    if given < DOUBTFUL:
         return [Finding("warning", "poses do not explain the pictures", scene.name, shares,
                         "check poses, intrinsics and the order of images")]  # fmt: skip
     return []
@@ -85,7 +82,7 @@ def _single_poses(matches: Matches, matrices: NDArray[np.float64]) -> list[Findi
             agreed[view] += good
     share = agreed / np.maximum(count, 1)
     usual = float(np.median(share[count > 0]))
-    doubtful = np.flatnonzero((count >= 60) & (share < POOR_VIEW) & (usual > USUAL))
+    doubtful = np.flatnonzero((count >= 60) & (share < DOUBTFUL) & (usual > USUAL))
     return [
         Finding("warning", "pose does not fit the neighbours' pictures", f"view {matches.views[i].name}",
                 f"{100 * share[i]:.0f}% of {count[i]:.0f} matches agree, usually {100 * usual:.0f}%", "check its pose, or drop it")

@@ -11,7 +11,7 @@ import numpy as np
 
 from datasets import bounds, matching
 from datasets.scene import Scene
-from datasets.triangulate import agreement, endless_share, triangulate
+from datasets.triangulate import DOUBTFUL, agreement, endless_share, triangulate
 
 VIEWS = 48
 """Views that are searched at most."""
@@ -43,8 +43,9 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int]
     seen = f"{len(cloud.points)} points triangulated from {len(views)} views"
     if found is None:
         return replace(scene, bounds_from=f"{scene.bounds_from}; only {seen}, too few to measure by")
-    shares = f"{100 * agreement(matches, matrices):.0f}% of {matches.count} matches agree with the poses"
-    evidence = f"{seen} (median error {np.median(cloud.errors_px):.2f} px, {shares})"
+    agreed = agreement(matches, matrices)
+    doubt = f"; the poses explain only {100 * agreed:.0f}% of the matches, see 'datasets check'" if agreed < DOUBTFUL else ""
+    evidence = f"{seen} (median error {np.median(cloud.errors_px):.2f} px{doubt})"
     if scene.background == "white":
         return replace(scene, points=cloud.points, bounds_from=f"{scene.bounds_from}; {evidence}")
     box, near, far = found
@@ -53,6 +54,7 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int]
     else:
         distance = float(np.median(np.linalg.norm(matrices[:, :3, 3] - centre, axis=1)))
         share = endless_share(matches, matrices, 0.1 * distance)
-        far = np.inf if share > ENDLESS else far
-        evidence += f", {100 * share:.1f}% without parallax"
+        if share > ENDLESS:
+            far = np.inf
+            evidence += f", {100 * share:.1f}% of the matches without parallax: far away"
     return replace(scene, box=box, near=near, far=far, points=cloud.points, bounds_from=evidence)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import images, matching, pose
+from datasets import images, matching, measure, pose
 from datasets.formats import koala, load_scene
 from datasets.measure import measured
 from datasets.scene import Scene
@@ -25,7 +25,14 @@ def test_points_lie_on_the_walls_and_bounds_about_them(two_walls: Callable[..., 
     assert square.sum() > 50 and (~square).sum() > 50
     assert found.box[0, 2] == pytest.approx(-0.1, abs=0.06) and found.box[1, 2] == pytest.approx(2.1, abs=0.1)
     assert 0.8 * 3.3 < found.near < 4.0 and 2 * 5.5 < found.far < 2 * 7.5  # the square stands 4 away, its corners nearer
-    assert "points triangulated from 12 views" in found.bounds_from and "% of" in found.bounds_from
+    assert "points triangulated from 12 views" in found.bounds_from and "%" not in found.bounds_from, (
+        "what is right is not doubted"
+    )
+
+
+def test_poses_that_explain_little_are_doubted(two_walls: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure, "agreement", lambda matches, matrices: 0.12)
+    assert "the poses explain only 12% of the matches, see 'datasets check'" in measured(two_walls()).bounds_from
 
 
 def test_wrong_poses_place_nothing_and_leave_the_bounds(two_walls: Callable[..., Scene]) -> None:
