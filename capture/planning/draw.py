@@ -3,7 +3,7 @@
 import json
 from importlib.resources import files as package_files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from capture.planning.obstacles import RADII, Obstacles, segments
 from capture.planning.plan import PlannedView
 from datasets import files
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLOURS = {"train": "#1f77b4", "test": "#d62728", "calibration": "#2ca02c"}
 """Of the views by split."""
@@ -58,39 +62,57 @@ def _box_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def plot(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
     """Write a PNG: views and ways from the side and from above, and the joint angles along the session."""
-    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    cameras, ways = _cameras(planned, obstacles.flange_from_camera), _ways(planned)
-    figure, panels = pyplot.subplots(1, 3, figsize=(15, 5), layout="constrained")
-    arm = segments(planned[0].joints, obstacles.flange_from_camera)
-    for panel, (across, up), name in zip(panels, ((0, 2), (0, 1)), ("side: x, z [m]", "from above: x, y [m]"), strict=False):
-        for way in ways:
-            track = _camera_track(way, obstacles)
-            panel.plot(track[:, across], track[:, up], color="0.8", linewidth=0.8, zorder=1)
-        for ends, radius in zip(arm, RADII, strict=True):
-            panel.plot(ends[:, across], ends[:, up], color="0.4", linewidth=60 * radius, alpha=0.35, solid_capstyle="round")
-        if obstacles.object_corners is not None:
-            for edge in _box_edges(obstacles.object_corners):
-                panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1)
-        for view, pose in zip(planned, cameras, strict=True):
-            ahead = pose[:3, 3] + FRUSTUM_M * pose[:3, 2]
-            colour = COLOURS.get(view.viewpoint.split, "black")
-            panel.plot([pose[across, 3], ahead[across]], [pose[up, 3], ahead[up]], color=colour, linewidth=1.5)
-            panel.plot(pose[across, 3], pose[up, 3], ".", color=colour)
-        panel.set(xlabel=name, aspect="equal")
-        if up == 2 and obstacles.table_z is not None:
-            panel.axhline(obstacles.table_z, color="sienna")
-    angles = np.degrees(np.stack([view.joints for view in planned]))
-    panels[2].plot(angles, marker=".", label=[f"joint {joint}" for joint in range(1, 7)])
-    panels[2].set(xlabel="view", ylabel="angle [degrees]")
-    panels[2].legend(ncols=2, fontsize="small")
-    figure.suptitle(title)
+    figure = figure_of(planned, obstacles, title=title)
+    FigureCanvasAgg(figure)
     with files.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=100)
-    pyplot.close(figure)
+
+
+def figure_of(planned: list[PlannedView], obstacles: Obstacles, *, title: str) -> "Figure":
+    """What `plot` writes, with what each colour stands for beneath."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 5.6), layout="constrained")
+    panels = figure.subplots(1, 3)
+    _side(panels[0], planned, obstacles, (0, 2))
+    _side(panels[1], planned, obstacles, (0, 1))
+    panels[0].set(xlabel="seen from the side: x [m]", ylabel="z [m]")
+    panels[1].set(xlabel="seen from above: x [m]", ylabel="y [m]")
+    angles = np.degrees(np.stack([view.joints for view in planned]))
+    panels[2].plot(angles, marker=".", label=[f"joint {joint}" for joint in range(1, 7)])
+    panels[2].set(xlabel="view, in the order of the session", ylabel="joint angle [degrees]")
+    panels[2].legend(ncols=2, fontsize="small")
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower left", ncols=len(names), fontsize="small", frameon=False)
+    figure.suptitle(title)
+    return figure
+
+
+def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes: tuple[int, int]) -> None:
+    """Cameras, their ways, the arm, box and table, flat on two axes of the base; the first of each kind is named."""
+    across, up = axes
+    for index, way in enumerate(_ways(planned)):
+        track = _camera_track(way, obstacles)
+        panel.plot(
+            track[:, across], track[:, up], color="0.8", linewidth=0.8, zorder=1, label="" if index else "the camera's way"
+        )
+    for index, (ends, radius) in enumerate(zip(segments(planned[0].joints, obstacles.flange_from_camera), RADII, strict=True)):
+        panel.plot(ends[:, across], ends[:, up], color="0.4", linewidth=60 * radius, alpha=0.35, solid_capstyle="round",
+                   label="" if index else "the arm at the first view")  # fmt: skip
+    if obstacles.object_corners is not None:
+        for index, edge in enumerate(_box_edges(obstacles.object_corners)):
+            panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1, label="" if index else "the object's box")
+    if up == 2 and obstacles.table_z is not None:
+        panel.axhline(obstacles.table_z, color="sienna", label="the table")
+    splits = [view.viewpoint.split for view in planned]
+    for index, (split, pose) in enumerate(zip(splits, _cameras(planned, obstacles.flange_from_camera), strict=True)):
+        ahead = pose[:3, 3] + FRUSTUM_M * pose[:3, 2]
+        label = f"{splits.count(split)} cameras ({split}) and where they look" if split not in splits[:index] else ""
+        panel.plot([pose[across, 3], ahead[across]], [pose[up, 3], ahead[up]], color=COLOURS.get(split, "black"),
+                   linewidth=1.5, marker=".", markevery=[0], label=label)  # fmt: skip
+    panel.set(aspect="equal")
 
 
 def _camera_track(way: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:

@@ -47,3 +47,14 @@ def test_the_picture_shows_both_splits(drawn, tmp_path):
     assert pixels.shape[1] > 1000
     for colour in ((0x1F, 0x77, 0xB4), (0xD6, 0x27, 0x28)):  # train, test
         assert (np.abs(pixels - np.array(colour) / 255).max(-1) < 0.02).sum() > 50
+
+
+def test_the_legend_says_what_each_colour_stands_for(drawn):
+    planned, obstacles = drawn
+    figure = draw.figure_of(planned, obstacles, title="")
+    (legend,) = figure.legends
+    words = [text.get_text() for text in legend.get_texts()]
+    tests = sum(view.viewpoint.split == "test" for view in planned)
+    assert f"{tests} cameras (test) and where they look" in words and f"{8 - tests} cameras (train) and where they look" in words
+    assert {"the camera's way", "the arm at the first view", "the object's box", "the table"} < set(words)
+    assert len(words) == len(set(words)) == 6
