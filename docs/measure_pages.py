@@ -2,9 +2,10 @@
 
     python docs/measure_pages.py moving RUN [SECONDS]
     python docs/measure_pages.py memory RUN [SECONDS]
-    python docs/measure_pages.py training SCENE [SECONDS [alone] [open] [moving]]
+    python docs/measure_pages.py training SCENE [SECONDS] [alone] [open] [moving]
 
 A headless Chromium on the same computer looks at the page, and draws without a graphics card: its work is counted in.
+Trainings take SECONDS each and begin anew: `alone`, with the page `open` and nobody moving, and with somebody `moving` all the time.
 """
 
 import json
@@ -22,21 +23,34 @@ import numpy as np
 from make_figures import chromium, run_program, served
 
 from datasets import console
-from datasets.errors import Misuse
+from datasets.errors import KoalaError, Misuse, nearest
 from datasets.viewer import open_page
 
+KINDS = ("alone", "open", "moving")
+"""Of trainings."""
 STEP_S = 0.05
 """Between two moves of the mouse."""
 
 
 def main() -> None:
     """Measure one thing and print it as JSON."""
-    kinds = {"moving": (moving, 20.0), "memory": (memory, 600.0), "training": (training, 60.0)}
-    if not 3 <= len(sys.argv) <= 7 or sys.argv[1] not in kinds:
-        raise Misuse("give what to measure and on what", remedy=f"one of {', '.join(kinds)}, then a run or a scene")
-    measure, usual = kinds[sys.argv[1]]
-    found = measure(Path(sys.argv[2]), float(sys.argv[3]) if len(sys.argv) > 3 else usual, *sys.argv[4:])
-    console.report(found, as_json=True, text="")
+    if {"--help", "-h"} & set(sys.argv):
+        return console.hint((__doc__ or "").strip())
+    measures = {"moving": (moving, 20.0), "memory": (memory, 600.0), "training": (training, 60.0)}
+    if len(sys.argv) < 3 or sys.argv[1] not in measures:
+        raise Misuse("give what to measure and on what", remedy=f"one of {', '.join(measures)}, then a run or a scene")
+    name, path, *rest = sys.argv[1:]
+    measure, seconds = measures[name]
+    if rest and rest[0].replace(".", "", 1).isdigit():
+        seconds = float(rest.pop(0))
+    known = KINDS if name == "training" else ()
+    for word in rest:
+        if word not in known:
+            advice = nearest(word, known) if known else "give seconds alone"
+            raise Misuse(f"there is no '{word}' in 'measure_pages {name}'", remedy=advice)
+    if not Path(path).exists():
+        raise Misuse("no such run or scene", where=path)
+    console.report(measure(Path(path), seconds, *rest), as_json=True, text="")
 
 
 def opened(browser: Any, url: str) -> Any:
@@ -124,7 +138,7 @@ def _resident_mb() -> int:
 
 def training(scene: Path, seconds: float, *kinds: str) -> dict[str, Any]:
     """Steps of a training of so many seconds: alone, with the page open and nobody moving, and with somebody moving all the time."""
-    return {"seconds": seconds, **{kind: _trained(scene, seconds, kind) for kind in kinds or ("alone", "open", "moving")}}
+    return {"seconds": seconds, **{kind: _trained(scene, seconds, kind) for kind in kinds or KINDS}}
 
 
 def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
@@ -148,6 +162,8 @@ def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
         wall_s = time.monotonic() - begun
         assert process.stdout is not None
         result = json.loads(process.stdout.read())
+        if process.returncode:
+            raise KoalaError("the training failed", where=scene, why=result["error"])
         return {
             "steps": result["steps"],
             "steps_per_s": round(result["steps"] / result["training_s"], 2),
