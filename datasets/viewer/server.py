@@ -24,6 +24,8 @@ HOST, PORT = "127.0.0.1", 8080
 """Where pages are served: on this machine alone, at the first free port from there on."""
 PATIENCE_S = 0.3
 """How long the end of a page waits for work that is under way."""
+GLANCE_S = 0.2
+"""Between two looks of the main thread, which alone handles signals, at whether one has come [s]."""
 logger = logging.getLogger(__name__)
 
 
@@ -91,7 +93,8 @@ class Page:
     def wait(self) -> None:
         """Serve until Ctrl-C."""
         with contextlib.suppress(KeyboardInterrupt):
-            self.stopping.wait()
+            while not self.stopping.wait(GLANCE_S):  # a signal that another thread was given does not wake this one
+                continue
 
     def serve(self) -> NoReturn:
         """Serve until Ctrl-C, then end the process with exit code 0.

@@ -1,5 +1,6 @@
 """A page is served on this machine alone, shares nothing, and ends whatever goes on behind it."""
 
+import signal
 import socket
 import threading
 import time
@@ -51,6 +52,29 @@ def test_work_in_the_background_is_told_to_stop_and_never_waited_for_long() -> N
         start = time.monotonic()
     assert stopped.wait(5) and time.monotonic() - start < 5  # 0.3 s on a computer that has time
     release.set()
+
+
+def test_ctrl_c_ends_a_page_whichever_thread_the_system_tells_of_it() -> None:
+    """Python handles signals in its main thread, which sleeps on where the system gave the signal to another one."""
+    asleep, ended = threading.Event(), threading.Event()
+    other = threading.Thread(target=lambda: (asleep.set(), ended.wait(60)), daemon=True)
+    other.start()
+    asleep.wait(20)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with open_page("waiting", 0) as page:
+            timers = [
+                threading.Timer(0.5, lambda: signal.pthread_kill(other.ident, signal.SIGINT)),
+                threading.Timer(20, page.stopping.set),
+            ]
+            for timer in timers:
+                timer.start()
+            page.wait()
+            assert not page.stopping.is_set(), "it was ended by the signal and not by the watch"
+            timers[1].cancel()
+    finally:
+        signal.signal(signal.SIGINT, before)
+        ended.set()
 
 
 def test_an_error_in_the_background_is_said_and_does_not_end_the_page(caplog: pytest.LogCaptureFixture) -> None:
