@@ -53,7 +53,7 @@ class CalibrationView:
         self._add_figures({f"certainty of {name}": figures.ellipses(name, value)
                            for name in POSES if (value := getattr(calibration, name)) is not None})  # fmt: skip
         with page.gui.add_folder("Result"):
-            page.gui.add_markdown(f"```\n{describe_calibration(calibration)}\n```")
+            page.gui.add_markdown(in_markdown(describe_calibration(calibration)))
         self._target()
 
     def _target(self) -> None:
@@ -152,6 +152,16 @@ class CalibrationView:
 
 class _Stopped(Exception):
     """The page has ended while the recording was being read."""
+
+
+def in_markdown(words: str) -> str:
+    """Lines of `describe_calibration`, a name and a value each, as Markdown that a narrow panel can break; indented ones as a list."""
+    shown = []
+    for line in words.splitlines():
+        name, _, value = line.strip().partition("  ")
+        item = f"- {name}: {value.strip()}" if line.startswith(" ") else f"\n**{name}** {value.strip()}\n"
+        shown.append(item.replace("_", r"\_"))
+    return "\n".join(shown)
 
 
 def overall(evidence: Evidence, stage: str) -> float:

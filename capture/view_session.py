@@ -127,7 +127,7 @@ class CaptureView:
         rows = "\n".join(f"| {number} | {angle:.1f} |" for number, angle in enumerate(np.degrees(joints), 1))
         self._angles.content = (
             f"{seconds:.1f} of {self.timeline.end:.1f} s, view {following.name if following else 'none'}  \n"
-            f"nearest: {pair}, {1e3 * (room + self.obstacles.clearance_m):.0f} mm\n\n| joint | degrees |\n|---|---|\n{rows}"
+            f"nearest: {pair}, {1e3 * (room + self.obstacles.clearance_m):.0f} mm\n\n| joint | degrees |\n|:---|:---|\n{rows}"
         )
 
     def _run(self) -> None:

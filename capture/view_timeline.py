@@ -139,10 +139,7 @@ def of_recording(recording: Recording, flange_from_camera: NDArray[np.float64]) 
              measured=f"exposed for {1e-3 * frame.exposure_us:g} ms, {frame.settle_s:.2f} s after the motion")
         for frame, when in zip(frames, seconds, strict=True)
     )  # fmt: skip
-    notes = [
-        f"{len(frames)} of {len(trajectory.viewpoints())} views, {clock[-1]:.0f} s by the controller's clock",
-        "between views the way is drawn straight",
-    ]
-    if clock[-1] - seconds[-1] > WAIT_S:
-        notes.append(f"{clock[-1] - seconds[-1]:.0f} s of waiting are left out")
-    return Timeline(seconds, np.stack([frame.joints for frame in frames]), stops, tuple(notes))
+    waits = f", without {clock[-1] - seconds[-1]:.0f} s of waiting" if clock[-1] - seconds[-1] > WAIT_S else ""
+    count = f"{len(frames)} of {len(trajectory.viewpoints())} views in {seconds[-1]:.0f} s{waits}"
+    notes = (count, "between views the way is drawn straight")
+    return Timeline(seconds, np.stack([frame.joints for frame in frames]), stops, notes)

@@ -219,8 +219,8 @@ def _work(run: Run, result: dict[str, Any]) -> list[str]:
         f"preset {run.config.preset}, model {run.config.model}, sampler {run.config.sampler.kind}, on {content.get('device', 'unknown device')}"
     ]
     if log and "occupied" in log[-1]:
-        facts.append(f"{100 * log[-1]['occupied']:.2f} % of the cells hold anything at the end; the others are skipped")
-    if log:
+        facts.append(f"{100 * log[-1]['occupied']:.0f} % of the space holds anything at the end; the rest is left out")
+    if log and log[-1]["skipped"]:
         facts.append(f"{log[-1]['skipped']} of {log[-1]['step']} steps were left out because their gradient was not finite")
     if refined := poses.summary(run.path):
         facts.append(refined)

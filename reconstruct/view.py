@@ -7,6 +7,7 @@ its place. Rendering runs in this process, training in its own.
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
@@ -38,6 +39,9 @@ from reconstruct.view_frame import (
 )
 from reconstruct.view_log import curves, is_training, words_on, words_on_skips
 
+if TYPE_CHECKING:
+    import trimesh
+
 SLICE = 2048
 """Rays between two looks at whether a picture is still wanted; one compiled program serves all sizes."""
 WIDTH = 640
@@ -66,6 +70,7 @@ class RunView:
         self.centre = centre if spread > bounds.PARALLEL else self.scene.box.mean(0)
         self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
         self._photograph: tuple[str, NDArray[np.float32]] | None = None
+        self._surface: viser.SceneNodeHandle | None = None
         self.guest, self.training = Guest(run.path), is_training(run)
         self.eyes = Eyes(page, self._paint, moved=self._moved)
         first = self.train_views[0]
@@ -87,13 +92,18 @@ class RunView:
         for element in (self.channel, self.sharpest, self.sharpest_training, self.wipe, self.share):
             element.on_update(lambda event: self._changed())
         gui.add_button("go to the nearest training view").on_click(lambda event: self._go(event.client))
-        furthest, step = float(2 * self.reach), float(self.reach / 100)
-        self.cut = gui.add_slider("cut away nearer than", 0.0, furthest, step, 0.0)
-        self.beyond = gui.add_slider("cut away beyond", 0.0, furthest, step, furthest, hint="at its end nothing is cut away")
+        furthest, step = rounded_up(2 * self.reach)
+        unit = " [m]" if self.scene.metric else ""
+        self.cut = gui.add_slider(f"cut away nearer than{unit}", 0.0, furthest, step, 0.0)
+        self.beyond = gui.add_slider(
+            f"cut away beyond{unit}", 0.0, furthest, step, furthest, hint="at its end nothing is cut away"
+        )
         for element in (self.cut, self.beyond):
             element.on_update(lambda event: self._changed())
         self.cameras = gui.add_checkbox("cameras", True)
         self.cameras.on_update(lambda event: self._show_cameras(event.target.value))
+        self.mesh = gui.add_checkbox("mesh", True, visible=False)
+        self.mesh.on_update(lambda event: self._show_mesh(event.target.value))
         self._mesh_button = gui.add_button("extract the mesh")
         self._mesh_button.on_click(lambda event: self.page.in_background(self._extract))
         self.panel = PicturePanel(self.page, "Picture", "click a camera")
@@ -136,7 +146,16 @@ class RunView:
         if mesh is not None:
             import trimesh
 
-            self.page.scene.add_mesh_trimesh("/mesh", trimesh.load_mesh(mesh, process=False))
+            self._add_mesh(trimesh.load_mesh(mesh, process=False))
+
+    def _add_mesh(self, surface: "trimesh.Trimesh") -> None:
+        """Put a surface in world coordinates on the page, in place of the one before, and let it be switched off."""
+        self._surface = self.page.scene.add_mesh_trimesh("/mesh", surface)
+        self.mesh.visible, self.mesh.value = True, True
+
+    def _show_mesh(self, visible: bool) -> None:
+        if self._surface is not None:
+            self._surface.visible = visible
 
     def _show_cameras(self, visible: bool) -> None:
         for handle in self._frusta:
@@ -160,8 +179,7 @@ class RunView:
             return
         self._mesh_button.disabled = True
         try:
-            surface = mesh.extract(self.trained, resolution=MESH_RESOLUTION)
-            self.page.scene.add_mesh_trimesh("/mesh", surface)
+            self._add_mesh(mesh.extract(self.trained, resolution=MESH_RESOLUTION))
         finally:
             self._mesh_button.disabled = False
 
@@ -265,6 +283,12 @@ class RunView:
                 self._curve = self.page.gui.add_uplot(data, series, scales={"x": uplot.Scale(time=False)}, aspect=1.6)
         else:
             self._curve.data = data
+
+
+def rounded_up(length: float) -> tuple[float, float]:
+    """A length that a slider can end at, of two digits, and a step of a hundredth to a thousandth of it."""
+    step = 10.0 ** np.floor(np.log10(length) - 2)
+    return float(np.ceil(length / (10 * step)) * 10 * step), float(step)
 
 
 def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunView:

@@ -30,10 +30,11 @@ def words_on(log: list[dict[str, Any]], run: Run) -> str:
     last = log[-1]
     known = {"training rays": "psnr_train", "unseen": "psnr_unseen"}
     quality = ", ".join(f"{name} {last[key]:.2f} dB" for name, key in known.items() if key in last)
-    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): {quality}",
-             f"{last['skipped']} steps left out because their gradient was not finite"]  # fmt: skip
+    lines = [f"step {last['step']} after {last['seconds']:.0f} s ({100 * last['progress']:.0f} %): {quality}"]
+    if last["skipped"]:
+        lines.append(f"{last['skipped']} steps left out because their gradient was not finite")
     if "occupied" in last:
-        lines.append(f"{100 * last['occupied']:.2f} % of the cells hold anything; the others are skipped")
+        lines.append(f"{100 * last['occupied']:.0f} % of the space holds anything; the rest is left out")
     return "  \n".join([*lines, *(f"*{note}*" for note in run.content.get("notes", []))])
 
 

@@ -8,12 +8,13 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+import trimesh
 
 from datasets.viewer import Page, open_page
 from reconstruct import checkpoint
-from reconstruct.run import CHECKPOINTS, LOG
+from reconstruct.run import CHECKPOINTS, LOG, Run
 from reconstruct.trained import Trained
-from reconstruct.view import NOTHING, RunView
+from reconstruct.view import NOTHING, RunView, rounded_up
 from reconstruct.view_frame import CHANNELS, Eye
 from reconstruct.view_log import QUIET_S, is_training
 
@@ -125,6 +126,23 @@ def test_a_training_that_is_under_way_is_given_room(make_run: Callable[..., Any]
         for path in (run.path / LOG, *checkpoint.steps(run.path / CHECKPOINTS)):
             os.utime(path, (long_ago, long_ago))
         assert not is_training(run)
+
+
+@pytest.mark.parametrize(
+    ("length", "end", "step"), [(0.8063, 0.81, 0.001), (2.0, 2.0, 0.01), (31.4, 32.0, 0.1), (0.0123, 0.013, 1e-4)]
+)
+def test_sliders_end_at_figures_that_can_be_read(length: float, end: float, step: float) -> None:
+    assert rounded_up(length) == pytest.approx((end, step))
+
+
+def test_a_mesh_can_be_switched_off_once_it_is_there(make_run: Callable[..., Run]) -> None:
+    with open_page("mesh", 0) as page:
+        view = RunView(page, make_run(), None)
+        assert not view.mesh.visible
+        view._add_mesh(trimesh.creation.box())
+        assert view.mesh.visible and view.mesh.value
+        view._show_mesh(False)
+        assert not page.scene.get_handle_by_name("/mesh").visible
 
 
 def middle(picture: np.ndarray) -> np.ndarray:

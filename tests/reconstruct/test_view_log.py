@@ -12,9 +12,9 @@ from reconstruct.view_log import curves, words_on, words_on_skips
 def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
     run = make_run()
     words = words_on(run.log(), run)
-    assert (
-        "step 2 after 2 s" in words and "unseen 11.00 dB" in words and "0 steps left out" in words and "made for a test" in words
-    )
+    assert "step 2 after 2 s" in words and "unseen 11.00 dB" in words and "made for a test" in words
+    assert "gradient" not in words, "where every gradient was finite, nobody needs to know of it"
+    assert "3 steps left out because their gradient" in words_on([{**run.log()[-1], "skipped": 3}], run)
     (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])
     assert seconds.tolist() == [0, 1, 2, 3] and train[-1] == 13 and np.isnan(unseen[-1]) and len(series) == 3
     assert words_on([], run) == "*no line in the log yet*"
