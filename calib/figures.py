@@ -109,7 +109,7 @@ def ellipses(title: str, value: UncertainPose) -> bytes:
                 xlabel=f"{'xyz'[i]} [{unit}]",
                 ylabel=f"{'xyz'[j]} [{unit}]",
             )
-            axes.locator_params(nbins=5)
+            axes.locator_params(nbins=3)
             axes.grid(alpha=0.3)
     figure.suptitle(f"{title}: where the truth is, 95 of 100 times (above: position, below: rotation)")
     return _png(figure)

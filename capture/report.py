@@ -146,4 +146,4 @@ def _rig(page: ReportPage, recording: Recording) -> None:
             for key, value in recording.manifest.get(part, {}).items()
             if isinstance(value, str | int | float)
         }
-    page.table(("", ""), [(key, str(value)) for key, value in described.items()])
+    page.table(("what", "value"), [(key, str(value)) for key, value in described.items()])

@@ -105,9 +105,14 @@ class ReportPage:
         self._body.append(f'<div class="scroll"><table><tbody>{lines}</tbody></table></div>')
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
-        """A table that a click on a heading sorts."""
-        head = "".join(f"<th>{_text(column)}</th>" for column in columns)
-        body = "".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in rows)
+        """A table that a click on a heading sorts; headings stand over their columns, numbers at the right."""
+        cells = [tuple(row) for row in rows]
+        right = [bool(cells) and all(isinstance(row[i], int | Number) for row in cells) for i in range(len(columns))]
+        head = "".join(
+            f"<th{' class=number' if at_right else ''}>{_text(column)}</th>"
+            for column, at_right in zip(columns, right, strict=True)
+        )
+        body = "".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in cells)
         self._body.append(
             f'<div class="scroll"><table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
         )

@@ -19,13 +19,13 @@ DEFINITIONS = {
     "normal_mae_alpha_acc_deg": ("deg", "mean angle between rendered and true normals, weighted by true alpha times rendered opacity; "
                                         "normals from the density's gradient"),
     "normal_mae_deg": ("deg", "the same, weighted by true alpha alone"),
-    "normal_pred_mae_alpha_acc_deg": ("deg", "as normal_mae_alpha_acc_deg, of the predicted normals"),
-    "normal_pred_mae_deg": ("deg", "as normal_mae_deg, of the predicted normals"),
+    "normal_pred_mae_alpha_acc_deg": ("deg", "mean angle between predicted and true normals, weighted by true alpha times rendered opacity"),
+    "normal_pred_mae_deg": ("deg", "the same, weighted by true alpha alone"),
     "disparity_rmse": ("", "root mean square error of 1 / (1 + t), t the depth along z in world units, where true alpha > 0.5"),
     "depth_rmse_mm": ("mm", "root mean square error of the depth along z, where true alpha > 0.5 (metric scenes)"),
     "depth_median_mm": ("mm", "median absolute error of the same"),
     "diffuse_psnr": ("dB", "PSNR of the diffuse part, in clipped sRGB, over the object (true alpha > 0.5, everything where it is not known)"),
-    "specular_psnr": ("dB", "PSNR of the specular part, in clipped sRGB, over the same pixels as diffuse_psnr"),
+    "specular_psnr": ("dB", "PSNR of the specular part, in clipped sRGB, over the same pixels as that of the diffuse part"),
     "seconds": ("s", "time to render the view, all channels; compilation not counted"),
 }  # fmt: skip
 """Unit and meaning of each figure of a view."""

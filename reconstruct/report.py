@@ -85,9 +85,10 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[F
     page.section("What was done")
     page.items(_work(run, result))
     if skips := record.read(run.path):
-        page.section("What was skipped, and what was not")
-        page.table(("what", "", "evidence", "saving", "cost"),
-                   [(one.name, "skipped" if one.skipped else "kept", one.evidence, one.saving, one.cost) for one in skips])  # fmt: skip
+        page.section("What was left out, and what was not", "A name is what --no-skip takes, to keep that in.")
+        page.table(("what", "name", "decision", "evidence", "saving", "cost"),
+                   [(record.in_words(one.name), one.name if one.name in record.NAMES else "", "left out" if one.skipped else "kept",
+                     one.evidence, one.saving, one.cost) for one in skips])  # fmt: skip
 
 
 def _measured(trained: Trained) -> dict[str, Any]:

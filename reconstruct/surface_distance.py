@@ -29,7 +29,7 @@ DEFINITIONS = {
     "chamfer_mm": "mean of accuracy and completeness",
     "accuracy_mm": "mean distance from points of the mesh to the true surface",
     "completeness_mm": "mean distance from points of the true surface to the mesh",
-    "f_score": "harmonic mean of the shares of both kinds of points that are closer than threshold_mm",
+    "f_score": "harmonic mean of the shares of both kinds of points that are closer than the threshold",
     "threshold_mm": "1 % of the diagonal of the true surface's bounding box",
 }
 """What the figures mean; all of them are of surface that cameras see, above the floor of the object's box."""

@@ -62,6 +62,11 @@ class Skip:
         return cls(name, skipped, evidence, saving, COSTS[name])
 
 
+def in_words(name: str) -> str:
+    """What a skip leaves out, in words for everybody."""
+    return PLAIN.get(name, name.replace("_", " "))
+
+
 def left_out(skips: Sequence[Skip]) -> list[str]:
     """A line for each thing that was left out and saved something: what, why, what that saved."""
     return [f"{PLAIN[skip.name]}: {skip.evidence}; saves {skip.saving}"
