@@ -52,7 +52,7 @@ def write(path: str | Path, out: Path, *, matches: bool = True, made_by: str = "
     page.section("Where the cameras are", "Training blue, test red; the object's box in ochre.")
     page.drawing(cameras(scene))
     page.section("Every view")
-    page.table(("view", "split", "width", "height", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth"),
+    page.table(("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth"),
                [_row(view, scene) for view in scene.views])  # fmt: skip
     page.section("Pictures")
     page.pictures(_thumbnails(scene))
