@@ -299,3 +299,7 @@ def main() -> None:
     for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(library, "1")
     console.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -238,3 +238,7 @@ def _text(found: dict[str, Any]) -> str:
 def main() -> None:
     """Entry point of the `datasets` command."""
     console.run(app)
+
+
+if __name__ == "__main__":
+    main()

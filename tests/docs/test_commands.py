@@ -219,6 +219,13 @@ def test_other_programs_are_given_what_exists() -> None:
         assert quoted.words[0] in (*PACKAGES, "colmap", "mkdir", "ssh"), str(quoted)
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_command_runs_as_a_module_too(package: str) -> None:
+    """Where it is not on the path; doing nothing without a word would be worse than failing."""
+    done = subprocess.run([sys.executable, "-m", f"{package}.cli", "--help"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stdout.startswith("Usage:")
+
+
 SMALL = {
     "configs/trajectories/calibration_demo.yaml": ["--set", "camera.binning=3", "--set", "camera.width=640", "--set", "camera.height=360"],
     "configs/trajectories/koala_demo.yaml": ["--set", "camera.binning=8", "--set", "camera.width=108", "--set", "camera.height=108"],
