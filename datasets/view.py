@@ -105,7 +105,7 @@ class SceneView:
             return
         view = next(view for view in self.scene.views if view.name == name)
         try:
-            self.panel.show(client, words_on(view), view.read())
+            self.panel.show(client, words_on(view, metric=self.scene.metric), view.read())
         except KoalaError as error:
             client.add_notification(f"view {name}", str(error), color="red")
 
@@ -173,13 +173,14 @@ def thumbnail(view: View) -> np.ndarray:
     )
 
 
-def words_on(view: View) -> str:
-    """Markdown on one view."""
+def words_on(view: View, *, metric: bool) -> str:
+    """Markdown on one view; `metric` says whether positions are in metres."""
     camera, position = view.camera, ", ".join(f"{value:.4g}" for value in view.world_from_camera[:3, 3])
     lens = "pinhole" if camera.is_pinhole else "fisheye" if camera.fisheye else "distorted"
     truth = f"  \ntruth: {', '.join(sorted(view.truth))}" if view.truth else ""
     return (f"**view {view.name}** ({view.split})  \n`{view.image.name}`, {camera.width} x {camera.height} px, {lens}  \n"
-            f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px  \nat {position}{truth}")  # fmt: skip
+            f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px  \n"
+            f"at {position}{' m' if metric else ''}{truth}")  # fmt: skip
 
 
 def show(page: Page, path: str | Path, scene: Scene, *, quick: bool = False, **options: Any) -> SceneView:

@@ -109,7 +109,7 @@ class PathEditor:
         place = self.index if chosen is None else chosen
         self.chosen.options = tuple(str(number) for number in range(1, len(self.stops) + 1)) or (NONE,)
         self.chosen.value = str((place or 0) + 1) if self.stops else NONE
-        self._words.content = f"{len(self.stops)} stops" if self.stops else "*no stops yet*"
+        self._words.content = self._count() if self.stops else "*no stops yet*"
         for index, stop in enumerate(self.stops):
             self.page.scene.add_icosphere(f"/path/stops/{index}", 0.012 * self.reach, COLOUR, position=stop.position)
         if self.path is None:
@@ -117,10 +117,13 @@ class PathEditor:
         try:
             frames = frames_of(self.path)
         except KoalaError as error:
-            self._words.content = f"{len(self.stops)} stops; {error}"
+            self._words.content = f"{self._count()}; {error}"
             return
         places = np.stack([frame[:3, 3] for frame in frames])
         shapes.add_lines(self.page, "/path/curve", np.stack([places[:-1], places[1:]], axis=1), colour=COLOUR, thickness=2.0)
+
+    def _count(self) -> str:
+        return f"{len(self.stops)} {'stop' if len(self.stops) == 1 else 'stops'}"
 
     def _start(self, client: viser.ClientHandle | None) -> None:
         if client is not None and self.path is not None:
@@ -142,4 +145,4 @@ class PathEditor:
             return
         content = self.path.model_dump(mode="json")
         files.write_text(self.out, yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
-        self._words.content = f"{len(self.stops)} stops, written to `{self.out}`"
+        self._words.content = f"{self._count()}, written to `{self.out}`"

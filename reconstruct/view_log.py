@@ -47,11 +47,10 @@ def curves(log: list[dict[str, Any]]) -> tuple[tuple[NDArray[np.float64], ...], 
 
 
 def words_on_skips(run: Run) -> str:
-    """Markdown on what the training left out and kept, and on what evidence; empty where it has no list."""
-    lines = []
-    for skip in record.read(run.path):
-        name = skip.name.replace("_", " ")
-        lines.append(
-            f"- {f'**{name}** left out' if skip.skipped else f'{name} kept'}: {skip.evidence}  \n  *saves {skip.saving}; costs {skip.cost}*"
-        )
-    return "\n".join(lines)
+    """Markdown on what the training left out, with evidence, saving and price, and on what it kept and why; empty where it has no list."""
+    skips = record.read(run.path)
+    left_out = [f"- **{record.in_words(skip.name)}** left out: {skip.evidence}  \n  *saves {skip.saving}; price: {skip.cost}*"
+                for skip in skips if skip.skipped]  # fmt: skip
+    return "\n".join(
+        [*left_out, *(f"- {record.in_words(skip.name)} kept: {skip.evidence}" for skip in skips if not skip.skipped)]
+    )

@@ -27,4 +27,5 @@ def test_what_was_left_out_is_told_with_its_evidence(make_run: Callable[..., Any
     record.write(run.path, [record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB"),
                             record.Skip("reflection", False, "the pilot lost 1.2 dB without", "half a step", "what the pilot lost")])  # fmt: skip
     words = words_on_skips(run)
-    assert "**fine levels** left out: no pixel is finer than 2 mm" in words and "reflection kept: the pilot lost 1.2 dB" in words
+    assert words.startswith("- **detail that is finer than a pixel can show** left out: no pixel is finer than 2 mm")
+    assert "price: up to 0.4 dB" in words and words.endswith("- the model's reflection kept: the pilot lost 1.2 dB without")

@@ -134,3 +134,13 @@ def test_a_calibration_shows_its_target_and_what_is_missing(browse: Callable[[st
         assert window.page.locator("img").count() >= 1
         window.page.get_by_text("translation: 300.000 ±").first.wait_for(timeout=1e3 * window.PATIENCE_S)
         assert window.errors == [] and window.outside() == []
+
+
+@pytest.mark.parametrize(("metric", "place"), [(True, "at 1, 2, 0.5 m"), (False, "at 1, 2, 0.5")])
+def test_a_view_is_told_with_its_place_in_its_unit(make_scene: Callable[..., Scene], metric: bool, place: str) -> None:
+    from dataclasses import replace
+
+    from datasets.view import words_on
+
+    view = replace(make_scene().views[0], world_from_camera=pose.rigid(np.eye(3), np.array([1.0, 2.0, 0.5])), truth={})
+    assert words_on(view, metric=metric).endswith(place)
