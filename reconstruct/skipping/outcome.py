@@ -29,7 +29,7 @@ def told(skips: Sequence[Skip], line: dict[str, Any], *, passes: int, left_out: 
     added = {
         "consistent_passes": f"{left_out} of {passes + left_out} second passes were left out" if left_out else "",
         "converged": f"stopped after {line['progress']:.0%} of the training" if line["progress"] < 1 else "",
-        "empty_rays": f"in the end {1 - line['occupied']:.0%} were empty" if "occupied" in line else "",
+        "empty_rays": f"in the end {1 - line['occupied']:.0%} of it was empty" if "occupied" in line else "",
     }
     return [_with(skip, added.get(skip.name, "")) for skip in skips]
 

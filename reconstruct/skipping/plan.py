@@ -71,8 +71,8 @@ def _surroundings(facts: Facts, config: Config) -> Skip:
 def _empty_rays(facts: Facts, config: Config) -> Skip:
     if config.sampler.kind != "occupancy":
         return Skip.of("empty_rays", False, "proposals have no grid", "nothing")
-    by = "that masks rule out" if facts.bounded else "that too few cameras see"
-    evidence = f"{1 - facts.possible:.0%} of the space can hold nothing {by}" if config.skip.empty_rays else "forced"
+    by = "masks rule out" if facts.bounded else "too few cameras see"
+    evidence = f"{by} {1 - facts.possible:.0%} of the space" if config.skip.empty_rays else "forced"
     return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in there, and rays that meet nothing else")
 
 

@@ -47,7 +47,7 @@ def test_every_skip_has_words_for_everybody() -> None:
 
 def test_the_end_tells_what_came_of_it() -> None:
     told = outcome.told(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
-    assert told[0].evidence == "masks; in the end 90% were empty"
+    assert told[0].evidence == "masks; in the end 90% of it was empty"
     assert told[1] == SKIPS[1], "what was not skipped has no outcome"
     assert told[2].evidence == "all run; 5 of 8 second passes were left out"
 
