@@ -150,7 +150,7 @@ def near_occupied(occupancy: Occupancy, axes: tuple[NDArray[np.float64], ...]) -
 
     size = occupancy.grid
     cells = np.asarray(occupancy.occupied[: size**3]).reshape(size, size, size)
-    cells = binary_dilation(cells, np.ones((3, 3, 3)))
+    cells = np.asarray(binary_dilation(cells, np.ones((3, 3, 3))), bool)
     return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]
 
 

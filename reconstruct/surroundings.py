@@ -5,7 +5,7 @@ not solid, in cells; a side of the box is "-x", "+x" and so on.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 SIDES = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "-+")
 """Sides of a box, in the order of its axes."""
@@ -25,7 +25,7 @@ def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.nd
     for side in SIDES:
         face = _face(side)
         solid[face] = binary_fill_holes(solid[face])
-    inside = binary_fill_holes(solid) & (density <= threshold)
+    inside = np.asarray(binary_fill_holes(solid), bool) & (density <= threshold)
     return np.where(inside, max(float(density.max()), threshold), density)
 
 
@@ -64,7 +64,8 @@ def _core(depth: Float[np.ndarray, "x y z"], outside: Bool[np.ndarray, "x y z"])
     from scipy.ndimage import label
 
     for share in CORE:
-        pieces: Int[np.ndarray, "x y z"] = label(depth > share * depth.max())[0]
+        pieces = np.zeros(depth.shape, np.int32)
+        label(depth > share * depth.max(), output=pieces)
         sizes = np.bincount(pieces.reshape(-1))
         sizes[np.unique(pieces[outside])] = 0
         sizes[0] = 0
