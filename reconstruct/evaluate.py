@@ -117,7 +117,9 @@ def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
     """
     scale = camera.width / view.camera.width
     picture = read_scaled(view, scale)
-    maps = {"rgb": over(picture)} | ({"alpha": picture[..., 3:]} if picture.shape[-1] == 4 else {})
+    maps = {"rgb": over(picture)}
+    if picture.shape[-1] == 4:
+        maps["alpha"] = picture[..., 3:]
     for channel in view.truth:
         maps[channel] = _resampled(channel, view.read_truth(channel), camera)
     if "alpha" not in maps and "depth" in maps:
