@@ -113,6 +113,7 @@ def test_processes_agree(tmp_path: Path) -> None:
     assert first["left"] and not second["left"] and (tmp_path / "new" / "log").read_text() == "0", "only the first one's stays"
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_two_processes_come_to_what_one_comes_to(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
     """Sums over devices come in another order; Adam makes of a rounding's sign a step: 0.1 % of terms, 0.001 of weights."""

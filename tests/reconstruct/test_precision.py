@@ -47,6 +47,7 @@ def both(ball_scene: tuple[Scene, Path]) -> dict[str, tuple[TrainState, np.ndarr
     }
 
 
+@pytest.mark.slow
 def test_a_short_training_comes_to_the_same_error(both: dict[str, tuple[TrainState, np.ndarray]]) -> None:
     """Same seed, same rays: 0.003 dB apart when this was written; 0.1 dB is what rounding may cost. No step was not finite."""
     (full, expected), (mixed, found) = both["float32"], both["bfloat16"]
@@ -58,6 +59,7 @@ def test_a_short_training_comes_to_the_same_error(both: dict[str, tuple[TrainSta
     assert any(not np.array_equal(a, b) for a, b in zip(jax.tree.leaves(full.model), jax.tree.leaves(mixed.model), strict=True))
 
 
+@pytest.mark.slow
 def test_colours_are_those_of_single_precision(both: dict[str, tuple[TrainState, np.ndarray]]) -> None:
     """The same parameters and rays in both.
 
