@@ -16,7 +16,7 @@ from datasets import files, pose
 from datasets.errors import DatasetError
 from datasets.scene import Scene, View
 from reconstruct.config import PoseConfig
-from reconstruct.rays import Normalisation, Pixels, over
+from reconstruct.rays import Normalisation, Pixels, pixels_over_white
 from reconstruct.twists import Twists, moved
 
 FORMAT, VERSION = "koala-poses", 1
@@ -123,5 +123,4 @@ def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, floa
 def over_white(pixels: Pixels, twists: Twists | None) -> tuple[np.ndarray, ...]:
     """(origins, directions, radii, colour over white) of all given pixels, as the corrected cameras see them."""
     rays, colour = pixels.take(jnp.arange(pixels.directions.shape[0]))
-    rays = moved(rays, twists)
-    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))
+    return pixels_over_white(moved(rays, twists), colour)

@@ -112,6 +112,11 @@ def over(picture: Shaped[Any, "... channels"], background: float | Float[Any, ".
     return picture[..., :3] * alpha + (1 - alpha) * background
 
 
+def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[np.ndarray, ...]:
+    """(origins, directions, radii, colour over white) of pixels, on the host."""
+    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))
+
+
 class Pixels(eqx.Module):
     """Every training pixel: its colour and its ray. Origins are kept per view."""
 
@@ -152,8 +157,7 @@ class Pixels(eqx.Module):
 
     def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray, ...]:
         """(origins, directions, radii, colour over white) of some pixels."""
-        rays, colour = self.take(jnp.asarray(index))
-        return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))
+        return pixels_over_white(*self.take(jnp.asarray(index)))
 
     def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
         """Rays and colours (float32) of the given pixels."""

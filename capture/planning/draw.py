@@ -62,10 +62,7 @@ def _box_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def plot(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
     """Write a PNG: views and ways from the side and from above, and the joint angles along the session."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     figure = figure_of(planned, obstacles, title=title)
-    FigureCanvasAgg(figure)
     with files.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=100)
 

@@ -70,7 +70,6 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         filled().write(tmp_path / "page.html")
 
 
-@pytest.mark.timeout(600)
 def test_headings_stand_over_numbers_at_the_right() -> None:
     page = ReportPage("t")
     page.table(("name", "PSNR", "of"), iter([("a", Number(1.0), 2), ("b", Number(None), "none")]))
@@ -79,6 +78,7 @@ def test_headings_stand_over_numbers_at_the_right() -> None:
     assert "<th>name</th><th class=number>PSNR</th><th>of</th>" in text and "<th>name</th><th>PSNR</th>" in text
 
 
+@pytest.mark.timeout(600)
 def test_a_browser_sorts_wipes_and_prints(tmp_path: Path, browse: Callable[[str], Any]) -> None:
     filled().write(tmp_path / "page.html")
     window = browse((tmp_path / "page.html").as_uri())
