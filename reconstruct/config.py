@@ -72,8 +72,8 @@ class SamplerConfig(Schema):
     """Where along a ray the field is evaluated."""
 
     kind: Literal["occupancy", "proposal"] = Field("occupancy", description="Occupancy grid, or two proposal levels.")
-    rays: int = Field(4096, ge=1, description="Rays drawn per step.")
-    samples: int = Field(16384, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped.")
+    rays: int = Field(2048, ge=1, description="Rays drawn per step.")
+    samples: int = Field(8192, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped.")
     max_per_ray: int = Field(32, ge=1, description="Occupancy: at most so many of a ray's steps are drawn.")
     steps: int = Field(192, ge=32, multiple_of=32, description="Occupancy: steps of a ray through the object's box.")
     grid: int = Field(128, ge=8, description="Occupancy: cells per axis over the object's box.")
@@ -99,7 +99,7 @@ class SurfaceConfig(Schema):
     """The four surface regularisers and their second pass."""
 
     enabled: bool = Field(True, description="Run the second pass at all.")
-    rays: int = Field(256, ge=1, description="Rays with a confident surface that the second pass takes.")
+    rays: int = Field(128, ge=1, description="Rays with a confident surface that the second pass takes.")
     samples: int = Field(32, ge=4, description="Points and directions on the sphere.")
     sampling: Literal["lattice", "fibonacci", "random"] = Field(
         "lattice", description="Lattice directions on shells, the same without shells, or independent random directions."

@@ -59,6 +59,7 @@ with distributed.folder_for(folder / "new") as own:
     own.mkdir()
     (own / "log").write_text(str(process))
     said["own folder"] = own == folder / "new"
+distributed.gathered([0.0])  # the first process has made its folder
 with distributed.folder_for(folder / "new", resume=True) as own:
     said["copied"] = (own / "log").read_text()
 distributed.gathered([0.0])
