@@ -22,6 +22,9 @@ def bench_command(
         Path | None, typer.Option(help="Folder that holds lego400 and mold_gold_cape; else they are looked for.")
     ] = None,
     scenes: Annotated[list[str] | None, typer.Option("--scene", help="Only this scene; repeatable.")] = None,
+    scales: Annotated[
+        list[float] | None, typer.Option("--scale", help="Only pictures at this share of their size; repeatable.")
+    ] = None,
     models: Annotated[list[str] | None, typer.Option("--model", help="Only this model, or one more; repeatable.")] = None,
     budgets: Annotated[list[float] | None, typer.Option("--budget", help="Only this budget [s]; repeatable.")] = None,
     seeds: Annotated[list[int] | None, typer.Option("--seed", help="Only this seed, or one more; repeatable.")] = None,
@@ -35,7 +38,8 @@ def bench_command(
     from reconstruct.bench import peers
     from reconstruct.bench import suite as suites
 
-    choice = suites.Choice(tuple(scenes or ()), tuple(models or ()), tuple(budgets or ()), tuple(seeds or ()))
+    chosen = (scenes, scales, models, budgets, seeds)
+    choice = suites.Choice(*(tuple(values or ()) for values in chosen))
     trials = suites.plan(suite, choice)
     if plan_only:
         total = sum(trial.budget_s for trial in trials)

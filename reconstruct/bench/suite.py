@@ -92,6 +92,7 @@ class Choice:
     """What of a suite is wanted; empty takes all."""
 
     scenes: tuple[str, ...] = ()
+    scales: tuple[float, ...] = ()
     models: tuple[str, ...] = ()
     budgets_s: tuple[float, ...] = ()
     seeds: tuple[int, ...] = ()
@@ -101,7 +102,7 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     """The trials of a suite. Models and budgets that it does not have are trained on its scenes as well.
 
     Raises:
-        Misuse: there is no such suite, or it has no such scene.
+        Misuse: there is no such suite, or it has no such scene, or none of that scale.
     """
     if suite not in SUITES:
         raise Misuse(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
@@ -111,6 +112,9 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
         if name not in known:
             raise Misuse(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, known))
     trials = dict.fromkeys(trial for block in _chosen(blocks, choice) for trial in block.trials())
+    if not trials:
+        scales = sorted({f"{scale:g}" for block in blocks for _, scale in block.scenes})
+        raise Misuse("no scene has pictures of that size", where="--scale", remedy=f"one of {', '.join(scales)}")
     return sorted(trials, key=lambda trial: trial.seed)
 
 
@@ -124,7 +128,8 @@ def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
             continue
         named = tuple(scene for scene in block.scenes if not choice.scenes or scene[0] in choice.scenes)
         missing = tuple((name, 1.0) for name in choice.scenes if name in SCENES and name not in dict(block.scenes))
-        found.append(replace(block, scenes=named + missing, models=choice.models or block.models,
+        sized = tuple(scene for scene in named + missing if not choice.scales or scene[1] in choice.scales)
+        found.append(replace(block, scenes=sized, models=choice.models or block.models,
                              budgets_s=choice.budgets_s or block.budgets_s, seeds=choice.seeds or block.seeds))  # fmt: skip
     return [block for block in found if block.scenes]
 
