@@ -36,7 +36,7 @@ def test_choices() -> None:
     assert [trial.name for trial in trials] == ["quality-teapot-1-0-zipnerf-fast-60-5"]
     half = plan("full", Choice(scenes=("lego400",), scales=(0.5,), models=("surfnerf",), budgets_s=(60.0,), seeds=(0,)))
     assert [trial.name for trial in half if trial.preset == "fast"] == ["quality-lego400-0.5-0-surfnerf-fast-60-0"]
-    with pytest.raises(Misuse, match="no scene has pictures of that size.*0.5, 1"):
+    with pytest.raises(Misuse, match=r"no scene has pictures of that size.*0\.5, 1"):
         plan("full", Choice(scenes=("lego400",), scales=(0.3,)))
     with pytest.raises(Misuse, match="did you mean 'gold_rings'"):
         plan("quick", Choice(scenes=("gold_ring",)))
