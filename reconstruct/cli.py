@@ -8,7 +8,7 @@ import typer
 from datasets import console
 from reconstruct import train_command
 from reconstruct.bench import commands as bench_commands
-from reconstruct.options import ModelName, Preset, RunFolder
+from reconstruct.options import ModelName, Preset, RunFolder, StandsOn
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, measure it, and take pictures and geometry out of it.")
 app.add_typer(bench_commands.app, name="bench")
@@ -151,6 +151,7 @@ def eval_command(
     lpips: Annotated[
         Path | None, typer.Option(metavar="WEIGHTS.npz", help="Measure LPIPS (AlexNet) too, with these weights; docs/numbers.md.")
     ] = None,
+    stands_on: StandsOn = None,
     as_json: console.Json = False,
 ) -> None:
     """Measure a run on its test views (writes RUN/metrics.json), or renderings made elsewhere with the same ruler."""
@@ -165,8 +166,9 @@ def eval_command(
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
         cache_compilations()
-        result, where = evaluate(Trained.open(run), split=split, lpips=perceptual, align=align), run / METRICS
-    elif run is None and renders is not None and scene is not None and not align:
+        result = evaluate(Trained.open(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
+        where = run / METRICS
+    elif run is None and renders is not None and scene is not None and not align and stands_on is None:
         result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
     else:
         raise Misuse("give either a run, or --renders DIR --scene SCENE")
@@ -269,10 +271,7 @@ def mesh_command(
     watertight: Annotated[bool, typer.Option("--watertight", help="Close the surface where it leaves the box.")] = False,
     faces: Annotated[int | None, typer.Option(min=4, help="Simplify to about so many triangles.")] = None,
     points: Annotated[int | None, typer.Option(min=1, help="Write so many points on the surface instead (PLY).")] = None,
-    stands_on: Annotated[
-        str | None,
-        typer.Option(metavar="SIDE", help="Leave out what reaches into the box through any side but this one, e.g. -z."),
-    ] = None,
+    stands_on: StandsOn = None,
     as_json: console.Json = False,
 ) -> None:
     """Take the object's surface out of a run, as a coloured triangle mesh or points in world coordinates."""
@@ -280,15 +279,12 @@ def mesh_command(
     from datasets.files import refuse_existing
     from reconstruct import mesh
     from reconstruct.backend import cache_compilations
-    from reconstruct.surroundings import SIDES
     from reconstruct.trained import Trained
 
     suffixes = mesh.SUFFIXES if points is None else (".ply",)
     if out.suffix.lower() not in suffixes:
         raise Misuse(f"{'meshes' if points is None else 'points'} are not written as '{out.suffix}'", where=out,
                      remedy=f"end --out in {', '.join(suffixes)}")  # fmt: skip
-    if stands_on is not None and stands_on not in SIDES:
-        raise Misuse(f"there is no side '{stands_on}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
     refuse_existing(out)
     cache_compilations()
     trained = Trained.open(run)

@@ -38,12 +38,15 @@ TRUE_SURFACE = "truth/object.ply"
 """Where a simulated scene keeps the object's true mesh [m]."""
 
 
-def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = None, align: bool = False) -> dict[str, Any]:
+def evaluate(
+    trained: Trained, *, split: str = "test", lpips: Lpips | None = None, align: bool = False, stands_on: str | None = None
+) -> dict[str, Any]:
     """Measure a trained model on the views of one split and write `metrics.json` into its run.
 
     Args:
         lpips: measure the perceptual distance too.
         align: beside the figures of the views as they are, those after each view's pose was aligned to the model.
+        stands_on: measure the mesh without what reaches into the box through any other side, see `mesh.extract`.
 
     Raises:
         Misuse: its scene has no such views.
@@ -63,7 +66,8 @@ def evaluate(trained: Trained, *, split: str = "test", lpips: Lpips | None = Non
         result |= {"aligned": _aligned(trained, views, lpips)}
     truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
     if truth_mesh.is_file() and trained.scene.metric:
-        result |= {"mesh": compare_surface(trained, truth_mesh), "mesh_definitions": surface_distance.DEFINITIONS}
+        result |= {"mesh": compare_surface(trained, truth_mesh, stands_on), "mesh_stands_on": stands_on,
+                   "mesh_definitions": surface_distance.DEFINITIONS}  # fmt: skip
     files.write_json(trained.run.path / METRICS, result)
     return result
 
@@ -98,12 +102,12 @@ def _aligned(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> di
     return {"mean": mean(measured), "per_view": per_view, "definitions": ALIGNED | poses.DEFINITIONS}
 
 
-def compare_surface(trained: Trained, truth: Path) -> dict[str, float] | None:
-    """Distance of the model's surface from a true mesh [m], see `surface_distance`; None where it has no surface."""
+def compare_surface(trained: Trained, truth: Path, stands_on: str | None = None) -> dict[str, float] | None:
+    """Distance of the model's surface, see `mesh.extract`, from a true mesh [m], see `surface_distance`; None where it has none."""
     import trimesh
 
     try:
-        surface = mesh.extract(trained)
+        surface = mesh.extract(trained, stands_on=stands_on)
     except ReconstructError:
         return None
     return surface_distance.compare(surface, trimesh.load_mesh(truth), trained.scene.views, trained.scene.box)
@@ -210,4 +214,6 @@ def table(result: dict[str, Any]) -> str:
     figures += [(f"{words.heading(name)}, each pose aligned", name, aligned[name]) for name in ALIGNED_SHOWN if name in aligned]
     figures += [(words.heading(name), name, value) for name, value in (result.get("mesh") or {}).items()]
     lines += [f"  {heading:<50}{words.rounded(name, value):>8}" for heading, name, value in figures]
+    if side := result.get("mesh_stands_on"):
+        lines.append(f"  (the mesh without what reaches into the box through any side but {side})")
     return "\n".join(lines)

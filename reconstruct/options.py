@@ -18,9 +18,28 @@ def _presets(incomplete: str) -> list[str]:
     return [name for name in ("fast", "paper") if name.startswith(incomplete)]
 
 
+def _side(name: str | None) -> str | None:
+    """A side of the object's box, or none."""
+    from datasets.errors import Misuse
+    from reconstruct.surroundings import SIDES
+
+    if name is not None and name not in SIDES:
+        raise Misuse(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
+    return name
+
+
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
 ModelName = Annotated[str, typer.Option("--model", help="Name of a model, see 'reconstruct models'.", autocompletion=_models)]
 Preset = Annotated[
     str,
     typer.Option("--preset", help="fast: a workstation without GPU; paper: the published sizes.", autocompletion=_presets),
+]
+StandsOn = Annotated[
+    str | None,
+    typer.Option(
+        "--stands-on",
+        metavar="SIDE",
+        callback=_side,
+        help="Leave out of the mesh what reaches into the object's box through any side but this one, e.g. -z.",
+    ),
 ]

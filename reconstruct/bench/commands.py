@@ -26,6 +26,7 @@ def bench_command(
         list[float] | None, typer.Option("--scale", help="Only pictures at this share of their size; repeatable.")
     ] = None,
     models: Annotated[list[str] | None, typer.Option("--model", help="Only this model, or one more; repeatable.")] = None,
+    presets: Annotated[list[str] | None, typer.Option("--preset", help="Only this preset; repeatable.")] = None,
     budgets: Annotated[list[float] | None, typer.Option("--budget", help="Only this budget [s]; repeatable.")] = None,
     seeds: Annotated[list[int] | None, typer.Option("--seed", help="Only this seed, or one more; repeatable.")] = None,
     plan_only: Annotated[bool, typer.Option("--plan", help="List the trials; train nothing.")] = False,
@@ -38,7 +39,7 @@ def bench_command(
     from reconstruct.bench import peers
     from reconstruct.bench import suite as suites
 
-    chosen = (scenes, scales, models, budgets, seeds)
+    chosen = (scenes, scales, models, presets, budgets, seeds)
     choice = suites.Choice(*(tuple(values or ()) for values in chosen))
     trials = suites.plan(suite, choice)
     if plan_only:

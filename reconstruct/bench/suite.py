@@ -94,6 +94,7 @@ class Choice:
     scenes: tuple[str, ...] = ()
     scales: tuple[float, ...] = ()
     models: tuple[str, ...] = ()
+    presets: tuple[str, ...] = ()
     budgets_s: tuple[float, ...] = ()
     seeds: tuple[int, ...] = ()
 
@@ -102,7 +103,7 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     """The trials of a suite. Models and budgets that it does not have are trained on its scenes as well.
 
     Raises:
-        Misuse: there is no such suite, or it has no such scene, or none of that scale.
+        Misuse: there is no such suite, or it has no such scene, or none of that scale or preset.
     """
     if suite not in SUITES:
         raise Misuse(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
@@ -114,7 +115,9 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     trials = dict.fromkeys(trial for block in _chosen(blocks, choice) for trial in block.trials())
     if not trials:
         scales = sorted({f"{scale:g}" for block in blocks for _, scale in block.scenes})
-        raise Misuse("no scene has pictures of that size", where="--scale", remedy=f"one of {', '.join(scales)}")
+        presets = sorted({preset for block in blocks for preset in block.presets})
+        raise Misuse(f"suite {suite} has no such trial", where="--scale, --preset",
+                     why=f"scales are {', '.join(scales)}, presets {', '.join(presets)}", remedy="choose among these")  # fmt: skip
     return sorted(trials, key=lambda trial: trial.seed)
 
 
@@ -124,12 +127,13 @@ def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
         return list(blocks)
     found = []
     for block in blocks:
-        if block.kind != QUALITY:
+        presets = tuple(preset for preset in block.presets if not choice.presets or preset in choice.presets)
+        if block.kind != QUALITY or not presets:
             continue
         named = tuple(scene for scene in block.scenes if not choice.scenes or scene[0] in choice.scenes)
         missing = tuple((name, 1.0) for name in choice.scenes if name in SCENES and name not in dict(block.scenes))
         sized = tuple(scene for scene in named + missing if not choice.scales or scene[1] in choice.scales)
-        found.append(replace(block, scenes=sized, models=choice.models or block.models,
+        found.append(replace(block, scenes=sized, models=choice.models or block.models, presets=presets,
                              budgets_s=choice.budgets_s or block.budgets_s, seeds=choice.seeds or block.seeds))  # fmt: skip
     return [block for block in found if block.scenes]
 

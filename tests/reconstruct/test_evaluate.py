@@ -1,5 +1,10 @@
 import json
+from dataclasses import replace
+from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -7,6 +12,10 @@ from datasets import images
 from datasets.errors import Misuse
 from datasets.scene import View
 from reconstruct import evaluate
+from reconstruct.appearance import Material, Shading
+from reconstruct.cloud import Cloud
+from reconstruct.field import Field
+from reconstruct.model import Model
 from reconstruct.trained import Trained
 
 STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
@@ -29,6 +38,39 @@ def test_a_model_that_is_the_truth_scores_as_one(ball: Trained) -> None:
     assert written["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in written["per_view"]]))
     shown = evaluate.table(result)
     assert "2 test views at 48x40" in shown and "mesh, Chamfer distance [mm]" in shown and "depth, median error [mm]" in shown
+    assert result["mesh_stands_on"] is None and "any side but" not in shown
+
+
+class Walled(Field):
+    """Another field with a wall along the -y side of the object's box; its colours are the other's."""
+
+    inner: Field
+
+    @classmethod
+    def around(cls, inner: Field) -> "Walled":
+        return cls(inner.encoding, inner.spatial, inner.appearance, inner.density_bias, inner)
+
+    def density(self, cloud: Cloud) -> jax.Array:
+        return jnp.maximum(self.inner.density(cloud), 2000 * jax.nn.sigmoid((-0.9 - cloud.points[1]) / 0.002))
+
+    def __call__(self, cloud: Cloud) -> tuple[jax.Array, Material]:
+        return self.density(cloud), self.inner(cloud)[1]
+
+    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+        return self.inner.shade(material, viewdirs, normals)
+
+
+def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_stands_on(ball: Trained) -> None:
+    truth = Path(ball.run.scene_path) / evaluate.TRUE_SURFACE
+    grid = ball.state.occupancy
+    state = eqx.tree_at(
+        lambda s: (s.model, s.occupancy), ball.state,
+        (Model(Walled.around(ball.state.model.field), ()), grid.with_occupied(jnp.ones_like(grid.occupied))),
+    )  # fmt: skip
+    walled = replace(ball, state=state)
+    assert evaluate.compare_surface(walled, truth)["accuracy_mm"] > 10
+    alone = evaluate.compare_surface(walled, truth, "-z")
+    assert alone["accuracy_mm"] < STEP_MM and alone["completeness_mm"] < STEP_MM
 
 
 def test_missing_split_is_misuse(ball: Trained) -> None:

@@ -34,9 +34,9 @@ def test_trials_are_told_apart_and_can_be_configured(suite: str) -> None:
 def test_choices() -> None:
     trials = plan("quick", Choice(scenes=("teapot",), models=("zipnerf",), budgets_s=(60.0,), seeds=(5,)))
     assert [trial.name for trial in trials] == ["quality-teapot-1-0-zipnerf-fast-60-5"]
-    half = plan("full", Choice(scenes=("lego400",), scales=(0.5,), models=("surfnerf",), budgets_s=(60.0,), seeds=(0,)))
-    assert [trial.name for trial in half if trial.preset == "fast"] == ["quality-lego400-0.5-0-surfnerf-fast-60-0"]
-    with pytest.raises(Misuse, match=r"no scene has pictures of that size.*0\.5, 1"):
+    chosen = Choice(("lego400",), scales=(0.5,), models=("surfnerf",), presets=("fast",), budgets_s=(60.0,), seeds=(0,))
+    assert [trial.name for trial in plan("full", chosen)] == ["quality-lego400-0.5-0-surfnerf-fast-60-0"]
+    with pytest.raises(Misuse, match=r"full has no such trial.*scales are 0\.25, 0\.5, 1, presets fast, paper"):
         plan("full", Choice(scenes=("lego400",), scales=(0.3,)))
     with pytest.raises(Misuse, match="did you mean 'gold_rings'"):
         plan("quick", Choice(scenes=("gold_ring",)))
