@@ -40,7 +40,7 @@ demo: $(READY)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
 
 test: $(READY)
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 test-all: $(READY)
 	$(BIN)/python -m pytest -q -m 'not hardware'

@@ -215,5 +215,5 @@ def table(result: dict[str, Any]) -> str:
     figures += [(words.heading(name), name, value) for name, value in (result.get("mesh") or {}).items()]
     lines += [f"  {heading:<50}{words.rounded(name, value):>8}" for heading, name, value in figures]
     if side := result.get("mesh_stands_on"):
-        lines.append(f"  (the mesh without what reaches into the box through any side but {side})")
+        lines.append(f"  ({words.mesh_without(side)})")
     return "\n".join(lines)

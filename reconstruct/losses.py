@@ -4,6 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+NOTHING = 1e-35
+"""A density that no length makes visible; by less than this nothing is divided."""
+
 
 def charbonnier(error: Float[Array, "..."], width: float) -> Float[Array, "..."]:
     """sqrt(error^2 + width^2): quadratic below `width`, linear above (Mip-NeRF 360)."""
@@ -39,7 +42,8 @@ def hollowness(weights: Float[Array, "rays n"], density: Float[Array, "rays n"])
     before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
     met = jnp.cumsum(weights, -1) - weights
     held, before = jax.lax.stop_gradient((weights * met, before))
-    fall = jnp.where(before > 0, 1 - density / jnp.where(before > 0, before, 1.0), 0.0)
+    seen = before > NOTHING
+    fall = jnp.where(seen, 1 - density / jnp.where(seen, before, 1.0), 0.0)
     return jnp.sum(held * jnp.maximum(fall, 0.0), -1)
 
 

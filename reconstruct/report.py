@@ -20,7 +20,7 @@ from reconstruct.renderer import Picture
 from reconstruct.run import Run
 from reconstruct.skipping import record
 from reconstruct.trained import Trained
-from reconstruct.words import NAMES, unit
+from reconstruct.words import NAMES, mesh_without, unit
 
 VIEWS = 4
 """Test views shown."""
@@ -68,9 +68,11 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[F
     """Everything but pictures and headline."""
     page.section("Figures, mean over the test views")
     page.numbers(_scores(result))
-    for title, scores in (("Mesh", _mesh_scores(result)), ("Calibration", calibrated)):
+    side = result.get("mesh_stands_on")
+    measured_mesh = f"Of {mesh_without(side)}." if side else ""
+    for title, scores, lead in (("Mesh", _mesh_scores(result), measured_mesh), ("Calibration", calibrated, "")):
         if scores:
-            page.section(title)
+            page.section(title, lead)
             page.numbers(scores)
     page.section("Each test view")
     columns = [name for name in metrics.DEFINITIONS if any(view.get(name) is not None for view in result["per_view"])]

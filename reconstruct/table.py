@@ -15,7 +15,7 @@ from datasets.errors import DatasetError, Misuse, nearest
 from reconstruct import metrics, surface_distance
 from reconstruct.evaluate import FORMAT, METRICS, VERSION
 from reconstruct.run import Run
-from reconstruct.words import unit
+from reconstruct.words import mesh_without, unit
 
 COLUMNS = ("psnr", "ssim", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
 """Shown where nothing else is asked for, as far as it was measured: the paper's, with the normal error in both of its definitions."""
@@ -37,6 +37,8 @@ class Row:
     scene: str
     label: str
     values: dict[str, float | None]
+    stands_on: str | None = None
+    """Side through which alone the measured mesh may leave the box; None where nothing was left out."""
 
 
 def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
@@ -60,7 +62,8 @@ def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
             if per_image:
                 rows += [Row(f"{scene}, {label}", view["name"], view) for view in result["per_view"]]
             else:
-                rows.append(Row(scene, label, {**result["mean"], **(result.get("mesh") or {})}))
+                values = {**result["mean"], **(result.get("mesh") or {})}
+                rows.append(Row(scene, label, values, result.get("mesh_stands_on")))
         except (KeyError, TypeError) as error:
             raise DatasetError("metrics are not complete", where=run.path / METRICS, why=str(error)) from None
     order = list(dict.fromkeys(row.scene for row in rows))
@@ -106,13 +109,12 @@ def markdown(rows: Sequence[Row], columns: Sequence[str]) -> str:
         for index, row in enumerate(block):
             cells = _cells(row, block, columns, lambda text: f"**{text}**")
             lines.append(f"| {row.scene if index == 0 else ''} | {row.label} | {' | '.join(cells)} |")
-    notes = [f"* {HEADINGS[c]}: {definition(c)}" for c in columns]
-    return "\n".join([*lines, "", *notes]) + "\n"
+    return "\n".join([*lines, "", *(f"* {note}" for note in notes(rows, columns))]) + "\n"
 
 
 def latex(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """A LaTeX tabular in the paper's layout (booktabs and multirow), with the definitions as comments."""
-    lines = [f"% {HEADINGS[c]}: {definition(c)}" for c in columns]
+    lines = [f"% {note}" for note in notes(rows, columns)]
     lines += [r"\begin{tabular}{ll" + "r" * len(columns) + "}", r"\toprule"]
     lines.append(" & ".join(["", "Model", *(_escaped(heading(c)) for c in columns)]) + r" \\")
     for block in _blocks(rows):
@@ -148,6 +150,15 @@ def write(rows: Sequence[Row], columns: Sequence[str], out: Path) -> None:
         raise Misuse(f"tables are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(FORMS)}")
     files.refuse_existing(out)
     files.write_text(out, FORMS[out.suffix](rows, columns))
+
+
+def notes(rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
+    """What the columns mean, a line each, and which rows' meshes were measured in part."""
+    lines = [f"{HEADINGS[column]}: {definition(column)}" for column in columns]
+    if not any(column in surface_distance.DEFINITIONS for column in columns):
+        return lines
+    in_part = [row for row in rows if row.stands_on is not None]
+    return lines + [f"{row.scene}, {row.label}: {mesh_without(row.stands_on)}" for row in in_part]
 
 
 def definition(column: str) -> str:

@@ -24,6 +24,11 @@ def heading(name: str) -> str:
     return f"{NAMES[name]} [{unit(name)}]" if unit(name) else NAMES[name]
 
 
+def mesh_without(stands_on: str) -> str:
+    """What the figures of a mesh leave out where it was said on which side the object stands, see `mesh.extract`."""
+    return f"the mesh without what reaches into the box through any side but {stands_on}"
+
+
 def rounded(name: str, value: float) -> str:
     """A value with the digits that are worth reading; never fewer than two that are not zero."""
     digits = {"dB": 2, "deg": 1, "mm": 1, "s": 2}.get(unit(name), 3)

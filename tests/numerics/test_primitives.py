@@ -157,6 +157,8 @@ ROWS = [
         "16 quotients by at least 1e-5", (SHARES, 0 * SHARES)),
     Row("distortion", lambda m, w: losses.distortion(w, m, jnp.ones_like(w) / 16), (HISTOGRAM[:, 1:], SHARES),
         "intervals of no length, all weights zero", 0, 1e-6, "running sums of order 1", (1e6 * HISTOGRAM[:, 1:], SHARES)),
+    Row("hollowness", lambda d, w: losses.hollowness(w, d), (DENSITIES, SHARES), "densities 0 to 1e30, rays of no weight", 3e-6, 1e-7,
+        "products of running sums of order 1", (1e-40 * DENSITIES, SHARES)),
     Row("orientation", lambda n, d: losses.orientation(n.T, d.T), (DIRECTIONS, DIRECTIONS[::-1].copy()), "parallel, across, opposite", 0, 1e-6,
         "a product of order 1", (0 * DIRECTIONS, DIRECTIONS)),
     Row("density_smoothness", lambda d, o: losses.density_smoothness(d, o, o[:, 0], jnp.full(12, 0.01, d.dtype), "tangent"),

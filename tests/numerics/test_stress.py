@@ -61,9 +61,10 @@ def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Conf
     changes: dict[str, Any] = {
         "train": {"rate": off(0.01), "final_rate": off(0.001), "first_blur": float(rng.choice([0, 0.02, 0.3]))},
         "losses": {"orientation": off(0.1), "predicted_normals": off(0.03), "density_normals": off(0.03), "distortion": off(0.01),
-                   "decay": off(0.1), "charbonnier": off(1e-3)},
-        "surface": {"density": off(0.1), "normal": off(0.3), "bias": off(0.01), "variation": off(1e-3),
-                    "density_form": str(rng.choice(["tangent", "published"])), "kappa": float(rng.choice([0, 1, 1e6]))},
+                   "hollowness": off(0.1), "decay": off(0.1), "charbonnier": off(1e-3)},
+        "surface": {"density": off(0.1), "normal": off(3.0), "bias": off(0.01), "variation": off(1e-3),
+                    "density_form": str(rng.choice(["tangent", "published"])), "kappa": float(rng.choice([0, 1, 1e6])),
+                    "reach": off(3.0)},
         "field": {"density_bias": float(rng.uniform(-4, 6)), "outward": float(rng.choice([0, 1]))},
     }  # fmt: skip
     config = Config.model_validate(models.merged(models.merged(config.model_dump(), SMALL), changes))

@@ -57,6 +57,7 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "charbonnier": lambda: losses.charbonnier(some(4), 1e-3),
     "interlevel": lambda: losses.interlevel(some(2, 4), some(2, 4)),
     "distortion": lambda: losses.distortion(some(2, 4), some(2, 4), some(2, 4)),
+    "hollowness": lambda: losses.hollowness(some(2, 4), some(2, 4)),
     "smoothness": lambda: losses.density_smoothness(some(2, 4), some(2, 4, 3), some(2, 3), some(2), "tangent"),
     "consistency": lambda: losses.normal_consistency(some(2, 4, 3), some(2, 3)),
     "bias": lambda: losses.lambertian_bias(some(2, 4, 3)),

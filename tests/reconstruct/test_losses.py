@@ -73,6 +73,9 @@ def test_what_grows_denser_along_the_ray_is_not_hollow_and_nothing_is_neither() 
     weights = jnp.full((1, 5), 0.2)
     np.testing.assert_array_equal(losses.hollowness(weights, jnp.array([[0.0, 0.0, 1.0, 5.0, 1e30]])), 0)
     assert gradients_are_finite(losses.hollowness, weights, jnp.array([[0.0, 1e-38, 0.0, 1e30, 0.0]]))
+    assert gradients_are_finite(losses.hollowness, weights, jnp.array([[1e-40, 1e30, 1e-45, 1e30, 1e-34]])), (
+        "too small to divide by"
+    )
     assert gradients_are_finite(losses.hollowness, jnp.zeros((1, 5)), jnp.zeros((1, 5)))
 
 

@@ -28,6 +28,17 @@ def test_markdown_has_a_block_per_scene_and_the_best_bold() -> None:
     assert any("weighted by true alpha times rendered opacity" in line for line in lines[5:])
 
 
+def test_meshes_that_were_measured_in_part_are_named_where_they_are_shown() -> None:
+    rows = [
+        Row("car", "surfnerf", {"chamfer_mm": 1.0, "psnr": 30.0}, "-z"),
+        Row("car", "zipnerf", {"chamfer_mm": 2.0, "psnr": 29.0}),
+    ]
+    named = "car, surfnerf: the mesh without what reaches into the box through any side but -z"
+    assert table.notes(rows, ["psnr", "chamfer_mm"])[2:] == [named]
+    assert f"* {named}" in table.markdown(rows, ["chamfer_mm"]) and f"% {named}" in table.latex(rows, ["chamfer_mm"])
+    assert named not in table.markdown(rows, ["psnr"]), "no figure of a mesh is shown"
+
+
 def test_latex_has_the_paper_s_layout() -> None:
     text = table.latex(ROWS, COLUMNS)
     assert r"\multirow{2}{*}{car} & zip\_refnerf & \textbf{30.37} & 0.955 & 16.37 & 0.205 \\" in text
