@@ -157,8 +157,7 @@ def notes(rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
     lines = [f"{HEADINGS[column]}: {definition(column)}" for column in columns]
     if not any(column in surface_distance.DEFINITIONS for column in columns):
         return lines
-    in_part = [row for row in rows if row.stands_on is not None]
-    return lines + [f"{row.scene}, {row.label}: {mesh_without(row.stands_on)}" for row in in_part]
+    return lines + [f"{row.scene}, {row.label}: {mesh_without(row.stands_on)}" for row in rows if row.stands_on is not None]
 
 
 def definition(column: str) -> str:
