@@ -27,7 +27,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts backgrou
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"
 
-LONG = ("tests/test_pipeline.py", "tests/reconstruct/test_train.py", "tests/docs", "tests/reconstruct/bench", "tests/view")
+LONG = (
+    "tests/test_pipeline.py",
+    "tests/reconstruct/test_train.py",
+    "tests/reconstruct/test_step.py",
+    "tests/faults/test_faults.py",
+)
 """Files that take longest. They begin first: a worker that meets one last leaves the other idle."""
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)

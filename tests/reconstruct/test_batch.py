@@ -35,6 +35,7 @@ def test_rays_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch) -> None
         batch.fitted(config, NORMALISATION, some_pixels(), limit=1000)
 
 
+@pytest.mark.slow
 def test_more_rays_need_more_memory() -> None:
     """As the compiler plans it: the tables and a part that grows with the rays."""
     tiny = {"encoding": {"levels": 2, "log2_size": 10}, "surface": {"enabled": False}, "losses": {"decay": 0},

@@ -22,7 +22,7 @@ def rays_of(trained: Trained) -> Rays:
     return Rays(*map(jnp.asarray, view_rays(view, trained.run.normalisation, trained.camera(view))))
 
 
-@pytest.mark.parametrize("block", [64, 1 << 20])
+@pytest.mark.parametrize("block", [1024, 1 << 20])
 def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     make_run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
