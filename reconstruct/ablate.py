@@ -191,9 +191,11 @@ def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, d
     """The study as a page: each cell's gain over the base, all figures, what each cell changes."""
     budget = "" if study.budget_s is None else f" --budget {study.budget_s:g}"
     common = "".join(f" --set {shlex.quote(override)}" for override in study.overrides)
-    command = f"reconstruct ablate {study.scene} --model {study.model} --preset {study.preset}{budget}{common} --out {out}"
-    report = ReportPage(f"Ablation of {study.model} on {Path(study.scene).name}", made_by=[command])
     cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
+    every = set(cells) >= set(grid(load_config(study.model, study.preset, list(study.overrides))))
+    named = "" if every else "".join(f" --cell {shlex.quote(name)}" for name in cells if name != BASE)
+    command = f"reconstruct ablate {study.scene} --model {study.model} --preset {study.preset}{budget}{common}{named} --out {out}"
+    report = ReportPage(f"Ablation of {study.model} on {Path(study.scene).name}", made_by=[command])
     base = next((row for row in rows if row.label == BASE), rows[0])
     report.headline(
         [(table.heading(name), Number(base.values.get(name))) for name in columns[:4]], f"the base, and {len(rows) - 1} cells"

@@ -47,7 +47,7 @@ def write(trained: Trained, out: Path, *, calibration: Path | None = None) -> di
     run, result = trained.run, _measured(trained)
     views = trained.scene.split(result["split"])
     chosen = views[:: max(1, len(views) // VIEWS)][:VIEWS]
-    page = ReportPage(f"{trained.scene.name}: {run.config.model}", made_by=_commands(run, out, calibration))
+    page = ReportPage(f"{trained.scene.name}: {run.config.model}", made_by=_commands(run, result, out, calibration))
     page.headline(*_headline(run, result))
     page.section("Test views", "Move over a picture: left of the line is the truth, right of it the rendering.")
     with files.atomic_folder(out) as folder:
@@ -233,7 +233,7 @@ def _work(run: Run, result: dict[str, Any]) -> list[str]:
     return [*facts, *(str(note) for note in content.get("notes", []))]
 
 
-def _commands(run: Run, out: Path, calibration: Path | None) -> list[str]:
+def _commands(run: Run, result: dict[str, Any], out: Path, calibration: Path | None) -> list[str]:
     """Command lines that lead to the report, the last of which makes it."""
     path = run.path
     budget = run.content.get("budget_s")
@@ -241,5 +241,7 @@ def _commands(run: Run, out: Path, calibration: Path | None) -> list[str]:
     train = f"reconstruct train {run.scene_path} --model {run.config.model} --preset {run.config.preset}{scale}"
     if "from" in run.content:
         train = f"reconstruct train --from {run.content['from']} --finetune"
-    lines = [f"{train}{f' --budget {budget:g}' if budget else ''} --out {path}", f"reconstruct eval {path}"]
+    stands_on = f" --stands-on {side}" if (side := result.get("mesh_stands_on")) else ""
+    aligned = " --align" if "aligned" in result else ""
+    lines = [f"{train}{f' --budget {budget:g}' if budget else ''} --out {path}", f"reconstruct eval {path}{stands_on}{aligned}"]
     return [*lines, f"reconstruct report {path}{f' --calibration {calibration}' if calibration else ''} --out {out}"]

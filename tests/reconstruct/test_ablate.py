@@ -79,7 +79,9 @@ def test_a_study_goes_on_where_it_was_broken_off(trainings: list[str], ball_scen
         "index.html",
     }
     page = (tmp_path / "study/index.html").read_text()
-    assert "--budget 5 --set train.seed=3 --out" in page and "<td>sampling random</td>" in page and "surface.neighbours=1" in page
+    named = "--budget 5 --set train.seed=3 --cell &#x27;sampling random&#x27; --cell &#x27;k = 1&#x27; --out"
+    assert named in page, "the command makes these cells, not all"
+    assert "<td>sampling random</td>" in page and "surface.neighbours=1" in page
     more = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["k = 5"])
     assert ablate.run(more, tmp_path / "study")["cells"] == 4 and trainings[-1] == "k_5", "cells can be added"
     other = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=4"], 5.0, [])
