@@ -228,7 +228,7 @@ def test_a_command_runs_as_a_module_too(package: str) -> None:
 
 SMALL = {
     "configs/trajectories/calibration_demo.yaml": ["--set", "camera.binning=3", "--set", "camera.width=640", "--set", "camera.height=360"],
-    "train": ["--budget", "12"], "mesh": ["--resolution", "48", "--level", "0.1"],
+    "train": ["--budget", "45"], "mesh": ["--resolution", "48", "--level", "0.1"],
 }  # fmt: skip
 """What makes the tutorial's steps small, by a word in them; what so short a training on a busy computer has learned is thin."""
 FEWER = {"count: 50": "count: 15", "split: {train: 40, test: 10}": "split: {train: 12, test: 3}"}
