@@ -60,6 +60,7 @@ class Walled(Field):
         return self.inner.shade(material, viewdirs, normals)
 
 
+@pytest.mark.slow
 def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_stands_on(ball: Trained) -> None:
     truth = Path(ball.run.scene_path) / evaluate.TRUE_SURFACE
     grid = ball.state.occupancy

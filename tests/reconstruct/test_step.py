@@ -51,7 +51,13 @@ def stepped(config: Config, scene: Scene, steps: int) -> tuple[TrainState, Train
     return start, state, {name: float(value) for name, value in terms.items()}
 
 
-@pytest.mark.parametrize("model", models.names())
+ALWAYS = ("surfnerf", "surfnerf_voxels", "refnerf", "mipnerf", "finetune")
+"""Models that between them use every encoding, appearance and pass; the others are other combinations of these."""
+
+
+@pytest.mark.parametrize(
+    "model", [name if name in ALWAYS else pytest.param(name, marks=pytest.mark.slow) for name in models.names()]
+)
 def test_every_model_trains(model: str, ball_scene: tuple[Scene, Path]) -> None:
     config = small(model)
     before, after, terms = stepped(config, ball_scene[0], 6)

@@ -59,6 +59,7 @@ def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_du
     assert training.clock.step == (32 if enabled else 64)
 
 
+@pytest.mark.slow
 def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
     scene, folder = ball_scene
     config = merged_config(config, {"poses": {"enabled": True}})
