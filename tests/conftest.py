@@ -42,10 +42,8 @@ PINHOLE = Camera(96, 72, 90.0, 90.0, 48.0, 36.0)
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Order tests by file, `LONG` first."""
-    places = [str(ROOT / name) for name in LONG]
-    items.sort(
-        key=lambda item: next((rank for rank, place in enumerate(places) if str(item.path).startswith(place)), len(places))
-    )
+    ranks = {ROOT / name: rank for rank, name in enumerate(LONG)}
+    items.sort(key=lambda item: ranks.get(item.path, len(LONG)))
 
 
 @pytest.fixture
