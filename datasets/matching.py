@@ -49,11 +49,12 @@ class Matches:
         return sum(len(index) for _, _, index in self.pairs)
 
 
-def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, done: Callable[[], None] = lambda: None) -> Matches:
-    """Features of all views, matched between the given pairs of them. `done` is called after each view."""
+def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE,
+            done: Callable[[], None] = lambda: None) -> Matches:  # fmt: skip
+    """Features of all views in pictures of at most `side` pixels, matched between the given pairs. `done` is called after each view."""
     found = []
     for view in views:
-        found.append(detect(view))
+        found.append(detect(view, side=side))
         done()
     kept = [(i, j, match(found[i], found[j])) for i, j in pairs]
     return Matches(tuple(views), tuple(found), tuple(pair for pair in kept if len(pair[2])))

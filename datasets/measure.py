@@ -8,13 +8,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets import bounds, matching
-from datasets.scene import Scene
-from datasets.triangulate import DOUBTFUL, agreement, endless_share, triangulate
+from datasets.matching import Matches
+from datasets.scene import Scene, View
+from datasets.triangulate import DOUBTFUL, Cloud, agreement, endless_share, triangulate
 
 VIEWS = 48
 """Views that are searched at most."""
+SHRINK = (1, 2, 4)
+"""Where too few points are found, they are sought again in pictures so many times smaller: there noise is averaged away."""
 ENDLESS = 0.01
 """Where more than this share of the matches has parallel rays, there is open background: far is infinite."""
 
@@ -36,10 +40,7 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int]
     if spread < bounds.PARALLEL:  # the axes have no common point: any depth among those seen will do
         centre = scene.box.mean(0)
     searched = iter(range(1, len(views) + 1))
-    pairs = matching.neighbours(matrices, centre)
-    matches = matching.matched(views, pairs, done=lambda: done(next(searched), len(views)))
-    cloud = triangulate(matches, matrices)
-    found = bounds.about_points(views, cloud.points)
+    matches, cloud, found = _placed(views, matrices, centre, lambda: done(next(searched), len(views)))
     seen = f"{len(cloud.points)} points triangulated from {len(views)} views"
     if found is None:
         return replace(scene, bounds_from=f"{scene.bounds_from}; only {seen}, too few to measure by")
@@ -58,3 +59,18 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int]
             far = np.inf
             evidence += f", {100 * share:.1f}% of the matches without parallax: far away"
     return replace(scene, box=box, near=near, far=far, points=cloud.points, bounds_from=evidence)
+
+
+def _placed(
+    views: tuple[View, ...], matrices: NDArray[np.float64], centre: NDArray[np.float64], done: Callable[[], None]
+) -> tuple[Matches, Cloud, tuple[bounds.Box, float, float] | None]:
+    """Matches, points and bounds in the largest pictures that give enough of them; without bounds, in the smallest."""
+    pairs = matching.neighbours(matrices, centre)
+    side = min(matching.SIDE, max(max(view.camera.width, view.camera.height) for view in views))
+    for shrink in SHRINK:
+        matches = matching.matched(views, pairs, side=side // shrink, done=done if shrink == 1 else lambda: None)
+        cloud = triangulate(matches, matrices)
+        found = bounds.about_points(views, cloud.points)
+        if found is not None:
+            break
+    return matches, cloud, found

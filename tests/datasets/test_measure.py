@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import images, matching, measure, pose
+from datasets import bounds, images, matching, measure, pose
+from datasets.camera_model import Camera
 from datasets.formats import koala, load_scene
 from datasets.measure import measured
 from datasets.scene import Scene
@@ -65,6 +66,23 @@ def test_pictures_without_texture_have_no_matches(two_walls: Callable[..., Scene
         images.write(view.image, np.full((150, 200, 3), 0.5))
     found = measured(scene)
     assert found.points is None and "only 0 points" in found.bounds_from
+
+
+def test_what_noise_hides_in_large_pictures_is_found_in_smaller_ones(
+    two_walls: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = two_walls(Camera(400, 300, 440.0, 442.0, 202.0, 148.0))
+    random = np.random.default_rng(0)
+    for view in scene.views:
+        picture = images.read(view.image)
+        images.write(view.image, np.clip(0.3 + 0.4 * picture + random.normal(scale=0.16, size=picture.shape), 0, 1))
+    monkeypatch.setattr(
+        bounds, "FEWEST_POINTS", 47
+    )  # between the 39 points of the pictures as they are and the 56 of half their size
+    found = measured(scene)
+    assert 0.8 * 3.3 < found.near < 4.0, found.bounds_from
+    monkeypatch.setattr(measure, "SHRINK", (1,))
+    assert "too few to measure by" in measured(scene).bounds_from
 
 
 def test_measuring_is_asked_for_and_never_overrules_what_is_stated(two_walls: Callable[..., Scene], tmp_path: Path) -> None:
