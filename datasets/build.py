@@ -72,13 +72,15 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
 
 
 def with_measured_near(scene: Scene) -> Scene:
-    """The scene with near as its pictures show it; where too little can be triangulated it stays as it is.
+    """The scene with near as its pictures show it; where too little can be triangulated it stays as it is, and a note says so.
 
     What lies before everything that was ever seen is empty, and a reconstruction that knows so does not fill it with clouds.
     """
     seen = measured(scene)
     if seen.points is None:
-        return scene
+        why = seen.bounds_from.removeprefix(f"{scene.bounds_from}; ")
+        note = f"near is a guess: {why}; something with texture beside the object keeps reconstructions free of fog before the lenses"
+        return replace(scene, notes=(*scene.notes, note))
     return replace(scene, near=seen.near, bounds_from=f"box {scene.bounds_from}; near from {seen.bounds_from}")
 
 
