@@ -84,6 +84,7 @@ class Reflection(eqx.Module):
     ide_degree: int = eqx.field(static=True)
     diffuse_bias: float = eqx.field(static=True)
     specular_bias: float = eqx.field(static=True)
+    roughness_bias: float = eqx.field(static=True)
     start: StartNormals = eqx.field(static=True)
 
     heads: ClassVar[int] = 10
@@ -96,13 +97,14 @@ class Reflection(eqx.Module):
         """Fresh weights for the given sizes."""
         channels = field.bottleneck + ide_channels(field.ide_degree) + 1
         network = _view_network(key, channels, field)
-        return cls(network, field.ide_degree, field.diffuse_bias, field.specular_bias, StartNormals.of(field))
+        biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
+        return cls(network, field.ide_degree, *biases, StartNormals.of(field))
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
         return Material(
             diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), tint=jax.nn.sigmoid(raw[3:6]),
-            roughness=jax.nn.softplus(raw[6:7] - 1.0), normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
+            roughness=jax.nn.softplus(raw[6:7] + self.roughness_bias), normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
             bottleneck=raw[10:],
         )  # fmt: skip
 

@@ -56,6 +56,10 @@ class FieldConfig(Schema):
     )
     diffuse_bias: float = Field(-math.log(3), description="Added to the raw diffuse colour before the sigmoid.")
     specular_bias: float = Field(0.0, description="Added to the raw reflected colour before the sigmoid.")
+    roughness_bias: float = Field(-1.0, description="Added to the raw roughness before the softplus.")
+    surroundings_roughness_bias: float = Field(
+        0.0, description="The same once more where there are surroundings: with them, a blurred start may stay blurred."
+    )
     outward: float = Field(
         0.0, ge=0, description="Predicted normals start as those of a ball about the object: weight of the position in them."
     )
@@ -227,5 +231,9 @@ class Config(Schema):
 
     def with_surroundings(self) -> "Config":
         """The configuration for a scene that is more than its object's box."""
-        field = self.field.model_copy(update={"density_bias": self.field.density_bias + self.field.surroundings_bias})
-        return self.model_copy(update={"field": field})
+        field = self.field
+        biases = {
+            "density_bias": field.density_bias + field.surroundings_bias,
+            "roughness_bias": field.roughness_bias + field.surroundings_roughness_bias,
+        }
+        return self.model_copy(update={"field": field.model_copy(update=biases)})

@@ -128,3 +128,10 @@ def test_an_untrained_table_faces_cameras_above_it(kind: str) -> None:
     appearance = create_appearance(jax.random.key(0), config)
     table = jnp.array([[-0.4, 0.0, 0.4], [0.2, 0.0, -0.2], [-0.55, -0.55, -0.55]])
     assert (appearance.material(jnp.zeros((appearance.heads + 4, 3)), table).normals_pred[2] > 0).all()
+
+
+def test_an_untrained_surface_is_as_rough_as_the_configuration_says() -> None:
+    config = small("reflection").model_copy(update={"roughness_bias": -3.0})
+    appearance = create_appearance(jax.random.key(0), config)
+    material = appearance.material(jnp.zeros((appearance.heads + 4, 2)), jnp.ones((3, 2)))
+    np.testing.assert_allclose(material.roughness, np.log1p(np.exp(-3.0)), rtol=1e-6)  # rounding of float32
