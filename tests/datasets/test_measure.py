@@ -76,9 +76,8 @@ def test_what_noise_hides_in_large_pictures_is_found_in_smaller_ones(
     for view in scene.views:
         picture = images.read(view.image)
         images.write(view.image, np.clip(0.3 + 0.4 * picture + random.normal(scale=0.16, size=picture.shape), 0, 1))
-    monkeypatch.setattr(
-        bounds, "FEWEST_POINTS", 47
-    )  # between the 39 points of the pictures as they are and the 56 of half their size
+    # Between the 39 points of the pictures as they are and the 56 of half their size.
+    monkeypatch.setattr(bounds, "FEWEST_POINTS", 47)
     found = measured(scene)
     assert 0.8 * 3.3 < found.near < 4.0, found.bounds_from
     monkeypatch.setattr(measure, "SHRINK", (1,))
