@@ -272,6 +272,9 @@ def mesh_command(
     faces: Annotated[int | None, typer.Option(min=4, help="Simplify to about so many triangles.")] = None,
     points: Annotated[int | None, typer.Option(min=1, help="Write so many points on the surface instead (PLY).")] = None,
     stands_on: StandsOn = None,
+    follow: Annotated[
+        bool, typer.Option("--follow-normals/--density-only", help="Let the surface follow the predicted normals, or leave it.")
+    ] = True,
     as_json: console.Json = False,
 ) -> None:
     """Take the object's surface out of a run, as a coloured triangle mesh or points in world coordinates."""
@@ -288,7 +291,9 @@ def mesh_command(
     refuse_existing(out)
     cache_compilations()
     trained = Trained.open(run)
-    surface = mesh.extract(trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on)
+    surface = mesh.extract(
+        trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on, follow=follow
+    )
     if points is None:
         mesh.save(surface, out)
     else:

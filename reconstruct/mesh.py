@@ -2,7 +2,8 @@
 
 The density is sampled on a regular grid over the object's box, where the occupancy grid holds anything at all, and
 cut by marching cubes where a stretch as long as 1/128 of the box absorbs `level` of the light. That length belongs to the
-model and not to the mesh, so that a finer mesh shows the same surface in more detail.
+model and not to the mesh, so that a finer mesh shows the same surface in more detail. Where the model predicts normals, the
+surface's slopes are made to follow them.
 """
 
 from collections.abc import Iterator
@@ -21,7 +22,9 @@ from datasets.scene import Scene
 from reconstruct.cloud import Cloud
 from reconstruct.errors import ReconstructError
 from reconstruct.field import Field
+from reconstruct.safe import normalise
 from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.slopes import follow_normals
 from reconstruct.surroundings import SIDES, filled, left_out
 from reconstruct.trained import Trained
 
@@ -34,6 +37,8 @@ LEVEL = 0.5
 """Share of light that a stretch of surface material as long as 1/128 of the box absorbs."""
 CHUNK = 1 << 17
 """Points evaluated at once."""
+FOLLOWED = 1 / 24
+"""Share of the box's longest side over which predicted normals are believed more than the density."""
 SMALLEST_PART = 0.05
 """Pieces with less than this share of the largest piece's area are noise."""
 
@@ -46,6 +51,7 @@ def extract(
     watertight: bool = False,
     faces: int | None = None,
     stands_on: str | None = None,
+    follow: bool = True,
 ) -> "trimesh.Trimesh":
     """Mesh of the object: world coordinates, outward vertex normals, colours as seen straight on.
 
@@ -55,6 +61,7 @@ def extract(
         watertight: close the surface where it leaves the box, for printing and for volumes.
         faces: simplify to about so many triangles (quadric error, Garland and Heckbert 1997); None keeps all.
         stands_on: leave out what reaches into the box through any other side, such as "-z"; None keeps all, see `surroundings`.
+        follow: let the surface follow the predicted normals, see `slopes`, of a model that has them.
 
     Raises:
         ReconstructError: there is no surface in the box.
@@ -80,6 +87,10 @@ def extract(
     vertices, triangles, _, _ = marching_cubes(np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold)),
                                            spacing=(spacing,) * 3, gradient_direction="ascent")  # fmt: skip
     mesh = main_parts(trimesh.Trimesh(vertices + first, triangles, process=False))
+    if follow and trained.state.model.field.appearance.predicts_normals:
+        normals = predicted_normals(trained, mesh.vertices)
+        vertices = follow_normals(mesh.vertices, mesh.faces, normals, over=FOLLOWED * (resolution - 1) * spacing)
+        mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
     if faces is not None and faces < len(mesh.faces):
         mesh = mesh.simplify_quadric_decimation(face_count=faces)
     colours = colours_straight_on(trained, mesh.vertices, mesh.vertex_normals)
@@ -175,14 +186,20 @@ def main_parts(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
 
 def colours_straight_on(trained: Trained, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
     """(n, 3) sRGB of points [scene unit] seen against their normal: diffuse and specular, as metals have no diffuse part."""
-    colours = np.zeros((len(points), 3), np.uint8)
-    for start in range(0, len(points), CHUNK):
-        part = slice(start, min(start + CHUNK, len(points)))
-        values = _colour(
-            trained.state.model.field, _padded(points[part]), _padded(normals[part]), trained.run.normalisation.bounded
-        )
-        colours[part] = np.asarray(jnp.round(255 * jnp.clip(values, 0, 1)), np.uint8)[:, : part.stop - start].T
-    return colours
+    field, bounded = trained.state.model.field, trained.run.normalisation.bounded
+    values = [
+        _colour(field, _padded(points[part]), _padded(normals[part]), bounded).T[: part.stop - part.start]
+        for part in _parts(len(points))
+    ]
+    return np.asarray(jnp.round(255 * jnp.clip(jnp.concatenate(values), 0, 1)), np.uint8)
+
+
+def predicted_normals(trained: Trained, points: NDArray) -> NDArray[np.float32]:
+    """(n, 3) unit normals that the model predicts at points [scene unit]."""
+    field, bounded = trained.state.model.field, trained.run.normalisation.bounded
+    return np.concatenate(
+        [_normals(field, _padded(points[part]), bounded).T[: part.stop - part.start] for part in _parts(len(points))]
+    )
 
 
 def points_on(mesh: "trimesh.Trimesh", count: int, seed: int = 0) -> "trimesh.PointCloud":
@@ -235,6 +252,10 @@ def _chunks(
         yield part, _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
 
 
+def _parts(count: int) -> Iterator[slice]:
+    return (slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK))
+
+
 def _padded(points: NDArray) -> Float[Array, "3 n"]:
     """(3, CHUNK): one compiled program for all chunks."""
     padded = np.zeros((3, CHUNK), np.float32)
@@ -251,3 +272,9 @@ def _density(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[
 def _colour(field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, bounded))
     return field.shade(material, -normals).rgb
+
+
+@eqx.filter_jit
+def _normals(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
+    _, material = field(Cloud(points, None, bounded))
+    return normalise(material.normals_pred, axis=0)
