@@ -61,7 +61,7 @@ def follow_normals(
     distance, failed = cg(system, -pull @ rise, rtol=TOLERANCE, maxiter=STEPS, M=sparse.diags(1 / system.diagonal()))
     if failed or not np.isfinite(distance).all():
         raise ReconstructError("the mesh cannot be made to follow the predicted normals", where="the mesh",
-                               why=f"no solution within {STEPS} steps", remedy="take the surface as its density has it")  # fmt: skip
+                               why=f"no solution within {STEPS} steps", remedy="reconstruct mesh --density-only leaves it as it is")  # fmt: skip
     return vertices + distance[:, None] * normals
 
 

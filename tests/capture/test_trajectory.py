@@ -27,7 +27,12 @@ def _load(tmp_path, text):
 
 @pytest.mark.parametrize(
     ("name", "splits"),
-    [("koala_demo", {"train": 40, "test": 10}), ("koala", {"train": 40, "test": 10}), ("calibration_demo", {"calibration": 25})],
+    [
+        ("koala_demo", {"train": 40, "test": 10}),
+        ("koala_fine", {"train": 59, "test": 15}),
+        ("koala", {"train": 40, "test": 10}),
+        ("calibration_demo", {"calibration": 25}),
+    ],
 )
 def test_shipped_files_load(configs, name, splits):
     trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")

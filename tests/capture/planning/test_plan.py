@@ -18,7 +18,7 @@ def _orbit(**changes):
     return Trajectory(name="orbit", views=[view])
 
 
-@pytest.mark.parametrize("name", ["koala_demo", "koala", "calibration_demo"])
+@pytest.mark.parametrize("name", ["koala_demo", "koala_fine", "koala", "calibration_demo"])
 def test_shipped_trajectories_are_reachable(configs, name):
     trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
     planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
