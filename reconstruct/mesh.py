@@ -6,7 +6,7 @@ model and not to the mesh, so that a finer mesh shows the same surface in more d
 surface's slopes are made to follow them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +71,8 @@ def extract(
 
     axes = grid_axes(trained, resolution)
     density = sample_density(trained, axes)
-    threshold = -np.log1p(-level) * 128 / max(axis[-1] - axis[0] for axis in axes)
+    side = max(axis[-1] - axis[0] for axis in axes)
+    threshold = -np.log1p(-level) * 128 / side
     if not density.min() < threshold < density.max():
         raise ReconstructError("there is no surface in the object's box", where=trained.run.path,
                                why=f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}",
@@ -89,7 +90,7 @@ def extract(
     mesh = main_parts(trimesh.Trimesh(vertices + first, triangles, process=False))
     if follow and trained.state.model.field.appearance.predicts_normals:
         normals = predicted_normals(trained, mesh.vertices)
-        vertices = follow_normals(mesh.vertices, mesh.faces, normals, over=FOLLOWED * (resolution - 1) * spacing)
+        vertices = follow_normals(mesh.vertices, mesh.faces, normals, over=FOLLOWED * side)
         mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
     if faces is not None and faces < len(mesh.faces):
         mesh = mesh.simplify_quadric_decimation(face_count=faces)
@@ -187,19 +188,14 @@ def main_parts(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
 def colours_straight_on(trained: Trained, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
     """(n, 3) sRGB of points [scene unit] seen against their normal: diffuse and specular, as metals have no diffuse part."""
     field, bounded = trained.state.model.field, trained.run.normalisation.bounded
-    values = [
-        _colour(field, _padded(points[part]), _padded(normals[part]), bounded).T[: part.stop - part.start]
-        for part in _parts(len(points))
-    ]
-    return np.asarray(jnp.round(255 * jnp.clip(jnp.concatenate(values), 0, 1)), np.uint8)
+    values = _by_chunks(lambda part, facing: _colour(field, part, facing, bounded), points, normals)
+    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def predicted_normals(trained: Trained, points: NDArray) -> NDArray[np.float32]:
     """(n, 3) unit normals that the model predicts at points [scene unit]."""
     field, bounded = trained.state.model.field, trained.run.normalisation.bounded
-    return np.concatenate(
-        [_normals(field, _padded(points[part]), bounded).T[: part.stop - part.start] for part in _parts(len(points))]
-    )
+    return _by_chunks(lambda part: _normals(field, part, bounded), points)
 
 
 def points_on(mesh: "trimesh.Trimesh", count: int, seed: int = 0) -> "trimesh.PointCloud":
@@ -252,8 +248,13 @@ def _chunks(
         yield part, _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
 
 
-def _parts(count: int) -> Iterator[slice]:
-    return (slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK))
+def _by_chunks(function: Callable[..., Float[Array, "3 n"]], *arrays: NDArray) -> NDArray[np.float32]:
+    """(n, 3) values of a function of (3, CHUNK) arrays at the rows of (n, 3) arrays."""
+    values = np.zeros((len(arrays[0]), 3), np.float32)
+    for start in range(0, len(values), CHUNK):
+        part = slice(start, min(start + CHUNK, len(values)))
+        values[part] = np.asarray(function(*(_padded(array[part]) for array in arrays)))[:, : part.stop - start].T
+    return values
 
 
 def _padded(points: NDArray) -> Float[Array, "3 n"]:
