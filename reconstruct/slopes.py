@@ -25,6 +25,8 @@ TOLERANCE = 1e-4
 """Residual of the solution against the right side: a ten-thousandth of displacements of a few thousandths of the box."""
 STEPS = 10_000
 """Steps of conjugate gradients after which the solution is given up; 300 are usual."""
+ROUNDS = 20
+"""Times that triangles which fold over are looked for; after a few there are hardly any."""
 
 
 def follow_normals(
@@ -45,6 +47,9 @@ def follow_normals(
     from scipy.sparse.linalg import cg
 
     vertices, normals = np.asarray(vertices, np.float64), np.asarray(normals, np.float64)
+    for name, values in (("vertices", vertices), ("normals", normals)):
+        if wrong := int(np.sum(~np.isfinite(values).all(-1))):
+            raise _refusal(f"{wrong} of its {len(values)} {name} are not finite")
     areas, (start, end), cotangents = _areas_and_cotangents(vertices, faces)
     along, between = vertices[end] - vertices[start], normals[start] + normals[end]
     between /= np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)  # opposite normals: no slope, hence no pull
@@ -59,10 +64,40 @@ def follow_normals(
     pull = change.T @ sparse.diags(weights)
     system = sparse.diags(areas) + pull @ change
     distance, failed = cg(system, -pull @ rise, rtol=TOLERANCE, maxiter=STEPS, M=sparse.diags(1 / system.diagonal()))
-    if failed or not np.isfinite(distance).all():
-        raise ReconstructError("the mesh cannot be made to follow the predicted normals", where="the mesh",
-                               why=f"no solution within {STEPS} steps", remedy="reconstruct mesh --density-only leaves it as it is")  # fmt: skip
-    return vertices + distance[:, None] * normals
+    if failed:
+        raise _refusal(f"no solution within {STEPS} steps")
+    return vertices + _unfolded(distance, vertices, faces, normals)[:, None] * normals
+
+
+def _unfolded(
+    distance: Float[np.ndarray, " v"],
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    normals: Float[np.ndarray, "v 3"],
+) -> Float[np.ndarray, " v"]:
+    """Distances that turn no triangle over: corners of one that did, always a needle of marching cubes, move by their mean."""
+    before = _doubled_areas(vertices, faces)
+    for _ in range(ROUNDS):
+        after = _doubled_areas(vertices + distance[:, None] * normals, faces)
+        folded = faces[np.sum(before * after, -1) < 0].reshape(-1)
+        if not len(folded):
+            break
+        means = np.repeat(distance[folded].reshape(-1, 3).mean(-1), 3)
+        times = np.bincount(folded, minlength=len(distance))
+        total = np.bincount(folded, means, minlength=len(distance))
+        distance = np.where(times > 0, total / np.maximum(times, 1), distance)
+    return distance
+
+
+def _doubled_areas(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:
+    """Normals of the triangles, twice as long as their areas."""
+    first, second, third = (vertices[faces[:, k]] for k in range(3))
+    return np.cross(second - first, third - first)
+
+
+def _refusal(why: str) -> ReconstructError:
+    return ReconstructError("the mesh cannot be made to follow the predicted normals", where="the mesh", why=why,
+                            remedy="reconstruct mesh --density-only leaves it as it is")  # fmt: skip
 
 
 def _areas_and_cotangents(
@@ -73,7 +108,7 @@ def _areas_and_cotangents(
 
     count = len(vertices)
     corners = [vertices[faces[:, k]] for k in range(3)]
-    doubled = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=-1)
+    doubled = np.linalg.norm(_doubled_areas(vertices, faces), axis=-1)
     doubled = np.maximum(doubled, 1e-9 * doubled.mean())  # marching cubes makes triangles without area
     opposite = []
     for k in range(3):

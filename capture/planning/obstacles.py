@@ -3,6 +3,7 @@
 A capsule is all that lies within a radius of a line segment. Lengths in metres, base frame.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,16 +58,27 @@ def segments(joints: ArrayLike, flange_from_camera: Array) -> Array:
 
 
 def box_distance(ends: Array, corners: Array) -> Array:
-    """(...) distance [m] of (..., 2, 3) segments from the box between (2, 3) corners; 0 inside.
-
-    The distance is convex along a segment, so that a ternary search finds its minimum; 14 steps leave 0.4% of the length.
-    """
-    low, high = np.zeros(ends.shape[:-2]), np.ones(ends.shape[:-2])
+    """(...) distance [m] of (..., 2, 3) segments from the boxes between (2, ..., 3) corners; 0 inside."""
 
     def distance(t: Array) -> Array:
         point = ends[..., 0, :] + t[..., None] * (ends[..., 1, :] - ends[..., 0, :])
         return np.linalg.norm(np.maximum(np.maximum(corners[0] - point, point - corners[1]), 0.0), axis=-1)
 
+    return _least(distance, ends.shape[:-2])
+
+
+def sight_distance(ends: Array, eye: Array, corners: Array) -> Array:
+    """(...) distance [m] of (..., 2, 3) segments from all that lies between (..., 3) eyes and the box between (2, 3) corners.
+
+    That is the box drawn towards the eye by every share of the way, and the distance from it is convex in that share.
+    """
+    reach = np.stack([corner - eye for corner in corners])
+    return _least(lambda share: box_distance(ends, eye + share[..., None] * reach), ends.shape[:-2])
+
+
+def _least(distance: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
+    """Minima over 0 to 1 of convex functions: 14 steps of a ternary search leave 0.4 % of the interval."""
+    low, high = np.zeros(shape), np.ones(shape)
     for _ in range(14):
         third = (high - low) / 3
         nearer = distance(low + third) <= distance(high - third)
@@ -132,6 +144,28 @@ class Obstacles:
     def margin(self, joints: ArrayLike) -> Array:
         """(n,) least room left beyond the clearance [m] of (n, 6) joint angles."""
         return np.min(list(self.margins(joints).values()), axis=0)
+
+    def sights(self, joints: ArrayLike) -> dict[str, Array]:
+        """Room between the arm and the camera's sight of the object [m] of (n, 6) joint angles: name of the part to (n,).
+
+        Negative where the part may hide some of the object's box from the camera. Empty where there is no object.
+        """
+        if self.object_corners is None:
+            return {}
+        ends = segments(joints, self.flange_from_camera)
+        arm = PARTS.index("bracket")  # which is behind the camera, as all after it
+        eye = np.broadcast_to(ends[..., arm, None, 1, :], (*ends.shape[:-3], arm, 3))
+        room = sight_distance(ends[..., :arm, :, :], eye, self.object_corners) - RADII[:arm]
+        return {part: room[..., i] for i, part in enumerate(PARTS[:arm])}
+
+    def sight(self, joints: ArrayLike) -> Array:
+        """(n,) least room between the arm and the camera's sight of the object [m]; infinite where there is no object."""
+        return np.min([np.full(len(np.asarray(joints)), np.inf), *self.sights(joints).values()], axis=0)
+
+    def hiding(self, joints: ArrayLike) -> str:
+        """The part of the arm that is most in the camera's sight of the object, of (6,) joint angles."""
+        room = {part: float(value[0]) for part, value in self.sights(np.asarray(joints)[None]).items()}
+        return min(room, key=room.__getitem__)
 
     def nearest(self, joints: ArrayLike) -> tuple[str, float]:
         """The pair that is nearest, and its room [m], of (6,) joint angles."""

@@ -157,12 +157,15 @@ def _candidates(viewpoint: Viewpoint, obstacles: Obstacles) -> tuple[_Candidates
     if (margin < 0).all():
         pair, room = obstacles.nearest(joints[int(margin.argmax())])
         return _Candidates(joints, rolls), f"{pair} too near, {-room * 1000:.0f} mm beyond the clearance"
-    regular = np.array([kinematics.singularity(q) for q in joints]) >= MIN_SINGULARITY
-    keep = (margin >= 0) & (regular | (viewpoint.joints is not None))
-    if not keep.any():
-        return _Candidates(joints, rolls), "only next to a singular configuration"
     if viewpoint.joints is not None:
         return _Candidates(joints, rolls), ""
+    joints, rolls = joints[margin >= 0], rolls[margin >= 0]
+    sight = obstacles.sight(joints)
+    if (sight < 0).all():
+        return _Candidates(joints, rolls), f"{obstacles.hiding(joints[int(sight.argmax())])} hides the object from the camera"
+    keep = (sight >= 0) & (np.array([kinematics.singularity(q) for q in joints]) >= MIN_SINGULARITY)
+    if not keep.any():
+        return _Candidates(joints, rolls), "only next to a singular configuration"
     return _with_turns(joints[keep], rolls[keep]), ""
 
 

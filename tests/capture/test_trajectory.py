@@ -30,6 +30,7 @@ def _load(tmp_path, text):
     [
         ("koala_demo", {"train": 40, "test": 10}),
         ("koala_fine", {"train": 59, "test": 15}),
+        ("koala_metre", {"train": 56, "test": 14}),
         ("koala", {"train": 40, "test": 10}),
         ("calibration_demo", {"calibration": 25}),
     ],

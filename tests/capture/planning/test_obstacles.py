@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from capture.kinematics import forward
-from capture.planning.obstacles import PARTS, Obstacles, box_distance, segment_distance, segments
+from capture.planning.obstacles import PARTS, Obstacles, box_distance, segment_distance, segments, sight_distance
 from datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
@@ -31,6 +31,16 @@ def test_segment_distance_equals_brute_force():
         assert segment_distance(first, second) == pytest.approx(slow, abs=0.005)  # the samples are up to 8 mm apart
 
 
+def test_sight_distance_equals_brute_force():
+    rng = np.random.default_rng(2)
+    for ends, eye in zip(rng.uniform(-1, 1, (50, 2, 3)), rng.uniform(-1, 1, (50, 3)), strict=True):
+        share = np.linspace(0, 1, 400)[:, None, None]
+        boxes = (1 - share) * eye + share * BOX  # (400, 2, 3)
+        outside = np.maximum(np.maximum(boxes[:, :1] - _points(ends), _points(ends) - boxes[:, 1:]), 0)
+        slow = np.linalg.norm(outside, axis=-1).min()
+        assert sight_distance(ends, eye, BOX) == pytest.approx(slow, abs=0.02)  # 0.4 % of up to 2.4 m, along both
+
+
 def test_parallel_and_pointlike_segments():
     line = np.array([[0, 0, 0], [1.0, 0, 0]])
     assert segment_distance(line, np.add(line, [0, 0.3, 0])) == pytest.approx(0.3)
@@ -54,6 +64,15 @@ def test_upright_is_free_and_stretched_forward_hits_the_table():
 def test_folded_arm_hits_itself():
     pair, room = Obstacles(MOUNT, 0.02).nearest([0, -np.pi / 2, 2.9, -np.pi / 2, 0.3, 0])
     assert "table" not in pair and room < 0
+
+
+def test_an_arm_between_camera_and_object_hides_it():
+    behind_the_base = np.array([0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0])  # the camera is at x = -0.4
+    before = Obstacles(MOUNT, 0.02, object_corners=BOX)
+    assert before.sight(behind_the_base[None])[0] < 0 and before.hiding(behind_the_base) == "base"
+    below = Obstacles(MOUNT, 0.02, object_corners=BOX - [0.8, 0, 0])
+    assert below.sight(behind_the_base[None])[0] > 0
+    assert Obstacles(MOUNT, 0.02).sight(behind_the_base[None]) == np.inf
 
 
 def test_workspace_holds_the_camera():

@@ -18,7 +18,7 @@ def _orbit(**changes):
     return Trajectory(name="orbit", views=[view])
 
 
-@pytest.mark.parametrize("name", ["koala_demo", "koala_fine", "koala", "calibration_demo"])
+@pytest.mark.parametrize("name", ["koala_demo", "koala_fine", "koala_metre", "koala", "calibration_demo"])
 def test_shipped_trajectories_are_reachable(configs, name):
     trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
     planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
@@ -28,7 +28,7 @@ def test_shipped_trajectories_are_reachable(configs, name):
         reached = forward(view.joints) @ MOUNT
         np.testing.assert_allclose(reached, view.viewpoint.base_from_camera, atol=2e-6)
         np.testing.assert_allclose(reached[:3, 2:], asked.base_from_camera[:3, 2:], atol=2e-6)  # rolled at most
-        assert np.abs(view.joints).max() < JOINT_LIMIT
+        assert np.abs(view.joints).max() < JOINT_LIMIT and obstacles.sight(view.joints[None])[0] >= 0
         for there in view.way:
             assert obstacles.margin(np.linspace(here, there, 100)).min() > -0.005
             here = there
@@ -61,6 +61,14 @@ def test_views_inside_the_table_or_the_object_are_named():
     volume = {"centre": (0.4, 0, 0.3), "size": (0.7, 0.7, 0.6)}
     with pytest.raises(UnreachableError, match="to object too near"):
         plan(Trajectory(name="boxed", views=_orbit().views, object=volume), MOUNT)
+
+
+def test_views_that_the_arm_hides_are_named():
+    volume = {"centre": (0.6, 0, 0.15), "size": (0.26, 0.26, 0.3)}
+    across_the_base = {"target": (0.6, 0, 0.14), "distance": 1.0, "elevation_deg": 5, "azimuth_deg": (175, 185), "count": 1}
+    with pytest.raises(UnreachableError, match=r"000: .* hides the object from the camera"):
+        plan(Trajectory(name="hidden", views=_orbit(**across_the_base).views, object=volume), MOUNT)
+    assert plan(_orbit(**across_the_base), MOUNT)  # where no object is named, nothing is hidden
 
 
 def test_joint_views_are_kept_and_judged():
