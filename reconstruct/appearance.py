@@ -21,6 +21,9 @@ from reconstruct.encodings.view import view_channels, view_encoding
 from reconstruct.mlp import Mlp
 from reconstruct.safe import linear_from_srgb, normalise, srgb_from_linear
 
+RAMP = 0.2
+"""Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""
+
 
 class Material(eqx.Module):
     """Appearance of points before the view direction is known. Linear colour."""
@@ -72,6 +75,30 @@ class StartNormals:
         return self.outward * (points + jnp.asarray(self.towards)[:, None])
 
 
+@dataclass(frozen=True)
+class StartMatte:
+    """How much matter what is around the object begins than the object, whose reflections are to be found.
+
+    A mirror somewhere before a table can show each camera nearly what the table does; so that the table is found, nothing
+    around the object's box mirrors at first.
+    """
+
+    weight: float
+    half_box: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, field: FieldConfig) -> "StartMatte":
+        """As configured; nowhere where the scene was not looked at, or is all object."""
+        return cls(field.matte_around if field.half_box else 0.0, field.half_box or (0.0, 0.0, 0.0))
+
+    def at(self, points: Float[Array, "3 n"]) -> Float[Array, "#1 #n"]:
+        """Added to raw diffuse colours and taken from raw tints; whole from `RAMP` beside the box on."""
+        if not self.weight:
+            return jnp.zeros((1, 1))
+        beyond = jnp.max(jnp.abs(points) - jnp.asarray(self.half_box)[:, None], axis=0, keepdims=True)
+        return self.weight * jnp.clip(beyond / RAMP, 0.0, 1.0)
+
+
 class Reflection(eqx.Module):
     """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected.
 
@@ -86,6 +113,7 @@ class Reflection(eqx.Module):
     specular_bias: float = eqx.field(static=True)
     roughness_bias: float = eqx.field(static=True)
     start: StartNormals = eqx.field(static=True)
+    matte: StartMatte = eqx.field(static=True)
 
     heads: ClassVar[int] = 10
     """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
@@ -98,12 +126,13 @@ class Reflection(eqx.Module):
         channels = field.bottleneck + ide_channels(field.ide_degree) + 1
         network = _view_network(key, channels, field)
         biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
-        return cls(network, field.ide_degree, *biases, StartNormals.of(field))
+        return cls(network, field.ide_degree, *biases, StartNormals.of(field), StartMatte.of(field))
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
+        matte = self.matte.at(points)
         return Material(
-            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), tint=jax.nn.sigmoid(raw[3:6]),
+            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias + matte), tint=jax.nn.sigmoid(raw[3:6] - matte),
             roughness=jax.nn.softplus(raw[6:7] + self.roughness_bias), normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
             bottleneck=raw[10:],
         )  # fmt: skip

@@ -66,6 +66,14 @@ class FieldConfig(Schema):
     towards: tuple[float, float, float] | None = Field(
         None, description="Added to that position; none: the mean direction of the cameras, so that what they see faces them."
     )
+    matte_around: float = Field(
+        0.0,
+        ge=0,
+        description="What is around the object's box starts matte: added to its raw diffuse colour, taken from its tint.",
+    )
+    half_box: tuple[float, float, float] | None = Field(
+        None, description="Half the size of that box [scene unit]; none: as the scene has it, where there are surroundings."
+    )
     density_bias: float = Field(0.5, description="Added to the raw density before the exponential.")
     surroundings_bias: float = Field(
         0.0, description="The same once more where there are surroundings: rays are longer, and the first fog must stay thin."

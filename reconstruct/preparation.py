@@ -60,7 +60,7 @@ def prepare(
     if fresh:
         facts = facts_of(scene, views, pixels, normalisation, possible, config.scale)
         lean, skips = plan(facts, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
-        config = config if planned else facing(lean, views, normalisation)
+        config = config if planned else for_scene(lean, scene, views, normalisation)
     held = None
     if config.train.patience:
         pixels, held = pixels.held_out(PROBE)
@@ -73,11 +73,16 @@ def prepare(
     return Prepared(functions, state, pixels, _probe(scene, config, normalisation), held, skips)
 
 
-def facing(config: Config, views: tuple[View, ...], normalisation: Normalisation) -> Config:
-    """The configuration with starting normals that face the views' cameras, where it has any and does not say otherwise."""
-    if not config.field.outward or config.field.towards is not None:
-        return config
-    return merged_config(config, {"field": {"towards": direction_of_cameras(views, normalisation)}})
+def for_scene(config: Config, scene: Scene, views: tuple[View, ...], normalisation: Normalisation) -> Config:
+    """The configuration with what an untrained field knows of the scene, where it does not say otherwise: from where the views
+    look, and how large the box is around which there is something else."""
+    known: dict[str, tuple[float, float, float]] = {}
+    if config.field.outward and config.field.towards is None:
+        known["towards"] = direction_of_cameras(views, normalisation)
+    if config.field.matte_around and config.field.half_box is None and not normalisation.bounded:
+        x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
+        known["half_box"] = (x, y, z)
+    return merged_config(config, {"field": known})
 
 
 def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:

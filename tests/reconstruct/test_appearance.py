@@ -130,6 +130,24 @@ def test_an_untrained_table_faces_cameras_above_it(kind: str) -> None:
     assert (appearance.material(jnp.zeros((appearance.heads + 4, 3)), table).normals_pred[2] > 0).all()
 
 
+def test_what_is_around_the_box_begins_matte() -> None:
+    """Inside the box nothing changes; a ramp's width beside it, most light is diffuse; between, the change grows evenly."""
+    config = small("reflection").model_copy(update={"diffuse_bias": -3.0, "specular_bias": -1.5})
+    around = create_appearance(jax.random.key(0), config.model_copy(update={"matte_around": 3.5, "half_box": (0.5, 0.4, 0.6)}))
+    plain = create_appearance(jax.random.key(0), config)
+    raw = jnp.zeros((plain.heads + 4, 4))
+    points = jnp.array(
+        [[0.45, -0.6, 0.7, -1.9], [-0.35, 0.0, 0.0, 0.0], [0.55, 0.0, 0.0, 0.5]]
+    )  # inside, half way, outside twice
+    one, other = around.material(raw, points), plain.material(raw, points)
+    np.testing.assert_array_equal(one.stacked()[:, 0], other.stacked()[:, 0])
+    raised = np.log(one.diffuse / (1 - one.diffuse))[0] - np.log(other.diffuse / (1 - other.diffuse))[0]
+    np.testing.assert_allclose(raised, [0, 1.75, 3.5, 3.5], atol=1e-5)  # float32 near 3.5
+    viewdirs = jnp.tile(jnp.array([[0.0], [0.0], [-1.0]]), 4)
+    shading = around.shade(one, viewdirs)
+    assert (shading.specular[:, 2:] < 0.05 * one.diffuse[:, 2:]).all() and (shading.specular[:, 0] > one.diffuse[:, 0]).all()
+
+
 def test_an_untrained_surface_is_as_rough_as_the_configuration_says() -> None:
     config = small("reflection").model_copy(update={"roughness_bias": -3.0})
     appearance = create_appearance(jax.random.key(0), config)
