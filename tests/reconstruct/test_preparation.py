@@ -15,7 +15,7 @@ def test_a_scene_with_surroundings_tells_how_large_its_box_is(ball_scene: tuple[
     alone = ball_scene[0]
     low, high = alone.box
     among = replace(alone, background="scene", box=np.stack([low, high - [0, 0, 0.1]]))
-    config = load_config("surfnerf", "fast", [])
+    config = load_config("surfnerf", "fast", ["field.matte_around=3.5"])
     found = for_scene(config, among, among.views, Normalisation.of(among)).field
     np.testing.assert_allclose(found.half_box, [2 / 3, 2 / 3, 1 / 3])  # 0.2 x 0.2 x 0.1 m has a diagonal of 0.3 m: the unit ball
     assert found.towards is not None and np.linalg.norm(found.towards) < 1
@@ -24,8 +24,8 @@ def test_a_scene_with_surroundings_tells_how_large_its_box_is(ball_scene: tuple[
 
 def test_what_the_configuration_says_of_the_scene_stands(ball_scene: tuple[Scene, Path]) -> None:
     among = replace(ball_scene[0], background="scene")
-    given = load_config("surfnerf", "fast", ["field.half_box=[0.1,0.2,0.3]", "field.towards=[0,0,0.5]"])
+    given = load_config("surfnerf", "fast", ["field.matte_around=3.5", "field.half_box=[0.1,0.2,0.3]", "field.towards=[0,0,0.5]"])
     found = for_scene(given, among, among.views, Normalisation.of(among)).field
     assert found.half_box == (0.1, 0.2, 0.3) and found.towards == (0.0, 0.0, 0.5)
-    plain = load_config("surfnerf", "fast", ["field.matte_around=0", "field.outward=0"])
+    plain = load_config("surfnerf", "fast", ["field.outward=0"])
     assert for_scene(plain, among, among.views, Normalisation.of(among)) == plain
