@@ -239,6 +239,7 @@ def sim_command(
     host: Annotated[str, typer.Option(help="Loopback address to listen on.")] = "127.0.0.1",
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
     time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Arm faster than real time.")] = 1.0,
+    hangs: Annotated[bool, typer.Option("--hangs", help="It waits as an arm that hangs, for trajectories with 'up: -z'.")] = False,
     as_json: console.Json = False,
 ) -> None:  # fmt: skip
     """Start a simulated UR5e controller by itself, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
@@ -250,7 +251,7 @@ def sim_command(
     from capture.sim.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
 
     check_name(scene)
-    with SimulatedController.as_built(seed=seed, time_scale=time_scale, host=host) as controller:
+    with SimulatedController.as_built(seed=seed, time_scale=time_scale, hangs=hangs, host=host) as controller:
         if out is not None:
             write_simulated_rig(out, controller, scene, seed)
         ports = {"rtde": RTDE_PORT, "script": SCRIPT_PORT, "dashboard": DASHBOARD_PORT, "side_channel": controller.side_port}

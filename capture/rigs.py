@@ -70,7 +70,7 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
         time_scale: how much faster than real time the simulated arm is, where it is started here.
     """
     description = describe(name)
-    with _controller(name, description, seed, time_scale) as controller:
+    with _controller(name, description, trajectory, seed, time_scale) as controller:
         if controller is None:
             from capture.cameras.basler import Basler
 
@@ -97,20 +97,21 @@ def open_arm(
     Arguments as of `open_rig`; an arm that is started here has the links of `links_seed` and stops with the errors of `seed`.
     """
     description = describe(name)
-    with _controller(name, description, seed, time_scale, links_seed) as controller:
+    with _controller(name, description, trajectory, seed, time_scale, links_seed) as controller:
         with _arm(description, trajectory, controller) as robot:
             yield robot, controller
 
 
 @contextmanager
 def _controller(
-    name: str, description: RigDescription, seed: int, time_scale: float, links_seed: int | None = None
+    name: str, description: RigDescription, trajectory: Trajectory, seed: int, time_scale: float, links_seed: int | None = None
 ) -> "Iterator[ControllerHandle | None]":
     """The simulated controller of a rig, started here or found running; None for a real one."""
     if name == SIMULATED:
         from capture.sim.controller import SimulatedController
 
-        with SimulatedController.as_built(seed=seed, time_scale=time_scale, links_seed=links_seed) as started:
+        hangs = trajectory.upwards < 0
+        with SimulatedController.as_built(seed=seed, time_scale=time_scale, links_seed=links_seed, hangs=hangs) as started:
             yield started
     elif description.simulation is not None:
         from capture.sim.handle import ControllerHandle

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from capture.rig_description import PoseDescription, Vector
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
+from datasets import pose
 from datasets.schema import Schema, load_yaml
 
 FORMAT, VERSION = "koala-trajectory", 1
@@ -30,7 +31,7 @@ class Split(Schema):
 
 
 class Box(Schema):
-    """An upright box in the base frame."""
+    """A box along the axes of the base frame."""
 
     centre: Vector = Field(description="centre in the base frame [m]")
     size: Vector = Field(description="full extent along x, y, z [m]")
@@ -81,7 +82,8 @@ class Motion(Schema):
 class Safety(Schema):
     """Where no part of the arm or the camera may be."""
 
-    table_z: float | None = Field(0.0, description="height of the table around the arm [m]; null: none")
+    table_z: float | None = Field(0.0, description="z of the table's top in the base frame [m]; null: no table")
+    ceiling_z: float | None = Field(None, description="z of the ceiling that an arm hangs from, mostly 0 [m]; null: none")
     clearance_m: float = Field(0.02, ge=0, le=0.5, description="distance kept to table, object and the arm itself [m]")
     workspace: Box | None = Field(None, description="the camera stays inside this box; null: anywhere")
 
@@ -116,6 +118,7 @@ class Trajectory(Schema):
     camera: CameraSettings = Field(default_factory=CameraSettings, description="exposure, gain and region")
     motion: Motion = Field(default_factory=Motion, description="speed and settling")
     safety: Safety = Field(default_factory=Safety, description="where the arm may not go")
+    up: Literal["+z", "-z"] = Field("+z", description="the base's axis that points up: -z for an arm that hangs upside down")
     object: Box | None = Field(None, description="the object's volume; the object stands in the middle of its bottom")
     target: CharucoTarget | None = Field(None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(
@@ -133,6 +136,26 @@ class Trajectory(Schema):
             raise ValueError("a session with a target has no split: leave out 'split' or 'target'")
         return self
 
+    @model_validator(mode="after")
+    def _table_below(self) -> Self:
+        table, ceiling = self.safety.table_z, self.safety.ceiling_z
+        if self.up == "-z" and table is not None and table <= 0:
+            raise ValueError(f"with up: -z the table is at a positive z, before the hanging arm, but safety.table_z is {table:g}")
+        if table is not None and ceiling is not None and (ceiling - table) * self.upwards <= 0:
+            raise ValueError(f"safety.ceiling_z {ceiling:g} is not above safety.table_z {table:g} where up is {self.up}")
+        return self
+
+    @property
+    def upwards(self) -> int:
+        """The base's z of a step upwards: 1, or -1 for an arm that hangs."""
+        return 1 if self.up == "+z" else -1
+
+    @property
+    def base_from_table(self) -> NDArray[np.float64]:
+        """(4, 4) [m] of a frame whose x axis is the base's, z up and 0 at the table's top (at the base where there is no table)."""
+        up = self.upwards
+        return pose.rigid(np.diag([1.0, up, up]), [0.0, 0.0, self.safety.table_z or 0.0])
+
     @property
     def splits(self) -> list[str]:
         """ "train" or "test" of each view in order; "calibration" throughout for a target session."""
@@ -144,7 +167,7 @@ class Trajectory(Schema):
 
     def viewpoints(self) -> list[Viewpoint]:
         """Every view in order, named "000", "001", ..."""
-        views = [view for group in self.views for view in group.generate()]
+        views = [view for group in self.views for view in group.generate(self.upwards)]
         digits = max(3, len(str(len(views) - 1)))
         return [
             Viewpoint(f"{index:0{digits}d}", split, view.base_from_camera, view.rolls, view.joints)

@@ -52,15 +52,15 @@ class CaptureView:
 
     def _look(self) -> None:
         centre = np.array([0.3, 0.0, 0.2]) if self.trajectory.object is None else self.trajectory.object.corners.mean(0)
-        self.page.look(np.add(centre, [0.9, -1.3, 0.8]), centre * [0.6, 0.6, 1.0], size=1.0)
+        up = self.trajectory.upwards
+        self.page.look(np.add(centre, [0.9, -1.3, 0.8 * up]), centre * [0.6, 0.6, 1.0], up=(0, 0, up), size=1.0)
 
     def _surroundings(self) -> None:
-        """Table, object volume, safety volume, and the way of the camera."""
+        """Table, ceiling, object volume, safety volume, and the way of the camera."""
         page, obstacles = self.page, self.obstacles
-        if obstacles.table_z is not None:
-            page.scene.add_box(
-                "/table", TABLE, (TABLE_M, TABLE_M, 0.01), position=(0.3, 0, obstacles.table_z - 0.006), opacity=0.6
-            )
+        for name, z, side in (("/table", obstacles.table_z, -obstacles.up), ("/ceiling", obstacles.ceiling_z, obstacles.up)):
+            if z is not None:
+                page.scene.add_box(name, TABLE, (TABLE_M, TABLE_M, 0.01), position=(0.3, 0, z + 0.006 * side), opacity=0.6)
         if obstacles.object_corners is not None:
             low, high = obstacles.object_corners
             shapes.add_box(page, "/object/edges", obstacles.object_corners, colour=shapes.COLOURS["box"])

@@ -1,6 +1,7 @@
 """Patterns of camera poses: what the `views` of a trajectory can be. Every pattern is the same on every call.
 
 Each group says how many views it gives (`number`) and generates them in an order with short ways from one to the next.
+`up` is 1 where the base's z axis points up, and -1 where it points down, as that of an arm that hangs.
 """
 
 from dataclasses import dataclass
@@ -50,13 +51,13 @@ class _Looking(Schema):
         [0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
     )
 
-    def _look(self, position: NDArray[np.float64]) -> Viewpoint:
-        return _plain(pose.look_at(position, self.target), tuple(np.radians(self.roll_deg)))
+    def _look(self, position: NDArray[np.float64], up: int) -> Viewpoint:
+        return _plain(pose.look_at(position, self.target, (0, 0, up)), tuple(np.radians(self.roll_deg)))
 
 
-def _on_sphere(target: Vector, distance: float, azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
+def _on_sphere(target: Vector, distance: float, azimuth_deg: float, elevation_deg: float, up: int) -> NDArray[np.float64]:
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
-    direction = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
+    direction = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), up * np.sin(elevation))
     return np.asarray(target) + distance * np.array(direction)
 
 
@@ -88,7 +89,7 @@ class HemisphereViews(_Looking):
         """Number of views."""
         return self.count
 
-    def generate(self) -> list[Viewpoint]:
+    def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views, ring by ring from below."""
         elevations = np.linspace(*self.elevation_deg, self.rings)
         share = np.cumsum(np.cos(np.radians(elevations)))
@@ -97,7 +98,7 @@ class HemisphereViews(_Looking):
         views = []
         for ring, (elevation, number) in enumerate(zip(elevations, np.diff(last, prepend=0), strict=True)):
             for azimuth in _azimuths(self.azimuth_deg, number)[:: -1 if ring % 2 else 1]:
-                views.append(self._look(_on_sphere(self.target, self.distance, azimuth, elevation)))
+                views.append(self._look(_on_sphere(self.target, self.distance, azimuth, elevation, up), up))
         return views
 
 
@@ -115,10 +116,10 @@ class OrbitViews(_Looking):
         """Number of views."""
         return self.count
 
-    def generate(self) -> list[Viewpoint]:
+    def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views in order of azimuth."""
         azimuths = _azimuths(self.azimuth_deg, self.count)
-        return [self._look(_on_sphere(self.target, self.distance, azimuth, self.elevation_deg)) for azimuth in azimuths]
+        return [self._look(_on_sphere(self.target, self.distance, azimuth, self.elevation_deg, up), up) for azimuth in azimuths]
 
 
 class GridViews(_Looking):
@@ -135,11 +136,11 @@ class GridViews(_Looking):
         """Number of views."""
         return self.columns * self.rows
 
-    def generate(self) -> list[Viewpoint]:
+    def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views, row by row, to and fro."""
         xs, ys = (np.linspace(-0.5, 0.5, n) * s if n > 1 else np.zeros(1)
                   for n, s in zip((self.columns, self.rows), self.size, strict=True))  # fmt: skip
-        return [self._look(np.add(self.centre, (x, y, 0.0))) for row, y in enumerate(ys) for x in xs[:: -1 if row % 2 else 1]]
+        return [self._look(np.add(self.centre, (x, y, 0.0)), up) for row, y in enumerate(ys) for x in xs[:: -1 if row % 2 else 1]]
 
 
 class TiltedViews(_Looking):
@@ -158,7 +159,7 @@ class TiltedViews(_Looking):
         """Number of views."""
         return self.count
 
-    def generate(self) -> list[Viewpoint]:
+    def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views in order of azimuth; the other quantities follow a low-discrepancy sequence (Roberts 2018, R_5)."""
         root = 1.1673039782614187  # of x^6 = x + 1: the five-dimensional counterpart of the golden ratio
         views = []
@@ -167,9 +168,9 @@ class TiltedViews(_Looking):
             side = self.azimuth_deg[0] + (index + 0.5) / self.count * (self.azimuth_deg[1] - self.azimuth_deg[0])
             tilt = np.interp(np.sqrt(u[0]), (0, 1), self.tilt_deg)
             target = np.asarray(self.target) + np.append((2 * u[3:5] - 1) * self.shift, 0.0)
-            position = _on_sphere(tuple(target), np.interp(u[1], (0, 1), self.distance), side, 90 - max(tilt, 0.1))
+            position = _on_sphere(tuple(target), np.interp(u[1], (0, 1), self.distance), side, 90 - max(tilt, 0.1), up)
             turn = pose.from_rotation_vector([0, 0, np.radians(np.interp(u[2], (0, 1), self.turn_deg))])
-            views.append(_plain(pose.look_at(position, target) @ turn, tuple(np.radians(self.roll_deg))))
+            views.append(_plain(pose.look_at(position, target, (0, 0, up)) @ turn, tuple(np.radians(self.roll_deg))))
         return views
 
 
@@ -192,12 +193,12 @@ class CameraPose(Schema):
             raise ValueError("quaternion_wxyz is zero")
         return self
 
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self, up: int = 1) -> NDArray[np.float64]:
         """(4, 4) `base_from_camera` [m]."""
         if self.quaternion_wxyz is not None:
             return pose.from_quaternion(self.quaternion_wxyz, self.position)
         assert self.look_at is not None  # `_one_orientation` saw to it
-        return pose.look_at(self.position, self.look_at)
+        return pose.look_at(self.position, self.look_at, (0, 0, up))
 
 
 class PoseViews(Schema):
@@ -214,9 +215,9 @@ class PoseViews(Schema):
         """Number of views."""
         return len(self.poses)
 
-    def generate(self) -> list[Viewpoint]:
+    def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views as listed."""
-        return [_plain(view.matrix(), tuple(np.radians(self.roll_deg))) for view in self.poses]
+        return [_plain(view.matrix(up), tuple(np.radians(self.roll_deg))) for view in self.poses]
 
 
 class JointViews(Schema):
@@ -232,6 +233,6 @@ class JointViews(Schema):
         """Number of views."""
         return len(self.joints_deg)
 
-    def generate(self) -> list[Viewpoint]:
-        """The views as listed; their camera poses follow from the rig."""
+    def generate(self, up: int = 1) -> list[Viewpoint]:
+        """The views as listed, whatever is up; their camera poses follow from the rig."""
         return [_plain(None, joints=np.radians(joints)) for joints in self.joints_deg]

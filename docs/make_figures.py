@@ -60,7 +60,8 @@ def main() -> None:
     shutil.copy(demo / "report" / "strip.png", out / "gold_head.png")
     images.write(out / "board.png", contact_sheet(demo / "board", (2, 11, 20), width=320, columns=3))
     images.write(out / "recording.png", contact_sheet(demo / "recording", tuple(range(0, 48, 4)), width=160, columns=6))
-    plan(out / "plan.png")
+    plan("koala_demo", out / "plan.png")
+    plan("koala_hanging", out / "plan_hanging.png")
     pages(demo, out)
     console.hint(str(out))
 
@@ -77,14 +78,14 @@ def contact_sheet(recording: Path, chosen: tuple[int, ...], *, width: int, colum
     return np.concatenate(rows)[:-6, :-6]
 
 
-def plan(path: Path) -> None:
-    """What `capture plan --plot` draws for the demonstration."""
+def plan(name: str, path: Path) -> None:
+    """What `capture plan --plot` draws of a trajectory that we ship."""
     from capture.planning import Obstacles, draw, duration
     from capture.planning import plan as planned_views
     from capture.rig_description import RigDescription
     from capture.trajectory import load_trajectory
 
-    session = load_trajectory(drawings.SESSION.with_name("koala_demo.yaml"))
+    session = load_trajectory(drawings.SESSION.with_name(f"{name}.yaml"))
     mount = RigDescription().flange_from_camera.matrix()
     planned = planned_views(session, mount)
     path.unlink(missing_ok=True)

@@ -88,7 +88,7 @@ def figure_of(planned: list[PlannedView], obstacles: Obstacles, *, title: str) -
 
 
 def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes: tuple[int, int]) -> None:
-    """Cameras, their ways, the arm, box and table, flat on two axes of the base; the first of each kind is named."""
+    """Cameras, their ways, the arm, box, table and ceiling, flat on two axes of the base; the first of each kind is named."""
     across, up = axes
     for index, way in enumerate(_ways(planned)):
         track = _camera_track(way, obstacles)
@@ -101,8 +101,10 @@ def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes:
     if obstacles.object_corners is not None:
         for index, edge in enumerate(_box_edges(obstacles.object_corners)):
             panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1, label="" if index else "the object's box")
-    if up == 2 and obstacles.table_z is not None:
-        panel.axhline(obstacles.table_z, color="sienna", label="the table")
+    planes = {"the table": (obstacles.table_z, "sienna"), "the ceiling": (obstacles.ceiling_z, "slategray")}
+    for name, (z, colour) in planes.items() if up == 2 else ():
+        if z is not None:
+            panel.axhline(z, color=colour, label=name)
     splits = [view.viewpoint.split for view in planned]
     for index, (split, pose) in enumerate(zip(splits, _cameras(planned, obstacles.flange_from_camera), strict=True)):
         ahead = pose[:3, 3] + FRUSTUM_M * pose[:3, 2]
@@ -110,6 +112,8 @@ def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes:
         panel.plot([pose[across, 3], ahead[across]], [pose[up, 3], ahead[up]], color=COLOURS.get(split, "black"),
                    linewidth=1.5, marker=".", markevery=[0], label=label)  # fmt: skip
     panel.set(aspect="equal")
+    if up == 2 and obstacles.up < 0:
+        panel.invert_yaxis()  # the picture is upright, the base hangs
 
 
 def _camera_track(way: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:
@@ -140,6 +144,7 @@ def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict
     box = obstacles.object_corners
     return {
         "title": title, "radii": RADII.tolist(), "views": views, "table_z": obstacles.table_z,
+        "ceiling_z": obstacles.ceiling_z, "up": obstacles.up,
         "box": [] if box is None else _box_edges(box).round(4).tolist(),
         "centre": (cameras[:, :3, 3].mean(0) if box is None else box.mean(0)).round(4).tolist(),
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""How far the arm and its camera are from the table, the object and themselves, with a capsule along each part.
+"""How far the arm and its camera are from table, ceiling, object and themselves, with a capsule along each part.
 
 A capsule is all that lies within a radius of a line segment. Lengths in metres, base frame.
 """
@@ -102,13 +102,16 @@ def segment_distance(first: Array, second: Array) -> Array:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """What the arm must keep clear of: (2, 3) corners of object and workspace, height of the table [m]; None: absent."""
+    """What the arm must keep clear of: (2, 3) corners of object and workspace, z of table and ceiling [m]; None: absent."""
 
     flange_from_camera: Array
     clearance_m: float
     table_z: float | None = None
     object_corners: Array | None = None
     workspace_corners: Array | None = None
+    ceiling_z: float | None = None
+    up: int = 1
+    """1 where the base's z axis points up, -1 where the arm hangs."""
 
     @classmethod
     def of(cls, trajectory: Any, flange_from_camera: Array) -> "Obstacles":
@@ -120,15 +123,18 @@ class Obstacles:
             safety.table_z,
             None if trajectory.object is None else trajectory.object.corners,
             None if safety.workspace is None else safety.workspace.corners,
+            safety.ceiling_z,
+            trajectory.upwards,
         )
 
     def margins(self, joints: ArrayLike) -> dict[str, Array]:
         """Room left beyond the clearance [m] of (n, 6) joint angles: name of the pair to (n,); negative: too near."""
         ends = segments(joints, self.flange_from_camera)
         room: dict[str, Array] = {}
-        if self.table_z is not None:
-            height = ends[..., 2:, :, 2].min(-1) - RADII[2:] - self.table_z
-            room |= {f"{part} to table": height[..., i] for i, part in enumerate(PARTS[2:])}
+        for name, z, away in (("table", self.table_z, self.up), ("ceiling", self.ceiling_z, -self.up)):
+            if z is not None:
+                height = (away * (ends[..., 2:, :, 2] - z)).min(-1) - RADII[2:]
+                room |= {f"{part} to {name}": height[..., i] for i, part in enumerate(PARTS[2:])}
         if self.object_corners is not None:
             gap = box_distance(ends[..., 1:, :, :], self.object_corners) - RADII[1:]
             room |= {f"{part} to object": gap[..., i] for i, part in enumerate(PARTS[1:])}

@@ -28,7 +28,7 @@ class BoardPicture:
     """A ChArUco board that lies on the table."""
 
     target: CharucoTarget
-    base_from_board: NDArray[np.float64]
+    table_from_board: NDArray[np.float64]
     seed: int
     centre: tuple[float, float]
     """Middle of the table [m]."""
@@ -67,23 +67,23 @@ class BoardPicture:
             np.float32
         )
 
-    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
         """(height, width, 3) linear light on each pixel of the lens's camera, averaged over its area."""
-        light = self._table_light(base_from_camera, _rays(lens.middles()))
+        light = self._table_light(table_from_camera, _rays(lens.middles()))
         board = np.zeros(light.shape[:2])
         covered = np.zeros(light.shape[:2])
         for place in lens.places():
-            on_board, white = self._board_light(base_from_camera, _rays(place))
+            on_board, white = self._board_light(table_from_camera, _rays(place))
             covered[on_board] += 1
             board[on_board] += INK + (PAPER - INK) * white
         share = (covered / lens.taps**2)[..., None]
         return (light[..., 3:] * (light[..., :3] * (1 - share) + (board / lens.taps**2)[..., None])).astype(np.float32)
 
     def _board_light(
-        self, base_from_camera: NDArray[np.float64], rays: NDArray[np.float64]
+        self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """Where (h, w, 3) rays meet the board, and the whiteness there (n,)."""
-        board_from_camera = pose.inverse(self.base_from_board) @ base_from_camera
+        board_from_camera = pose.inverse(self.table_from_board) @ table_from_camera
         start, heading = board_from_camera[:3, 3], rays @ board_from_camera[:3, :3].T
         facing = heading[..., 2] > 1e-9
         places = start[:2] - heading[..., :2] * (start[2] / np.where(facing, heading[..., 2], 1.0))[..., None]
@@ -91,11 +91,11 @@ class BoardPicture:
         on_board = ((places > -BORDER) & (places < extent + BORDER)).all(-1) & facing & (start[2] < 0)
         return on_board, self.whiteness(places[on_board])
 
-    def _table_light(self, base_from_camera: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _table_light(self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
         """(h, w, 4) colour of the table, and the brightness of the lamps above it, where (h, w, 3) rays meet it."""
-        heading = rays @ base_from_camera[:3, :3].T
+        heading = rays @ table_from_camera[:3, :3].T
         down = np.minimum(heading[..., 2:], -1e-9)
-        places = (base_from_camera[:3, 3] - heading * (base_from_camera[2, 3] / down))[..., :2] - self.centre
+        places = (table_from_camera[:3, 3] - heading * (table_from_camera[2, 3] / down))[..., :2] - self.centre
         cell = places / TABLE_SIZE + 0.5
         table = _table(self.seed)
         resolution = table.shape[0]

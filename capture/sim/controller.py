@@ -23,6 +23,8 @@ from datasets.errors import Misuse
 START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
 """Where the arm stands at first: stretched upwards [rad]."""
+HANGING_HOME = (0.0, -np.pi, 0.0, -np.pi / 2, 0.0, 0.0)
+"""The same of an arm that hangs: stretched along the ceiling, out of the way [rad]."""
 BUILT_MM, BUILT_DEG = 0.5, 0.05
 """How the links of an arm as it was built differ from the nominal ones, one standard deviation: millimetres at the flange."""
 
@@ -90,10 +92,12 @@ class SimulatedController(ControllerHandle):
         return cls(process, ready["host"], ready["side_port"], words)
 
     @classmethod
-    def as_built(cls, *, seed: int, time_scale: float, links_seed: int | None = None, host: str = "") -> Self:
-        """`start` an arm whose links are not quite the nominal ones, as those of any real arm."""
+    def as_built(
+        cls, *, seed: int, time_scale: float, links_seed: int | None = None, hangs: bool = False, host: str = ""
+    ) -> Self:
+        """`start` an arm whose links are not quite the nominal ones, as those of any real arm; out of the way if it hangs."""
         return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, length_error_mm=BUILT_MM,
-                         angle_error_deg=BUILT_DEG)  # fmt: skip
+                         angle_error_deg=BUILT_DEG, home=HANGING_HOME if hangs else HOME)  # fmt: skip
 
     def __enter__(self) -> Self:
         return self

@@ -36,7 +36,7 @@ class Surfaces:
     is_object: NDArray[np.bool_]
     """(h, w) it meets the object."""
     normals: NDArray[np.float32]
-    """(h, w, 3) unit, outward, in the base frame."""
+    """(h, w, 3) unit, outward, in the table's frame."""
     depth: NDArray[np.float32]
     """(h, w) along z of the camera [m]; 0 where nothing is met."""
 
@@ -58,25 +58,27 @@ class Renderer:
         identities = [shape.id() for shape in self._scene.shapes()]
         self._object_indices = [identities.index(f"item{part:03d}") + 1 for part in range(stage.parts)]  # 0 is a miss
 
-    def radiance(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, samples: int, seed: int) -> NDArray[np.float32]:
+    def radiance(
+        self, pinhole: Camera, table_from_camera: NDArray[np.float64], *, samples: int, seed: int
+    ) -> NDArray[np.float32]:
         """(h, w, 3) linear light that reaches a pinhole, from `samples` paths per pixel. Its pixels are square and its
         principal point is a pixel's corner."""
         picture = np.empty((pinhole.height, pinhole.width, 3), np.float32)
         for number, (rows, part) in enumerate(strips(pinhole, PATHS_AT_ONCE // samples)):
-            sensor = _sensor(part, base_from_camera, SAMPLER)
+            sensor = _sensor(part, table_from_camera, SAMPLER)
             light = mi.render(self._scene, sensor=sensor, integrator=self._light, spp=samples, seed=strip_seed(seed, number))
             picture[rows] = np.array(light)[..., :3]
         return picture
 
-    def surfaces(self, pinhole: Camera, base_from_camera: NDArray[np.float64], *, seed: int) -> Surfaces:
+    def surfaces(self, pinhole: Camera, table_from_camera: NDArray[np.float64], *, seed: int) -> Surfaces:
         """What the pinhole's pixels show first."""
-        sensor = _sensor(pinhole, base_from_camera, "independent")
+        sensor = _sensor(pinhole, table_from_camera, "independent")
         picture = np.array(mi.render(self._scene, sensor=sensor, integrator=self._first, spp=1, seed=seed), np.float32)
         normals, places, index = picture[..., :3], picture[..., 3:6], picture[..., 6]
-        away = places - base_from_camera[:3, 3].astype(np.float32)
+        away = places - table_from_camera[:3, 3].astype(np.float32)
         leaked = np.sum(normals * away, axis=-1) > 0.3 * np.linalg.norm(away, axis=-1)  # slipped between two triangles
         hit = (np.linalg.norm(normals, axis=-1) > 0.5) & ~leaked
-        depth = away @ base_from_camera[:3, 2]
+        depth = away @ table_from_camera[:3, 2]
         return Surfaces(
             hit, hit & np.isin(np.rint(index), self._object_indices), normals, np.where(hit, depth, 0).astype(np.float32)
         )
@@ -87,7 +89,7 @@ def strip_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
-def _sensor(pinhole: Camera, base_from_camera: NDArray[np.float64], sampler: str) -> Any:
+def _sensor(pinhole: Camera, table_from_camera: NDArray[np.float64], sampler: str) -> Any:
     """Mitsuba's sensor for a pinhole: the part of a centred picture that reaches to the pinhole's furthest edges."""
     half_width = int(np.ceil(max(pinhole.cx, pinhole.width - pinhole.cx)))
     half_height = int(np.ceil(max(pinhole.cy, pinhole.height - pinhole.cy)))
@@ -99,7 +101,7 @@ def _sensor(pinhole: Camera, base_from_camera: NDArray[np.float64], sampler: str
     return mi.load_dict({
         "type": "perspective", "film": film, "sampler": {"type": sampler}, "near_clip": 0.005, "far_clip": 100.0,
         "fov_axis": "x", "fov": float(np.rad2deg(2 * np.arctan(half_width / pinhole.fx))),
-        "to_world": mi.ScalarTransform4f(base_from_camera @ MITSUBA_FROM_OPENCV),
+        "to_world": mi.ScalarTransform4f(table_from_camera @ MITSUBA_FROM_OPENCV),
     })  # fmt: skip
 
 

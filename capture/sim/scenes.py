@@ -1,6 +1,6 @@
 """The simulated laboratory: what stands on the table in front of the robot, as shapes, colours and light.
 
-Everything is in the robot's base frame [m], the table's top at z = 0. A stage knows nothing of a renderer.
+Everything is in the table's frame [m]: its top at z = 0, z up. A stage knows nothing of a renderer.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ TABLE_SIZE = 1.8
 
 @dataclass(frozen=True)
 class Item:
-    """One thing on the stage, its mesh in the base frame [m]."""
+    """One thing on the stage, its mesh in the table's frame [m]."""
 
     name: str
     mesh: trimesh.Trimesh
@@ -54,7 +54,7 @@ class Stage:
         return any(isinstance(item.material, Glass) for item in self.items)
 
     def mesh(self) -> trimesh.Trimesh:
-        """The object in the base frame [m]."""
+        """The object in the table's frame [m]."""
         meshes = [item.mesh for item in self.items[: self.parts]]
         return meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
 
@@ -71,7 +71,7 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
 
     Args:
         name: of `SCENES`, "charuco_board" aside.
-        centre: (3,) middle of the object volume in the base frame [m].
+        centre: (3,) middle of the object volume in the table's frame [m].
         size: (3,) its edges [m].
         seed: of the textures.
     """
@@ -102,7 +102,7 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
 
 
 def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDArray[np.float64]) -> None:
-    """Stand the object in the middle of the volume's floor, in the base frame; smaller where the volume is too small."""
+    """Stand the object in the middle of the volume's floor, in the table's frame; smaller where the volume is too small."""
     lower = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
     upper = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
     scale = min(1.0, float(np.min(size / (upper - lower))))

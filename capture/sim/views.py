@@ -1,4 +1,7 @@
-"""What is in front of the simulated lens: an object in the laboratory, or the calibration board."""
+"""What is in front of the simulated lens: an object in the laboratory, or the calibration board.
+
+Both are described in the table's frame; `InBase` shows them to a robot that stands on that table, above or below it, or hangs.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,6 +16,7 @@ from capture.sim.board import BoardPicture
 from capture.sim.lens import Lens, strips
 from capture.sim.scenes import Stage, check_name, stage
 from capture.trajectory import Trajectory
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.errors import Misuse
 
@@ -27,18 +31,42 @@ RAYS_AT_ONCE = 4_000_000
 
 
 class View(Protocol):
-    """What is in front of the lens."""
+    """What is in front of the lens, described in one frame: `world`."""
 
-    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+    def radiance(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> NDArray[np.float32]:
         """(height, width, 3) linear light on the pixels of the lens's camera, its mean over (n, 4, 4) poses of an exposure."""
         ...
 
-    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+    def truth(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> Maps:
         """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
         ...
 
     def mesh(self) -> Any:
-        """The object [m, base frame], a trimesh; None where there is none."""
+        """The object [m], a trimesh; None where there is none."""
+
+
+@dataclass(frozen=True)
+class InBase:
+    """A view described in the table's frame, as a `View` in the robot's base frame."""
+
+    view: View
+    base_from_table: NDArray[np.float64]
+
+    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return self.view.radiance(lens, pose.inverse(self.base_from_table) @ base_from_camera, seed)
+
+    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """See `View`."""
+        maps = self.view.truth(lens, pose.inverse(self.base_from_table) @ base_from_camera, seed)
+        if "normals" in maps:
+            maps["normals"] = maps["normals"] @ self.base_from_table[:3, :3].T.astype(np.float32)
+        return maps
+
+    def mesh(self) -> Any:
+        """See `View`."""
+        mesh = self.view.mesh()
+        return None if mesh is None else mesh.copy().apply_transform(self.base_from_table)
 
 
 @dataclass
@@ -56,18 +84,18 @@ class ObjectView:
 
         return Renderer(self.stage)
 
-    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
         pictures = (self._renderer.radiance(lens.pinhole, moment, samples=self.samples, seed=(seed + i) % 2**32)
-                    for i, moment in enumerate(base_from_camera))  # fmt: skip
-        self._newest = _mean(pictures, len(base_from_camera))
+                    for i, moment in enumerate(table_from_camera))  # fmt: skip
+        self._newest = _mean(pictures, len(table_from_camera))
         return lens.image(self._newest)
 
-    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """Means over each pixel: normals and depth over that part of it which shows the object, light over all of it."""
         if self._newest is None:
             raise SimulationError("no picture has been taken yet")
-        means = self._surfaces(lens.pinhole, base_from_camera, seed)
+        means = self._surfaces(lens.pinhole, table_from_camera, seed)
         specular = self._newest * means[..., :1]
         alpha, normals, depth, specular, diffuse = np.split(
             lens.image(np.concatenate([means, specular, self._newest - specular], -1)), [1, 4, 5, 8], axis=-1
@@ -78,12 +106,12 @@ class ObjectView:
             "specular": specular, "diffuse": diffuse,
         }  # fmt: skip
 
-    def _surfaces(self, pinhole: Camera, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+    def _surfaces(self, pinhole: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """(height, width, 5) means over a pinhole's pixels: share of the object, its normals and its depth times that."""
         means = np.empty((pinhole.height, pinhole.width, 5), np.float32)
         for number, (rows, part) in enumerate(strips(pinhole, RAYS_AT_ONCE // FINE**2)):
             fine = part.scaled(FINE * part.width, FINE * part.height)
-            seen = self._renderer.surfaces(fine, base_from_camera, seed=(seed + number) % 2**32)
+            seen = self._renderer.surfaces(fine, table_from_camera, seed=(seed + number) % 2**32)
             values = np.concatenate([np.ones_like(seen.normals[..., :1]), seen.normals, seen.depth[..., None]], -1)
             values *= seen.is_object[..., None]
             means[rows] = sum(values[down::FINE, right::FINE] for down in range(FINE) for right in range(FINE)) / FINE**2
@@ -100,11 +128,11 @@ class BoardView:
 
     board: BoardPicture
 
-    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        return _mean((self.board.radiance(lens, moment) for moment in base_from_camera), len(base_from_camera))
+        return _mean((self.board.radiance(lens, moment) for moment in table_from_camera), len(table_from_camera))
 
-    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """Nothing per picture: the board's pose says it all."""
         return {}
 
@@ -129,16 +157,22 @@ def check_scene(scene: str, trajectory: Trajectory) -> None:
                      remedy="use configs/trajectories/koala_demo.yaml, or --scene charuco_board")  # fmt: skip
 
 
-def make_view(scene: str, trajectory: Trajectory, seed: int) -> View:
+def make_view(scene: str, trajectory: Trajectory, seed: int) -> InBase:
     """What stands in front of the camera; raises as `check_scene` does."""
     check_scene(scene, trajectory)
+    return InBase(_on_table(scene, trajectory, seed), trajectory.base_from_table)
+
+
+def _on_table(scene: str, trajectory: Trajectory, seed: int) -> View:
+    table_from_base = pose.inverse(trajectory.base_from_table)
     if trajectory.target is not None and trajectory.board is not None and scene == "charuco_board":
-        base_from_board, target = trajectory.board.matrix(), trajectory.target
+        table_from_board, target = table_from_base @ trajectory.board.matrix(), trajectory.target
         extent = np.array([target.squares_x, target.squares_y, 0]) * target.square_length_m
-        middle = base_from_board[:3, :3] @ extent / 2 + base_from_board[:3, 3]
-        return BoardView(BoardPicture(target, base_from_board, seed, (float(middle[0]), float(middle[1]))))
+        middle = table_from_board[:3, :3] @ extent / 2 + table_from_board[:3, 3]
+        return BoardView(BoardPicture(target, table_from_board, seed, (float(middle[0]), float(middle[1]))))
     volume = trajectory.object
     if volume is None:
         raise SimulationError(f"scene '{scene}' has nowhere to stand")
     samples = FULL_SAMPLES if trajectory.camera.binning == 1 else SAMPLES
-    return ObjectView(stage(scene, centre=volume.centre, size=volume.size, seed=seed), samples)
+    centre = table_from_base[:3, :3] @ volume.centre + table_from_base[:3, 3]
+    return ObjectView(stage(scene, centre=centre, size=volume.size, seed=seed), samples)

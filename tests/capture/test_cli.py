@@ -6,12 +6,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 from capture.errors import RigConnectionError
-from datasets import files
+from capture.kinematics import forward
+from capture.rig_description import load_rig
+from capture.sim.controller import HANGING_HOME
+from capture.sim.handle import ControllerHandle
+from datasets import files, images
 from datasets.recording import Recording
 
 SESSION = """\
@@ -50,6 +57,44 @@ def test_records_a_session_and_refuses_to_overwrite_it(session, tmp_path):
     assert sorted(poses["base_from_camera"]) == [frame.name for frame in recording.frames]
     again = capture("run", session, "--out", tmp_path / "rec")
     assert (again.returncode, again.stderr.count("\n")) == (2, 1) and "already exists" in again.stderr
+
+
+HANGING = """\
+format: koala-trajectory
+version: 1
+name: hanging
+up: -z
+views:
+  - {kind: orbit, target: [0.0, 0.0, 1.1], distance: 1.0, elevation_deg: 40, azimuth_deg: [60, 240], count: 3, roll_deg: [0, 90, 180, 270]}
+split: {train: 2, test: 1}
+safety: {table_z: 1.2, ceiling_z: 0.0}
+object: {centre: [0.0, 0.0, 1.1], size: [0.2, 0.2, 0.2]}
+camera: {exposure_us: 10000, binning: 4, width: 64, height: 64}
+"""
+
+
+def test_an_arm_that_hangs_records_a_session(tmp_path):
+    path, out = tmp_path / "hanging.yaml", tmp_path / "rec"
+    path.write_text(HANGING)
+    done = capture("run", path, "--scene", "shiny_ball", "--out", out)
+    assert done.returncode == 0, done.stderr
+    (seen,) = (out / "truth" / "alpha").iterdir()
+    rows, columns = np.nonzero(images.read(seen)[..., 0] > 0.5)
+    width = 2 * 0.1 * 1273 / 4  # of the ball, at 1 m
+    assert np.ptp(columns) == pytest.approx(width, abs=4) and (rows.mean(), columns.mean()) == pytest.approx((32, 32), abs=8)
+    surface = trimesh.load_mesh(out / "truth" / "object.ply")
+    np.testing.assert_allclose(surface.bounds, [[-0.1, -0.1, 1.0], [0.1, 0.1, 1.2]], atol=1e-3)  # on the table below the base
+
+
+def test_sim_waits_as_an_arm_that_hangs(tmp_path):
+    rig, host = tmp_path / "rig.yaml", f"127.78.{os.getpid() % 200 + 1}.1"
+    command = [sys.executable, "-m", "capture.cli", "sim", "--hangs", "--out", str(rig), "--host", host]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+        assert host in process.stdout.readline()
+        with closing(ControllerHandle(host, load_rig(rig).simulation.side_port)) as controller:
+            place = controller.true_base_from_flange()
+        process.kill()
+    np.testing.assert_allclose(place[:3, 3], forward(HANGING_HOME)[:3, 3], atol=5e-3)  # links as built
 
 
 def test_ctrl_c_keeps_what_was_taken_and_says_how_to_go_on(tmp_path):

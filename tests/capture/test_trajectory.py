@@ -31,8 +31,10 @@ def _load(tmp_path, text):
         ("koala_demo", {"train": 40, "test": 10}),
         ("koala_fine", {"train": 59, "test": 15}),
         ("koala_metre", {"train": 56, "test": 14}),
+        ("koala_hanging", {"train": 80, "test": 20}),
         ("koala", {"train": 40, "test": 10}),
         ("calibration_demo", {"calibration": 25}),
+        ("calibration_hanging", {"calibration": 25}),
     ],
 )
 def test_shipped_files_load(configs, name, splits):
@@ -64,6 +66,13 @@ def test_test_views_lie_between_training_views(tmp_path):
         (("distance: 0.4", "distance: -0.4"), ["line 5", "distance", "given: -0.4"]),
         (("distance: 0.4", "distance: 0.4\n    distance: 0.5"), ["line 6", "given twice"]),
         (("name: small", "name: ../small"), ["line 1", "name"]),
+        (("name: small", "name: small\nup: z"), ["line 2", "up", "'z'"]),
+        (("name: small", "name: small\nup: -z"), ["with up: -z the table is at a positive z", "safety.table_z is 0"]),
+        (("name: small", "name: small\nsafety: {ceiling_z: -1}"), ["safety.ceiling_z -1 is not above safety.table_z 0"]),
+        (
+            ("name: small", "name: small\nup: -z\nsafety: {table_z: 1, ceiling_z: 2}"),
+            ["ceiling_z 2 is not above safety.table_z 1"],
+        ),
     ],
 )
 def test_mistakes_are_named(tmp_path, change, expected):
@@ -71,6 +80,15 @@ def test_mistakes_are_named(tmp_path, change, expected):
     with pytest.raises(Misuse) as caught:
         _load(tmp_path, SMALL.replace(*change))
     assert [part for part in expected if part not in str(caught.value)] == []
+
+
+def test_the_table_is_where_the_trajectory_says(tmp_path):
+    np.testing.assert_array_equal(_load(tmp_path, SMALL).base_from_table, np.eye(4))
+    pedestal = _load(tmp_path, SMALL + "safety: {table_z: -0.4}\n").base_from_table
+    np.testing.assert_allclose(pedestal @ [0.1, 0.2, 0, 1], [0.1, 0.2, -0.4, 1])
+    hanging = _load(tmp_path, SMALL + "up: -z\nsafety: {table_z: 1.2}\n").base_from_table
+    np.testing.assert_allclose(hanging @ [0.1, 0.2, 0.3, 1], [0.1, -0.2, 0.9, 1])  # 0.3 m above the table
+    assert np.linalg.det(hanging[:3, :3]) == pytest.approx(1)
 
 
 def test_a_target_session_has_no_split(tmp_path):

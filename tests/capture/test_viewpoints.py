@@ -41,6 +41,26 @@ def test_a_hemisphere_covers_its_range_evenly():
     assert np.linalg.norm(np.diff(offset, axis=0), axis=1).max() < 0.25  # walked to and fro, never back to a start
 
 
+@pytest.mark.parametrize(
+    "group",
+    [
+        HemisphereViews(kind="hemisphere", target=TARGET, distance=0.4, count=12, rings=3),
+        OrbitViews(kind="orbit", target=TARGET, distance=0.4, count=5),
+        TiltedViews(kind="tilted", target=TARGET, count=9, turn_deg=(0, 0)),
+        PoseViews(kind="poses", poses=[CameraPose(position=(0, 0, 0.2), look_at=TARGET)]),
+        GridViews(kind="grid", target=TARGET, centre=TARGET, size=(0.5, 0.3), columns=2, rows=2),
+    ],
+)
+def test_an_arm_that_hangs_sees_the_same_upright_from_the_other_side_of_the_base(group):
+    """Its base is turned about x by half a turn: there y and z point the other way, and so do azimuths."""
+    for standing, hanging in zip(group.generate(), group.generate(up=-1), strict=True):
+        above, below = (np.subtract(view.base_from_camera[:3, 3], TARGET) for view in (standing, hanging))
+        moves = not isinstance(group, GridViews | PoseViews)  # which name their places
+        np.testing.assert_allclose(below, above * [1, 1, -1 if moves else 1], atol=1e-12)
+        assert standing.base_from_camera[2, 1] < 0 < hanging.base_from_camera[2, 1]  # the picture's downward axis
+        assert hanging.base_from_camera[2, 0] == pytest.approx(0)  # and it is level
+
+
 def test_a_grid_is_level():
     views = GridViews(kind="grid", target=TARGET, centre=(0.4, 0, 0.5), size=(0.2, 0.1), columns=3, rows=2).generate()
     positions = np.array([view.base_from_camera[:3, 3] for view in views])

@@ -41,6 +41,17 @@ def test_what_the_page_shows_is_the_plan(drawn):
         np.testing.assert_allclose(after["track"][0], before["track"][-1], atol=1e-4)
 
 
+def test_a_plan_of_an_arm_that_hangs_is_drawn_upright(drawn):
+    planned, standing = drawn
+    hanging = Obstacles(MOUNT, 0.02, table_z=1.2, ceiling_z=0.0, up=-1)
+    side, above = draw.figure_of(planned, hanging, title="").axes[:2]
+    assert side.yaxis.get_inverted() and not above.yaxis.get_inverted()
+    assert {"the table", "the ceiling"} < set(side.get_legend_handles_labels()[1])
+    scene = draw._scene(planned, hanging, "")
+    assert (scene["table_z"], scene["ceiling_z"], scene["up"]) == (1.2, 0.0, -1)
+    assert draw._scene(planned, standing, "")["up"] == 1
+
+
 def test_the_picture_shows_both_splits(drawn, tmp_path):
     draw.plot(*drawn, tmp_path / "plan.png", title="8 views")
     pixels = images.read(tmp_path / "plan.png")[..., :3]

@@ -61,6 +61,18 @@ def test_upright_is_free_and_stretched_forward_hits_the_table():
     assert pair.endswith("to table") and room < 0
 
 
+def test_an_arm_that_hangs_keeps_between_ceiling_and_table():
+    """Upright is towards its table; what would lie on the table of a standing arm is in the ceiling."""
+    hanging = Obstacles(MOUNT, 0.02, table_z=1.2, ceiling_z=0.0, up=-1)
+    assert hanging.margin(UPRIGHT[None])[0] > 0
+    pair, room = hanging.nearest([0, 0.3, 0, -np.pi / 2, 0, 0])
+    assert pair.endswith("to ceiling") and room < 0
+    standing = Obstacles(MOUNT, 0.02, table_z=0.0).nearest([0, 0.3, 0, -np.pi / 2, 0, 0])
+    assert (standing[0].removesuffix("table"), standing[1]) == (pair.removesuffix("ceiling"), room)
+    pair, room = Obstacles(MOUNT, 0.02, table_z=1.0, ceiling_z=0.0, up=-1).nearest(UPRIGHT)
+    assert pair.endswith("to table") and room < 0
+
+
 def test_folded_arm_hits_itself():
     pair, room = Obstacles(MOUNT, 0.02).nearest([0, -np.pi / 2, 2.9, -np.pi / 2, 0.3, 0])
     assert "table" not in pair and room < 0

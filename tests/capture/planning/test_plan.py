@@ -18,7 +18,9 @@ def _orbit(**changes):
     return Trajectory(name="orbit", views=[view])
 
 
-@pytest.mark.parametrize("name", ["koala_demo", "koala_fine", "koala_metre", "koala", "calibration_demo"])
+@pytest.mark.parametrize(
+    "name", ["koala_demo", "koala_fine", "koala_metre", "koala_hanging", "koala", "calibration_demo", "calibration_hanging"]
+)
 def test_shipped_trajectories_are_reachable(configs, name):
     trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
     planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
@@ -35,12 +37,13 @@ def test_shipped_trajectories_are_reachable(configs, name):
         assert (here == view.joints).all()
 
 
-def test_the_demonstration_sees_the_object_from_all_sides(configs):
-    trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+@pytest.mark.parametrize(("name", "distance_m"), [("koala_demo", 0.4), ("koala_hanging", 1.0)])
+def test_the_object_is_seen_from_all_sides(configs, name, distance_m):
+    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
     offset = np.array([view.base_from_camera[:3, 3] for view in trajectory.viewpoints()]) - trajectory.views[0].target
     azimuth = np.sort(np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
     assert np.diff(azimuth, append=azimuth[0] + 360).max() < 30
-    assert np.linalg.norm(offset, axis=1) == pytest.approx(0.4)
+    assert np.linalg.norm(offset, axis=1) == pytest.approx(distance_m)
 
 
 def test_the_same_trajectory_gives_the_same_plan():
