@@ -46,7 +46,7 @@ def evaluate(
     Args:
         lpips: measure the perceptual distance too.
         align: beside the figures of the views as they are, those after each view's pose was aligned to the model.
-        stands_on: measure the mesh without what reaches into the box through any other side, see `mesh.extract`.
+        stands_on: measure the mesh of what stands on this side of the box, see `mesh.extract`.
 
     Raises:
         Misuse: its scene has no such views.

@@ -60,7 +60,8 @@ def extract(
         level: see `LEVEL`; above 0 and below 1.
         watertight: close the surface where it leaves the box, for printing and for volumes.
         faces: simplify to about so many triangles (quadric error, Garland and Heckbert 1997); None keeps all.
-        stands_on: leave out what reaches into the box through any other side, such as "-z"; None keeps all, see `surroundings`.
+        stands_on: leave out the table's top at this side, such as "-z", and what reaches into the box through any other; None keeps
+            all, see `surroundings`.
         follow: let the surface follow the predicted normals, see `slopes`, of a model that has them.
 
     Raises:

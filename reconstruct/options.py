@@ -40,6 +40,7 @@ StandsOn = Annotated[
         "--stands-on",
         metavar="SIDE",
         callback=_side,
-        help="Leave out of the mesh what reaches into the object's box through any side but this one, e.g. -z.",
+        help="The side of the box that the object stands on, e.g. -z: leave out of the mesh the table's top, and what reaches in "
+        "through any other side.",
     ),
 ]

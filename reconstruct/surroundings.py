@@ -11,6 +11,8 @@ SIDES = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "-+")
 """Sides of a box, in the order of its axes."""
 CORE = (0.5, 0.25, 0.125)
 """The object's core is at least so deep, in the depth of the deepest cell; the first that gives one counts."""
+TABLE_TOP = 1 / 128
+"""How far above its side of the box a table's reconstructed top may be, in the longest side of the grid."""
 
 
 def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
@@ -30,7 +32,7 @@ def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.nd
 
 
 def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: str) -> Float[np.ndarray, "x y z"]:
-    """The density without what reaches into the box through another side than the one that the object stands on.
+    """The density without the table's top, and without what reaches into the box through another side than the table's.
 
     A short training leaves a sheet of table or wall that hangs on to the object by a thin bridge. Solid matter is divided
     between the object's core and those other sides where it is thinnest in between (watershed of the depth, Meyer 1994). Nothing
@@ -39,11 +41,12 @@ def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: s
 
     Args:
         threshold: density of the surface [1 / scene unit].
-        stands_on: of `SIDES`.
+        stands_on: the side that the object stands on, of `SIDES`.
     """
     from scipy.ndimage import distance_transform_edt
     from skimage.segmentation import watershed
 
+    density = _without_table_top(density, threshold, stands_on)
     solid = filled(density, threshold) > threshold
     outside = np.zeros_like(solid)
     for side in SIDES:
@@ -57,6 +60,24 @@ def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: s
         return density
     parts = watershed(-depth, outside + 2 * core.astype(np.int8), mask=solid)
     return np.where(parts == 1, density.dtype.type(0), density)
+
+
+def _without_table_top(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: str) -> Float[np.ndarray, "x y z"]:
+    """The density without solid cells beside the object that rise no higher than `TABLE_TOP` over the side that it stands on.
+
+    Where the box begins at the table, noise decides whether a sheet of its top, a cell or two thick, lies inside. What rises
+    higher, and all below it, is the object's. Where nothing does, the density is returned as it is.
+    """
+    layers = round(TABLE_TOP * max(density.shape))
+    upwards = slice(None, None, 1 if stands_on[0] == "-" else -1)
+    from_table = np.moveaxis(density, "xyz".index(stands_on[1]), 0)[upwards]
+    solid = np.moveaxis(filled(density, threshold) > threshold, "xyz".index(stands_on[1]), 0)[upwards]
+    top = solid[:layers] & ~solid[layers]
+    if not top.any() or not solid[layers].any():
+        return density
+    cleared = from_table.copy()
+    cleared[:layers][top] = 0
+    return np.ascontiguousarray(np.moveaxis(cleared[upwards], 0, "xyz".index(stands_on[1])))
 
 
 def _core(depth: Float[np.ndarray, "x y z"], outside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"] | None:

@@ -26,7 +26,7 @@ def heading(name: str) -> str:
 
 def mesh_without(stands_on: str) -> str:
     """What the figures of a mesh leave out where it was said on which side the object stands, see `mesh.extract`."""
-    return f"the mesh without what reaches into the box through any side but {stands_on}"
+    return f"the mesh of what stands on {stands_on}, without what else reaches into the box"
 
 
 def rounded(name: str, value: float) -> str:

@@ -41,7 +41,7 @@ def test_figures_are_taken_over_while_they_are_of_this_state(
     files.write_json(ball.run.path / "metrics.json", written | {"mesh_stands_on": "-z"})
     assert report.write(ball, tmp_path / "first")["mean"]["psnr"] == 12.345
     page = (tmp_path / "first" / "index.html").read_text()
-    assert "Of the mesh without what reaches into the box through any side but -z." in page
+    assert "Of the mesh of what stands on -z, without what else reaches into the box." in page
     assert f"reconstruct eval {ball.run.path} --stands-on -z" in page
     later = replace(ball, state=replace(ball.state, step=ball.state.step + 1))
     assert report.write(later, tmp_path / "second")["mean"]["psnr"] != 12.345

@@ -57,6 +57,25 @@ def test_where_no_other_side_is_reached_nothing_changes(parts: tuple[NDArray[np.
     assert left_out(given, 0.5, "-z") is given
 
 
+@pytest.mark.parametrize("side", SIDES)
+def test_the_tables_top_goes_and_what_stands_on_it_stays(side: str) -> None:
+    """The grid is so fine that two cells may be table; a plate of four is an object."""
+    shape = (40, 40, 256)
+    x, y, z = np.meshgrid(*map(np.arange, shape), indexing="ij")
+    post = ((x - 20) ** 2 + (y - 20) ** 2 < 8**2) & (z < 100)
+    beside = (x > 2) & (x < 37) & (y > 2) & (y < 37)  # and no other side is reached
+
+    def turned(*parts: NDArray[np.bool_]) -> NDArray[np.float32]:
+        upright = density(*parts)
+        return np.moveaxis(upright if side[0] == "-" else upright[:, :, ::-1], 2, "xyz".index(side[1]))
+
+    np.testing.assert_array_equal(left_out(turned(post, beside & (z < 2)), 0.5, side), turned(post))
+    plate = turned(post, beside & (z < 4))
+    assert left_out(plate, 0.5, side) is plate
+    flat = turned(beside & (z < 2))
+    assert left_out(flat, 0.5, side) is flat, "there is no telling what is table where nothing stands on it"
+
+
 def test_an_object_that_the_box_cuts_through_stays_whole() -> None:
     given = density(np.roll(ball(), 25, axis=0) & (X > 25))
     assert left_out(given, 0.5, "-z") is given

@@ -33,7 +33,7 @@ def test_meshes_that_were_measured_in_part_are_named_where_they_are_shown() -> N
         Row("car", "surfnerf", {"chamfer_mm": 1.0, "psnr": 30.0}, "-z"),
         Row("car", "zipnerf", {"chamfer_mm": 2.0, "psnr": 29.0}),
     ]
-    named = "car, surfnerf: the mesh without what reaches into the box through any side but -z"
+    named = "car, surfnerf: the mesh of what stands on -z, without what else reaches into the box"
     assert table.notes(rows, ["psnr", "chamfer_mm"])[2:] == [named]
     assert f"* {named}" in table.markdown(rows, ["chamfer_mm"]) and f"% {named}" in table.latex(rows, ["chamfer_mm"])
     assert named not in table.markdown(rows, ["psnr"]), "no figure of a mesh is shown"
