@@ -36,7 +36,7 @@ def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: s
 
     A short training leaves a sheet of table or wall that hangs on to the object by a thin bridge. Solid matter is divided
     between the object's core and those other sides where it is thinnest in between (watershed of the depth, Meyer 1994). Nothing
-    is left out where the sides are not reached, or where there is no core apart from them: an object that the box cuts
+    else is left out where the sides are not reached, or where there is no core apart from them: an object that the box cuts
     through stays whole.
 
     Args:
@@ -46,8 +46,10 @@ def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: s
     from scipy.ndimage import distance_transform_edt
     from skimage.segmentation import watershed
 
-    density = _without_table_top(density, threshold, stands_on)
     solid = filled(density, threshold) > threshold
+    cleared = _without_table_top(density, solid, stands_on)
+    if cleared is not density:
+        density, solid = cleared, filled(cleared, threshold) > threshold
     outside = np.zeros_like(solid)
     for side in SIDES:
         if side != stands_on:
@@ -62,22 +64,22 @@ def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: s
     return np.where(parts == 1, density.dtype.type(0), density)
 
 
-def _without_table_top(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: str) -> Float[np.ndarray, "x y z"]:
+def _without_table_top(
+    density: Float[np.ndarray, "x y z"], solid: Bool[np.ndarray, "x y z"], stands_on: str
+) -> Float[np.ndarray, "x y z"]:
     """The density without solid cells beside the object that rise no higher than `TABLE_TOP` over the side that it stands on.
 
     Where the box begins at the table, noise decides whether a sheet of its top, a cell or two thick, lies inside. What rises
     higher, and all below it, is the object's. Where nothing does, the density is returned as it is.
     """
-    layers = round(TABLE_TOP * max(density.shape))
-    upwards = slice(None, None, 1 if stands_on[0] == "-" else -1)
-    from_table = np.moveaxis(density, "xyz".index(stands_on[1]), 0)[upwards]
-    solid = np.moveaxis(filled(density, threshold) > threshold, "xyz".index(stands_on[1]), 0)[upwards]
-    top = solid[:layers] & ~solid[layers]
-    if not top.any() or not solid[layers].any():
+    layers, axis, upwards = round(TABLE_TOP * max(density.shape)), "xyz".index(stands_on[1]), 1 if stands_on[0] == "-" else -1
+    from_table = np.moveaxis(solid, axis, 0)[::upwards]
+    top = from_table[:layers] & ~from_table[layers]
+    if not top.any() or not from_table[layers].any():
         return density
-    cleared = from_table.copy()
-    cleared[:layers][top] = 0
-    return np.ascontiguousarray(np.moveaxis(cleared[upwards], 0, "xyz".index(stands_on[1])))
+    cleared = density.copy()
+    np.moveaxis(cleared, axis, 0)[::upwards][:layers][top] = 0
+    return cleared
 
 
 def _core(depth: Float[np.ndarray, "x y z"], outside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"] | None:
