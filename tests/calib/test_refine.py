@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -98,12 +97,12 @@ def test_board_alone_is_found_again(small):
     assert distance < 1e-4 and np.rad2deg(angle) < 0.02
 
 
-def test_fifty_views_of_a_hundred_corners_take_less_than_two_seconds():
+def test_fifty_views_of_a_hundred_corners_take_a_few_steps():
+    """What a step costs is the business of `calib bench`."""
     rig, rng = replace(KOALA, board=Board("charuco", 11, 11, 0.016, 0.0117, "DICT_5X5_100")), np.random.default_rng(8)
     drawn = simulate(rng, rig, viewpoints(rng, rig, 50, Pattern()), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
     assert len(drawn.session.view) == 50 * 100
     first = disturbed(replace(drawn.truth, corrections=np.zeros((50, 6))), rng)
-    start = time.process_time()  # of this process alone: others may keep the machine busy
     found = refine.refine(drawn.session, first, sigma_px=0.3)
-    assert time.process_time() - start < 2.0  # 0.2 s on an idle core
-    assert found.settled and found.sigmas.pixel == pytest.approx(0.1, rel=0.05)
+    assert found.settled and found.steps <= 20  # 13 with this seed
+    assert found.sigmas.pixel == pytest.approx(0.1, rel=0.05)

@@ -31,14 +31,6 @@ def saved(make_scene: Callable[..., Scene], tmp_path: Path) -> Path:
     return tmp_path / "koala" / "little"
 
 
-def test_help_is_instant_and_names_the_commands() -> None:
-    run("--help")
-    start = time.perf_counter()
-    shown = run("--help")
-    assert time.perf_counter() - start < 1.0  # 0.1 s on an idle core; a heavy import alone takes longer than this
-    assert shown.returncode == 0 and all(command in shown.stdout for command in ("build", "info", "check", "export"))
-
-
 def test_info_for_a_person_and_for_a_program(saved: Path) -> None:
     text = run("info", saved)
     assert text.returncode == 0 and "6 train, 3 test; 96x72 px" in text.stdout and "near, far" in text.stdout

@@ -1,0 +1,53 @@
+"""Help comes at once: no library is imported for it but those that draw it. What it takes is 0.1 to 0.2 s; NumPy alone would double that."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import distribution, packages_distributions
+
+import pytest
+from packaging.requirements import Requirement
+
+DRAWS_HELP = {"typer", "rich", "pydantic"}
+"""Some versions of typer read the types of options with pydantic."""
+PROGRAM = (
+    "import atexit, json, sys\n"
+    "atexit.register(lambda: print(json.dumps(sorted({{name.split('.')[0] for name in sys.modules}})), file=sys.stderr))\n"
+    "from {package}.cli import main; main()"
+)
+
+
+def libraries() -> set[str]:
+    """Top-level modules of everything that this project installs for its work."""
+    wanted = {
+        requirement.name.lower() for requirement in map(Requirement, distribution("koala-capture").requires or [])
+    } - DRAWS_HELP
+    return {module for module, names in packages_distributions().items() if wanted & {name.lower() for name in names}}
+
+
+def test_the_list_of_libraries_is_no_empty_one() -> None:
+    assert {"numpy", "scipy", "jax", "cv2", "pycolmap", "mitsuba", "matplotlib", "yaml", "viser"} <= libraries()
+
+
+@pytest.mark.parametrize(
+    ("package", "arguments", "words"),
+    [
+        ("capture", [], ["run", "plan", "check", "sim", "view", "bench"]),
+        ("calib", [], ["intrinsics", "handeye", "bench", "view"]),
+        ("calib", ["handeye"], ["RECORDING"]),
+        ("datasets", [], ["build", "info", "check", "export"]),
+        (
+            "reconstruct",
+            [],
+            ["train", "models", "table", "ablate", "sweep", "figures", "eval", "render", "film", "mesh", "report"],
+        ),
+        ("reconstruct", ["train"], ["--preset", "--budget", "--resume"]),
+    ],
+)
+def test_help_imports_nothing_heavy_and_names_what_there_is(package: str, arguments: list[str], words: list[str]) -> None:
+    program = [sys.executable, "-c", PROGRAM.format(package=package), *arguments, "--help"]
+    done = subprocess.run(program, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert all(word in done.stdout for word in words)
+    loaded = set(json.loads(done.stderr.splitlines()[-1]))
+    assert "typer" in loaded and not libraries() & loaded
