@@ -1,19 +1,21 @@
 """Ablations: one model trained again and again with one thing changed, into one table and one figure.
 
-OUT/study.json        scene, model, preset, common overrides, and the cells: name and what it changes
-OUT/cells/NAME/       a run per cell
+OUT/study.json               scene, model, preset, common overrides, and the cells: name and what it changes
+OUT/cells/NAME/seed_N/       a run per cell and seed
 OUT/table.md .csv .tex, OUT/figure.png, OUT/index.html
 
-A cell that was measured is not run again, one that was broken off is gone on with, so that a study can be stopped at any time,
-and further cells can be added to it.
+What was measured is not run again, what was broken off is gone on with, so that a study can be stopped at any time, and
+further cells and seeds can be added to it.
 """
 
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from datasets import files
 from datasets.console import progress
@@ -25,12 +27,13 @@ from reconstruct import checkpoint, table
 from reconstruct.config import Config, LossConfig, SurfaceConfig
 from reconstruct.evaluate import METRICS, evaluate
 from reconstruct.models import load_config
+from reconstruct.results import Row, row_of_seeds
 from reconstruct.run import CHECKPOINTS, RUN
-from reconstruct.table import Row
+from reconstruct.seeds import welch
 from reconstruct.train import train
 from reconstruct.trained import Trained
 
-FORMAT, VERSION = "koala-study", 1
+FORMAT, VERSION = "koala-study", 2
 STUDY, CELLS = "study.json", "cells"
 BASE = "base"
 FIGURES = ("psnr", "normal_mae_alpha_acc_deg")
@@ -53,6 +56,8 @@ class Study:
     overrides: tuple[str, ...]
     """Common to all cells."""
     budget_s: float | None
+    seeds: tuple[int, ...]
+    """Each cell is trained with each of them."""
     cells: Cells
     """Overrides of each cell, by its name."""
 
@@ -104,33 +109,59 @@ def _repeats(surface: SurfaceConfig, changes: Sequence[str]) -> bool:
     return all(str(getattr(surface, name)) == value for name, value in pairs)
 
 
-def plan(scene: str, model: str, preset: str, overrides: Sequence[str], budget_s: float | None, wanted: Sequence[str]) -> Study:
-    """The study of the wanted cells (all of `grid` where none is named; the base always).
+def plan(
+    scene: str,
+    model: str,
+    preset: str,
+    overrides: Sequence[str],
+    budget_s: float | None,
+    wanted: Sequence[str],
+    seeds: Sequence[int] = (),
+) -> Study:
+    """The study of the wanted cells (all of `grid` where none is named; the base always) with some seeds, or the model's own.
 
     Raises:
-        Misuse: unknown scene, model, setting or cell.
+        Misuse: unknown scene, model, setting or cell, or a seed twice.
     """
-    cells = grid(load_config(model, preset, list(overrides)))
+    base = load_config(model, preset, list(overrides))
+    cells = grid(base)
     for name in wanted:
         if name not in cells:
             raise Misuse(f"there is no cell '{name}'", where="--cell", remedy=nearest(name, cells))
     chosen = {name: changes for name, changes in cells.items() if not wanted or name in wanted or name == BASE}
-    return Study(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s, chosen)
+    return Study(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s, chosen_seeds(base, seeds), chosen)
+
+
+def chosen_seeds(base: Config, seeds: Sequence[int]) -> tuple[int, ...]:
+    """The seeds asked for, else the one that a configuration has.
+
+    Raises:
+        Misuse: one is named twice.
+    """
+    if len(set(seeds)) < len(seeds):
+        raise Misuse("a seed is named twice", where="--seed", why=" ".join(map(str, seeds)), remedy="name each once")
+    return tuple(seeds) or (base.train.seed,)
+
+
+def seed_folder(seed: int) -> str:
+    """Where the run of a seed lies, among those of its training."""
+    return f"seed_{seed}"
 
 
 def run(study: Study, out: Path) -> dict[str, Any]:
-    """Train and measure every cell that is not finished, then write the table and the figure.
+    """Train and measure every cell with every seed as far as that is not finished, then write the table and the figure.
 
     Raises:
         Misuse: `out` holds something else, or a study of something else.
     """
     _begin(study, out)
-    with progress("ablating", len(study.cells), "cells") as shown:
-        for name, changes in study.cells.items():
-            shown.note(name)
-            finish(out / CELLS / folder_name(name), study, changes)
-            shown.advance()
-    rows = [Row(Path(study.scene).name, name, _figures(out / CELLS / folder_name(name))) for name in _finished(out)]
+    with progress("ablating", len(study.seeds) * len(study.cells), "trainings") as shown:
+        for seed in study.seeds:
+            for name, changes in study.cells.items():
+                shown.note(f"{name}, seed {seed}")
+                finish(out / CELLS / folder_name(name) / seed_folder(seed), study, [*changes, f"train.seed={seed}"])
+                shown.advance()
+    rows = [replace(row, label=name) for name, row in _finished(out).items()]
     columns = table.chosen_columns(rows)
     for suffix, write in table.FORMS.items():
         files.write_text(out / f"table{suffix}", write(rows, columns))
@@ -139,7 +170,7 @@ def run(study: Study, out: Path) -> dict[str, Any]:
         draw(rows, drawn).savefig(temporary, dpi=150)
     files.write_text(out / "index.html", page(rows, columns, study, out, svg_of(draw(rows, drawn))).render())
     return {"out": str(out), "cells": len(rows), "table": str(out / "table.md"), "figure": str(out / "figure.png"), "report": str(out / "index.html"),
-            "rows": [{"cell": row.label, **{c: row.values.get(c) for c in columns}} for row in rows]}  # fmt: skip
+            "rows": [{"cell": row.label, **row.content(columns)} for row in rows]}  # fmt: skip
 
 
 def finish(path: Path, study: Study, changes: Sequence[str]) -> None:
@@ -177,14 +208,11 @@ def _begin(study: Study, out: Path) -> None:
     files.write_json(out / STUDY, {"format": FORMAT, "version": VERSION, **content, "cells": cells})
 
 
-def _finished(out: Path) -> list[str]:
+def _finished(out: Path) -> dict[str, Row]:
+    """The figures of each cell over the seeds that were measured, by its name; without those of which none was."""
     cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
-    return [name for name in cells if (out / CELLS / folder_name(name) / METRICS).is_file()]
-
-
-def _figures(path: Path) -> dict[str, float | None]:
-    (row,) = table.rows_of_runs([path])
-    return row.values
+    runs = {name: sorted(path.parent for path in (out / CELLS / folder_name(name)).glob(f"*/{METRICS}")) for name in cells}
+    return {name: row_of_seeds(paths) for name, paths in runs.items() if paths}
 
 
 def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, drawing: str) -> ReportPage:
@@ -194,25 +222,30 @@ def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, d
     cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
     every = set(cells) >= set(grid(load_config(study.model, study.preset, list(study.overrides))))
     named = "" if every else "".join(f" --cell {shlex.quote(name)}" for name in cells if name != BASE)
-    command = f"reconstruct ablate {study.scene} --model {study.model} --preset {study.preset}{budget}{common}{named} --out {out}"
+    seeds = "".join(f" --seed {seed}" for seed in study.seeds)
+    command = f"reconstruct ablate {study.scene} --model {study.model} --preset {study.preset}{budget}{common}{seeds}{named} --out {out}"
     report = ReportPage(f"Ablation of {study.model} on {Path(study.scene).name}", made_by=[command])
     base = next((row for row in rows if row.label == BASE), rows[0])
-    report.headline(
-        [(table.heading(name), Number(base.values.get(name))) for name in columns[:4]], f"the base, and {len(rows) - 1} cells"
-    )
-    report.section(
-        "Gain over the base", "Better is to the right. One seed each: a difference that another seed could make is none."
-    )
+    number = lambda row, name: Number(row.values.get(name), std=row.deviations.get(name))  # noqa: E731
+    report.headline([(table.heading(name), number(base, name)) for name in columns[:4]], f"the base, and {len(rows) - 1} cells")
+    report.section("Gain over the base", f"Better is to the right. {_doubt(rows)}")
     report.drawing(drawing)
     report.section("All figures")
     report.table(("cell", *(table.heading(name) for name in columns), "changes"),
-                 [(row.label, *(Number(row.values.get(name)) for name in columns), " ".join(cells[row.label])) for row in rows])  # fmt: skip
+                 [(row.label, *(number(row, name) for name in columns), " ".join(cells[row.label])) for row in rows])  # fmt: skip
     report.items(f"{table.heading(name)}: {table.definition(name)}" for name in columns)
     return report
 
 
+def _doubt(rows: Sequence[Row]) -> str:
+    """How far the differences can be trusted."""
+    if max(row.seeds for row in rows) == 1:
+        return "One seed each: a difference that another seed could make is none."
+    return "Bars are differences of means over seeds, lines their intervals of 95 % confidence (Welch's): one that reaches zero is none."
+
+
 def draw(rows: Sequence[Row], columns: Sequence[str]):
-    """A figure with a panel per column: each cell's distance from the base, better to the right.
+    """A figure with a panel per column: each cell's distance from the base, better to the right, with its confidence.
 
     Returns:
         A matplotlib Figure.
@@ -224,13 +257,17 @@ def draw(rows: Sequence[Row], columns: Sequence[str]):
     for index, column in enumerate(columns):
         axes = figure.add_subplot(1, len(columns), index + 1)
         sign = 1 if column in table.HIGHER_IS_BETTER else -1
-        found = {row.label: value for row in rows if row is not base and (value := row.values.get(column)) is not None}
-        gains = [sign * (value - (base.values.get(column) or 0.0)) for value in found.values()]
-        axes.barh(list(found), gains, color=["#2f6fde" if gain >= 0 else "#d98324" for gain in gains])
+        reference = base.sample(column)
+        others = {row.label: sample for row in rows if row is not base and (sample := row.sample(column)) is not None}
+        changes = [welch(reference, sample) for sample in others.values()] if reference is not None else []
+        gains = [sign * change.value for change in changes]
+        reach = [0.0 if np.isnan(change.high) else change.high - change.value for change in changes]
+        axes.barh(list(others), gains, color=["#2f6fde" if gain >= 0 else "#d98324" for gain in gains])
+        axes.errorbar(gains, list(others), xerr=reach, fmt="none", ecolor="#303030", elinewidth=1, capsize=2)
         axes.axvline(0, color="#808080", linewidth=0.8)
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)
-        axes.set_title(f"{table.heading(column)}, base {table.shown(base.values.get(column), column)}", fontsize=9)
+        axes.set_title(f"{table.heading(column)}, base {table.shown(base, column)}", fontsize=9)
         axes.set_xlabel("gain over the base (better to the right)", fontsize=8)
         axes.tick_params(labelsize=8)
     return figure

@@ -8,7 +8,7 @@ import typer
 from datasets import console
 from reconstruct import train_command
 from reconstruct.bench import commands as bench_commands
-from reconstruct.options import ModelName, Preset, RunFolder, StandsOn
+from reconstruct.options import ModelName, Preset, RunFolder, Seeds, StandsOn
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, measure it, and take pictures and geometry out of it.")
 app.add_typer(bench_commands.app, name="bench")
@@ -38,14 +38,14 @@ def table_command(
     per_image: Annotated[bool, typer.Option("--per-image", help="A row per image instead of one per run.")] = False,
     as_json: console.Json = False,
 ) -> None:
-    """Put the results of runs beside each other, in the paper's layout."""
-    from reconstruct import table
+    """Put the results of runs beside each other, in the paper's layout; runs that differ in their seed alone make one row."""
+    from reconstruct import results, table
 
-    rows = table.rows_of_runs(runs, per_image=per_image)
+    rows = results.rows_of_runs(runs, per_image=per_image)
     chosen = table.chosen_columns(rows, columns or ())
     if out is not None:
         table.write(rows, chosen, out)
-    content = [{"scene": row.scene, "model": row.label, **{c: row.values.get(c) for c in chosen}} for row in rows]
+    content = [{"scene": row.scene, "model": row.label, **row.content(chosen)} for row in rows]
     console.report({"rows": content}, as_json=as_json, text=table.markdown(rows, chosen).rstrip() + (f"\n{out}" if out else ""))
 
 
@@ -60,6 +60,7 @@ def ablate_command(
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting in all cells: key=value; repeatable.")
     ] = None,
+    seeds: Seeds = None,
     plan_only: Annotated[bool, typer.Option("--plan", help="List the cells and what they change; train nothing.")] = False,
     as_json: console.Json = False,
 ) -> None:
@@ -67,7 +68,7 @@ def ablate_command(
     from reconstruct import ablate
     from reconstruct.backend import cache_compilations
 
-    study = ablate.plan(scene, model, preset, set_ or (), budget, cells or ())
+    study = ablate.plan(scene, model, preset, set_ or (), budget, cells or (), seeds or ())
     if plan_only:
         text = "\n".join(f"{name:<20}{' '.join(changes) or '-'}" for name, changes in study.cells.items())
         return console.report({"cells": study.cells}, as_json=as_json, text=text)
@@ -107,6 +108,7 @@ def sweep_command(
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting in all runs: key=value; repeatable.")
     ] = None,
+    seeds: Seeds = None,
     ray: Annotated[bool, typer.Option("--ray", help="Run as tasks of Ray (extra 'sweep').")] = False,
     address: Annotated[str | None, typer.Option("--address", help="Ray's cluster; without it, this machine.")] = None,
     as_json: console.Json = False,
@@ -114,7 +116,7 @@ def sweep_command(
     """Train and measure every model on every scene, into one table."""
     from reconstruct import sweep
 
-    jobs = sweep.jobs(scenes, models, preset, set_ or (), budget, out)
+    jobs = sweep.jobs(scenes, models, preset, set_ or (), budget, out, seeds or ())
     result = sweep.run(jobs, out, use_ray=ray or address is not None, ray_address=address)
     console.report(result, as_json=as_json, text=f"{(out / 'table.md').read_text(encoding='utf-8').rstrip()}\n{out}")
 

@@ -44,3 +44,7 @@ StandsOn = Annotated[
         "through any other side.",
     ),
 ]
+Seeds = Annotated[
+    list[int] | None,
+    typer.Option("--seed", min=0, help="Train with this seed; repeatable: tables then have means and standard deviations."),
+]

@@ -1,6 +1,6 @@
 """Many scenes and many models: one run each, on this machine or on a cluster (Ray), into one table.
 
-OUT/SCENE/MODEL/      a run per pair
+OUT/SCENE/MODEL/seed_N/      a run per scene, model and seed
 OUT/table.md .csv .tex
 
 A run that was measured is not trained again, one that was broken off is gone on with: a sweep can be stopped at any time.
@@ -16,10 +16,11 @@ from datasets.console import progress
 from datasets.errors import Misuse
 from datasets.formats import find
 from reconstruct import table
-from reconstruct.ablate import Study, finish
+from reconstruct.ablate import Study, chosen_seeds, finish, seed_folder
 from reconstruct.errors import ReconstructError
 from reconstruct.evaluate import METRICS
 from reconstruct.models import load_config
+from reconstruct.results import rows_of_runs
 
 
 @dataclass(frozen=True)
@@ -28,33 +29,45 @@ class Job:
 
     path: Path
     study: Study
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Scene, model and seed."""
+        return "/".join(self.path.parts[-3:])
 
     def run(self) -> None:
         """Train and measure, as far as that was not done."""
         from reconstruct.backend import cache_compilations
 
         cache_compilations()
-        finish(self.path, self.study, ())
+        finish(self.path, self.study, (f"train.seed={self.seed}",))
 
 
 def jobs(
-    scenes: Sequence[str], models: Sequence[str], preset: str, overrides: Sequence[str], budget_s: float | None, out: Path
+    scenes: Sequence[str],
+    models: Sequence[str],
+    preset: str,
+    overrides: Sequence[str],
+    budget_s: float | None,
+    out: Path,
+    seeds: Sequence[int] = (),
 ) -> list[Job]:
-    """Every model on every scene.
+    """Every model on every scene with every seed, or with the model's own; seed by seed, so that there is a whole table early.
 
     Raises:
-        Misuse: an unknown scene, model or setting, or two scenes of one name.
+        Misuse: an unknown scene, model or setting, a seed twice, or two scenes of one name.
     """
-    for model in models:
-        load_config(model, preset, list(overrides))
+    of_model = {model: chosen_seeds(load_config(model, preset, list(overrides)), seeds) for model in models}
     places = [find(scene).resolve() for scene in scenes]
     if len({place.name for place in places}) < len(places):
         raise Misuse("two scenes have one name", why=", ".join(place.name for place in places), remedy="rename a folder")
     return [
-        Job(out / place.name / model, Study(str(place), model, preset, tuple(overrides), budget_s, {}))
+        Job(out / place.name / model / seed_folder(each[turn]), Study(str(place), model, preset, tuple(overrides), budget_s, each, {}), each[turn])
+        for turn in range(len(seeds) or 1)
         for place in places
-        for model in models
-    ]
+        for model, each in of_model.items()
+    ]  # fmt: skip
 
 
 def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use_ray: bool = False) -> dict[str, Any]:
@@ -72,12 +85,12 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
     with progress("sweeping", len(todo), "runs") as shown:
         for job, problem in _in_turn(todo) if not use_ray else _on_ray(todo, ray_address):
             if problem:
-                failed[f"{job.path.parent.name}/{job.path.name}"] = problem
-            shown.note(f"{job.path.parent.name}/{job.path.name}")
+                failed[job.name] = problem
+            shown.note(job.name)
             shown.advance()
     done = [job.path for job in wanted if (job.path / METRICS).is_file()]
     if done:
-        rows = table.rows_of_runs(done)
+        rows = rows_of_runs(done)
         for suffix, write in table.FORMS.items():
             files.write_text(out / f"table{suffix}", write(rows, table.chosen_columns(rows)))
     if failed:

@@ -1,20 +1,17 @@
 """Tables over many runs in the layout of the paper's: a block per scene, a row per model, the best of each column bold.
 
-Text is Markdown, CSV or LaTeX. The figures come from each run's `metrics.json`; what they mean stands under the table.
+Text is Markdown, CSV or LaTeX; what the figures mean stands under the table.
 """
 
 import csv
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from datasets import files
-from datasets.errors import DatasetError, Misuse, nearest
+from datasets.errors import Misuse, nearest
 from reconstruct import metrics, surface_distance
-from reconstruct.evaluate import FORMAT, METRICS, VERSION
-from reconstruct.run import Run
+from reconstruct.results import Row
 from reconstruct.words import mesh_without, unit
 
 COLUMNS = ("psnr", "ssim", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
@@ -28,46 +25,6 @@ HEADINGS = {
 }  # fmt: skip
 """What columns are called; units are added."""
 HIGHER_IS_BETTER = {"psnr", "ssim", "diffuse_psnr", "specular_psnr", "f_score"}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line: where it belongs, what it is called, its figures by name."""
-
-    scene: str
-    label: str
-    values: dict[str, float | None]
-    stands_on: str | None = None
-    """Side through which alone the measured mesh may leave the box; None where nothing was left out."""
-
-
-def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
-    """A row per run, or one per image of each run; in the order of the runs, blocks of one scene together.
-
-    Raises:
-        Misuse: one of them is no run, or was not measured yet.
-    """
-    rows, labels = [], set()
-    for path in runs:
-        run = Run.open(path)
-        if not (run.path / METRICS).is_file():
-            raise Misuse("was not measured yet", where=run.path, remedy=f"run: reconstruct eval {run.path}")
-        result = files.read_json(run.path / METRICS, kind=FORMAT, version=VERSION)
-        scene, label = run.content.get("scene_name", Path(run.scene_path).name), run.config.model
-        label += ", fine-tuned" if "from" in run.content else ""
-        while (scene, label) in labels:  # two runs of one model are told apart by their folders
-            label = f"{label} ({run.path.name})" if "(" not in label else f"{label}'"
-        labels.add((scene, label))
-        try:
-            if per_image:
-                rows += [Row(f"{scene}, {label}", view["name"], view) for view in result["per_view"]]
-            else:
-                values = {**result["mean"], **(result.get("mesh") or {})}
-                rows.append(Row(scene, label, values, result.get("mesh_stands_on")))
-        except (KeyError, TypeError) as error:
-            raise DatasetError("metrics are not complete", where=run.path / METRICS, why=str(error)) from None
-    order = list(dict.fromkeys(row.scene for row in rows))
-    return sorted(rows, key=lambda row: order.index(row.scene))
 
 
 def chosen_columns(rows: Sequence[Row], wanted: Sequence[str] = ()) -> list[str]:
@@ -90,11 +47,13 @@ def best(rows: Sequence[Row], column: str) -> float | None:
     return max(values) if column in HIGHER_IS_BETTER else min(values)
 
 
-def shown(value: float | None, column: str) -> str:
-    """A figure with the digits that the paper gives it."""
+def shown(row: Row, column: str) -> str:
+    """A figure with the digits that the paper gives it, ± its standard deviation over seeds."""
+    value = row.values.get(column)
     if value is None:
         return "–"
-    return f"{value:.3f}" if column in ("ssim", "lpips", "disparity_rmse", "f_score", "seconds") else f"{value:.2f}"
+    digits = 3 if column in ("ssim", "lpips", "disparity_rmse", "f_score", "seconds") else 2
+    return f"{value:.{digits}f}" + (f" ± {row.deviations[column]:.{digits}f}" if column in row.deviations else "")
 
 
 def heading(column: str) -> str:
@@ -122,18 +81,23 @@ def latex(rows: Sequence[Row], columns: Sequence[str]) -> str:
         for index, row in enumerate(block):
             cells = _cells(row, block, columns, lambda text: rf"\textbf{{{text}}}")
             first = rf"\multirow{{{len(block)}}}{{*}}{{{_escaped(row.scene)}}}" if index == 0 else ""
-            lines.append(" & ".join([first, _escaped(row.label), *cells]) + r" \\")
+            lines.append(" & ".join([first, _escaped(row.label), *map(_escaped, cells)]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Comma-separated values, all digits; the header has the figures' names."""
+    """Comma-separated values, all digits; the header has the figures' names, NAME_std their standard deviations over seeds."""
+    contents = [{"scene": row.scene, "model": row.label, **row.content(columns)} for row in rows]
     buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["scene", "model", *columns])
-    for row in rows:
-        writer.writerow([row.scene, row.label, *("" if row.values.get(c) is None else row.values[c] for c in columns)])
+    writer = csv.DictWriter(buffer, ["scene", "model", *_fields(rows, columns)], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(contents)
     return buffer.getvalue()
+
+
+def _fields(rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
+    several = max((row.seeds for row in rows), default=1) > 1
+    return [name for column in columns for name in ((column, f"{column}_std") if several else (column,))] + ["seeds"] * several
 
 
 FORMS: dict[str, Callable[[Sequence[Row], Sequence[str]], str]] = {".md": markdown, ".csv": csv_text, ".tex": latex}
@@ -155,6 +119,9 @@ def write(rows: Sequence[Row], columns: Sequence[str], out: Path) -> None:
 def notes(rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
     """What the columns mean, a line each, and which rows' meshes were measured in part."""
     lines = [f"{HEADINGS[column]}: {definition(column)}" for column in columns]
+    seeds = sorted({row.seeds for row in rows})
+    if seeds and seeds[-1] > 1:
+        lines.append(f"mean ± standard deviation over {' to '.join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))} seeds")
     if not any(column in surface_distance.DEFINITIONS for column in columns):
         return lines
     return lines + [f"{row.scene}, {row.label}: {mesh_without(row.stands_on)}" for row in rows if row.stands_on is not None]
@@ -171,14 +138,11 @@ def _blocks(rows: Sequence[Row]) -> list[list[Row]]:
 
 def _cells(row: Row, block: list[Row], columns: Sequence[str], bold: Callable[[str], str]) -> list[str]:
     """Figures of a row as text, the best of its block bold."""
-    values: list[tuple[str, Any]] = [(column, row.values.get(column)) for column in columns]
-    return [
-        bold(shown(value, column)) if value is not None and value == best(block, column) else shown(value, column)
-        for column, value in values
-    ]
+    leads = lambda column: (value := row.values.get(column)) is not None and value == best(block, column)  # noqa: E731
+    return [bold(shown(row, column)) if leads(column) else shown(row, column) for column in columns]
 
 
 def _escaped(text: str) -> str:
-    for plain, escaped in {"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "×": r"$\times$"}.items():
+    for plain, escaped in {"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "×": r"$\times$", "±": r"$\pm$"}.items():
         text = text.replace(plain, escaped)
     return text

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from reconstruct import seeds
 from reconstruct.bench.records import Row, latest
 from reconstruct.bench.suite import QUALITY
+from reconstruct.seeds import CONFIDENCE, Sample
 from reconstruct.table import HIGHER_IS_BETTER
 
-CONFIDENCE = 0.95
 PLACE = ("scene", "scale", "model", "preset", "budget_s")
 FIGURES = ("psnr", "ssim", "normal_mae_deg", "normal_mae_alpha_acc_deg", "normal_pred_mae_deg", "normal_pred_mae_alpha_acc_deg",
            "depth_rmse_mm", "chamfer_mm", "rays_per_s", "seconds", "compilation_s", "peak_memory_mb")  # fmt: skip
@@ -92,34 +93,20 @@ def _values(rows: Sequence[Row], figure: str) -> np.ndarray:
 
 
 def welch(place: str, figure: str, before: np.ndarray, after: np.ndarray) -> Difference:
-    """Welch's t-test of two small samples whose spreads may differ."""
-    counts = (len(before), len(after))
-    change = float(after.mean() - before.mean())
-    if min(counts) < 2:
-        return Difference(place, figure, float(before.mean()), float(after.mean()), np.nan, np.nan, np.nan, counts)
-    shares = np.array([before.var(ddof=1) / counts[0], after.var(ddof=1) / counts[1]])
-    spread = float(np.sqrt(shares.sum()))
-    freedom = shares.sum() ** 2 / (shares**2 / (np.array(counts) - 1)).sum() if spread > 0 else 1.0
-    low, high, p = _interval(change, spread, float(freedom))
-    return Difference(place, figure, float(before.mean()), float(after.mean()), low, high, p, counts)
+    """Two small samples whose spreads may differ."""
+    first, second = Sample.of(before), Sample.of(after)
+    change = seeds.welch(first, second)
+    return Difference(place, figure, first.mean, second.mean, change.low, change.high, change.p, (first.count, second.count))
 
 
 def paired(figure: str, pairs: np.ndarray) -> Difference:
     """Paired t-test of (n, 2) means of places."""
-    change = pairs[:, 1] - pairs[:, 0]
-    low, high, p = _interval(float(change.mean()), float(change.std(ddof=1) / np.sqrt(len(change))), len(change) - 1)
+    sample = Sample.of(pairs[:, 1] - pairs[:, 0])
+    change = seeds.tested(sample.mean, float(sample.deviation / np.sqrt(sample.count)), sample.count - 1)
     before, after = pairs.mean(0)
-    return Difference(EVERYWHERE, figure, float(before), float(after), low, high, p, (len(change), len(change)))
-
-
-def _interval(change: float, spread: float, freedom: float) -> tuple[float, float, float]:
-    """Ends of the interval of confidence, and the probability by chance."""
-    from scipy.stats import t
-
-    if spread == 0:  # the same bits on both sides of every seed
-        return change, change, 1.0 if change == 0 else 0.0
-    reach = float(t.ppf(0.5 + CONFIDENCE / 2, freedom)) * spread
-    return change - reach, change + reach, float(2 * t.sf(abs(change) / spread, freedom))
+    return Difference(
+        EVERYWHERE, figure, float(before), float(after), change.low, change.high, change.p, (sample.count, sample.count)
+    )
 
 
 def summary(differences: Sequence[Difference]) -> dict[str, Any]:

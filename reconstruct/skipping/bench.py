@@ -89,7 +89,7 @@ def run(
     with progress("skipping", len(wanted) * len(scenes), "trainings") as shown:
         for scene in scenes:
             path = str(find(scene).resolve())
-            study, folder = ablate.Study(path, model, preset, tuple(overrides), None, wanted), out / Path(path).name
+            study, folder = ablate.Study(path, model, preset, tuple(overrides), None, (), wanted), out / Path(path).name
             for name, changes in wanted.items():
                 shown.note(name)
                 ablate.finish(folder / ablate.CELLS / name, study, changes)

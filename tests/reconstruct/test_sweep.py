@@ -17,12 +17,12 @@ from reconstruct.models import load_config
 
 def stand_in(path: Path, study: Study, changes: Any) -> None:
     """A run on disk as training and evaluation leave it; of `zipnerf` it fails while a file named `broken` lies beside."""
-    if study.model == "zipnerf" and (path.parent.parent / "broken").exists():
+    if study.model == "zipnerf" and (path.parents[2] / "broken").exists():
         raise ReconstructError("training does not stay finite")
     path.mkdir(parents=True)
     normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
     run = {"format": "koala-run", "version": 1, "scene": study.scene, "scene_name": Path(study.scene).name,
-           "config": load_config(study.model).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
+           "config": load_config(study.model, overrides=list(changes)).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
     (path / "run.json").write_text(json.dumps(run))
     metrics = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 20.0}, "per_view": []}
     (path / "metrics.json").write_text(json.dumps(metrics))
@@ -39,13 +39,25 @@ def test_a_failure_does_not_cost_the_others_and_can_be_mended(
     monkeypatch.setattr(sweep, "finish", stand_in)
     (tmp_path / "broken").write_text("")
     wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, tmp_path)
-    assert [job.path for job in wanted] == [tmp_path / "ball/zipnerf", tmp_path / "ball/surfnerf"]
-    with pytest.raises(ReconstructError, match=r"1 of 2 runs failed \(ball/zipnerf: training does not stay finite\)"):
+    assert [job.path for job in wanted] == [tmp_path / "ball/zipnerf/seed_1", tmp_path / "ball/surfnerf/seed_1"]
+    with pytest.raises(ReconstructError, match=r"1 of 2 runs failed \(ball/zipnerf/seed_1: training does not stay finite\)"):
         sweep.run(wanted, tmp_path)
     assert "surfnerf" in (tmp_path / "table.md").read_text() and "zipnerf" not in (tmp_path / "table.md").read_text()
     (tmp_path / "broken").unlink()
     assert sweep.run(wanted, tmp_path) == {"out": str(tmp_path), "runs": 2, "trained": 1, "table": str(tmp_path / "table.md")}
     assert "zipnerf" in (tmp_path / "table.tex").read_text()
+
+
+def test_seeds_of_a_model_make_one_row(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(sweep, "finish", stand_in)
+    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", [], 5.0, tmp_path, [0, 2])
+    names = [job.name for job in wanted]
+    assert names == ["ball/zipnerf/seed_0", "ball/surfnerf/seed_0", "ball/zipnerf/seed_2", "ball/surfnerf/seed_2"]
+    assert sweep.run(wanted, tmp_path)["runs"] == 4
+    rows = [line for line in (tmp_path / "table.md").read_text().splitlines() if "nerf" in line]
+    assert rows == ["| ball | zipnerf | **20.00 ± 0.00** |", "|  | surfnerf | **20.00 ± 0.00** |"]
 
 
 def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:

@@ -1,15 +1,12 @@
 import csv
 import io
-import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from datasets.errors import Misuse
 from reconstruct import metrics, surface_distance, table
-from reconstruct.run import Run
-from reconstruct.table import Row
+from reconstruct.results import Row
 
 ROWS = [
     Row("car", "zip_refnerf", {"psnr": 30.371, "ssim": 0.955, "normal_mae_alpha_acc_deg": 16.37, "disparity_rmse": 0.205}),
@@ -65,21 +62,20 @@ def test_every_figure_has_a_heading_and_a_meaning() -> None:
     assert set(table.HEADINGS) > table.HIGHER_IS_BETTER
 
 
-def test_rows_of_runs(make_run: Callable[..., Run], tmp_path: Path) -> None:
-    run = make_run(checkpointed=False)
-    with pytest.raises(Misuse, match=r"was not measured yet.*reconstruct eval"):
-        table.rows_of_runs([run.path])
-    views = [{"name": "000", "psnr": 20.0}, {"name": "003", "psnr": 22.0}]
-    content = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 21.0}, "per_view": views, "mesh": {"f_score": 0.5}}
-    (run.path / "metrics.json").write_text(json.dumps(content))
-    twice = table.rows_of_runs([run.path, run.path])
-    assert [row.values for row in twice] == [{"psnr": 21.0, "f_score": 0.5}] * 2
-    assert [row.label for row in twice] == ["surfnerf", "surfnerf (run)"], "two runs of one model are told apart"
-    images = table.rows_of_runs([run.path], per_image=True)
-    assert [(row.label, row.values["psnr"]) for row in images] == [("000", 20.0), ("003", 22.0)]
-    table.write(twice, ["psnr"], tmp_path / "t.csv")
+def test_deviations_over_seeds_stand_beside_their_means() -> None:
+    rows = [ROWS[0], Row("car", "surfnerf", {"psnr": 31.0, "ssim": None}, deviations={"psnr": 0.25}, seeds=3)]
+    columns = ["psnr", "ssim"]
+    lines = table.markdown(rows, columns).splitlines()
+    assert lines[3] == "|  | surfnerf | **31.00 ± 0.25** | – |" and lines[-1] == "* mean ± standard deviation over 1 to 3 seeds"
+    assert r"\textbf{31.00 $\pm$ 0.25}" in table.latex(rows, columns)
+    read = list(csv.DictReader(io.StringIO(table.csv_text(rows, columns))))
+    assert [row["psnr_std"] for row in read] == ["", "0.25"] and [row["seeds"] for row in read] == ["", "3"]
+
+
+def test_a_table_is_written_once_and_in_the_form_of_its_suffix(tmp_path: Path) -> None:
+    table.write(ROWS, ["psnr"], tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text().startswith("scene,model,psnr\n")
     with pytest.raises(Misuse, match="already exists"):
-        table.write(twice, ["psnr"], tmp_path / "t.csv")
+        table.write(ROWS, ["psnr"], tmp_path / "t.csv")
     with pytest.raises(Misuse, match=r"end --out in \.md, \.csv, \.tex"):
-        table.write(twice, ["psnr"], tmp_path / "t.html")
+        table.write(ROWS, ["psnr"], tmp_path / "t.html")
