@@ -54,7 +54,11 @@ class CameraNumbers(Schema):
         default_factory=list, max_length=8, description="k1 k2 p1 p2 k3 k4 k5 k6, as many as there are"
     )
     first_pixel: float = Field(
-        0.0, ge=0, le=0.5, multiple_of=0.5, description="where the centre of the first pixel is: 0 for OpenCV and ViSP [px]"
+        default=0.0,
+        ge=0,
+        le=0.5,
+        multiple_of=0.5,
+        description="where the centre of the first pixel is: 0 for OpenCV and ViSP [px]",
     )
 
     def camera(self) -> Camera:
@@ -67,22 +71,22 @@ class CameraNumbers(Schema):
 class Description(Schema):
     """How a folder of images and poses is to be read."""
 
-    format: Literal["koala-import"] = Field("koala-import", description="what this file is")
-    version: Literal[1] = Field(1, description="version of this format")
+    format: Literal["koala-import"] = Field(default="koala-import", description="what this file is")
+    version: Literal[1] = Field(default=1, description="version of this format")
     images: str = Field(description="pattern of the images in the folder, with one *, which names the view")
     poses: str = Field(
         description="pattern of the pose files, with one *, or the one file that holds all poses (.csv .yaml .json)"
     )
-    key: str = Field("", description="where the numbers are in a YAML or JSON file; a.b for b inside a")
+    key: str = Field(default="", description="where the numbers are in a YAML or JSON file; a.b for b inside a")
     layout: Literal["x y z rx ry rz", "x y z qw qx qy qz", "x y z qx qy qz qw", "matrix", "matrix by columns"] = Field(
         description="meaning and order of the numbers of a pose"
     )
-    length: Literal["m", "mm"] = Field("m", description="unit of lengths")
-    angle: Literal["rad", "deg"] = Field("rad", description="unit of rotation vectors")
-    inverse: bool = Field(False, description="true where the poses are flange_from_base; else base_from_flange")
-    eye_to_hand: bool = Field(False, description="true where the camera stands beside the arm and holds still")
+    length: Literal["m", "mm"] = Field(default="m", description="unit of lengths")
+    angle: Literal["rad", "deg"] = Field(default="rad", description="unit of rotation vectors")
+    inverse: bool = Field(default=False, description="true where the poses are flange_from_base; else base_from_flange")
+    eye_to_hand: bool = Field(default=False, description="true where the camera stands beside the arm and holds still")
     board: dict[str, Any] = Field(description="the target: type, squares_x, squares_y, square_length_m, ...")
-    camera: CameraNumbers | None = Field(None, description="a camera calibrated elsewhere; null: estimated along")
+    camera: CameraNumbers | None = Field(default=None, description="a camera calibrated elsewhere; null: estimated along")
 
     @model_validator(mode="after")
     def _one_star(self) -> Self:

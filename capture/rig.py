@@ -56,12 +56,14 @@ class Robot(Protocol):
 
     def state(self) -> RobotState:
         """The newest state; raises where it is older than 0.2 s."""
+        ...
 
     def stop(self) -> None:
         """Bring the arm to rest now. May be called from another thread, and twice."""
 
     def description(self) -> dict[str, Any]:
         """What the recording keeps of the arm: model, serial, software version, tool offset."""
+        ...
 
 
 class Camera(Protocol):
@@ -72,6 +74,8 @@ class Camera(Protocol):
 
     def grab(self) -> Image:
         """Trigger one exposure and wait for it. Raises a CaptureError after its own deadline."""
+        ...
 
     def description(self) -> dict[str, Any]:
         """What the recording keeps of the camera: model, serial, full state as read back."""
+        ...

@@ -16,8 +16,8 @@ Vector = tuple[float, float, float]
 class PoseDescription(Schema):
     """A rigid transform a_from_b as position and rotation vector."""
 
-    position: Vector = Field((0, 0, 0), description="origin of b in a [m]")
-    rotation_deg: Vector = Field((0, 0, 0), description="rotation vector: axis times angle [degrees]")
+    position: Vector = Field(default=(0, 0, 0), description="origin of b in a [m]")
+    rotation_deg: Vector = Field(default=(0, 0, 0), description="rotation vector: axis times angle [degrees]")
 
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4) transform [m]."""
@@ -27,25 +27,25 @@ class PoseDescription(Schema):
 class RobotDescription(Schema):
     """The arm and what it may do."""
 
-    model: Literal["ur5e"] = Field("ur5e", description="model of the arm")
-    host: str = Field("192.168.0.10", min_length=1, description="address of the controller on the network")
-    max_joint_speed: float = Field(1.05, gt=0, le=np.pi, description="no joint is ever asked to be faster [rad/s]")
-    max_joint_acceleration: float = Field(1.4, gt=0, le=10, description="nor to accelerate more [rad/s^2]")
+    model: Literal["ur5e"] = Field(default="ur5e", description="model of the arm")
+    host: str = Field(default="192.168.0.10", min_length=1, description="address of the controller on the network")
+    max_joint_speed: float = Field(default=1.05, gt=0, le=np.pi, description="no joint is ever asked to be faster [rad/s]")
+    max_joint_acceleration: float = Field(default=1.4, gt=0, le=10, description="nor to accelerate more [rad/s^2]")
 
 
 class CameraDescription(Schema):
     """The camera and its lens. Exposure, gain and region belong to the trajectory."""
 
-    model: Literal["basler"] = Field("basler", description="kind of camera")
-    serial: str = Field("", description="serial number; empty: the only camera that is connected")
+    model: Literal["basler"] = Field(default="basler", description="kind of camera")
+    serial: str = Field(default="", description="serial number; empty: the only camera that is connected")
 
 
 class SimulationDescription(Schema):
     """A simulated controller that runs already, as `capture sim` writes it. A real rig has none."""
 
     side_port: int = Field(ge=1, le=65535, description="port on 127.0.0.1 where the simulation says where the arm truly is")
-    scene: str = Field("gold_head", description="what stands before the camera")
-    seed: int = Field(0, ge=0, description="of everything random")
+    scene: str = Field(default="gold_head", description="what stands before the camera")
+    seed: int = Field(default=0, ge=0, description="of everything random")
 
 
 class RigDescription(Schema):
@@ -54,10 +54,12 @@ class RigDescription(Schema):
     robot: RobotDescription = Field(default_factory=RobotDescription, description="the arm")
     camera: CameraDescription = Field(default_factory=CameraDescription, description="the camera")
     flange_from_camera: PoseDescription = Field(
-        PoseDescription(position=(0.0, 0.06, 0.08), rotation_deg=(45.0, 0.0, 0.0)),
+        default=PoseDescription(position=(0.0, 0.06, 0.08), rotation_deg=(45.0, 0.0, 0.0)),
         description="nominal camera pose on the flange, by drawing or ruler: 1 cm and 5 degrees are enough, calib finds the true one",
     )
-    simulation: SimulationDescription | None = Field(None, description="only of a rig that is simulated; null: a real one")
+    simulation: SimulationDescription | None = Field(
+        default=None, description="only of a rig that is simulated; null: a real one"
+    )
 
 
 def load_rig(path: Path | str) -> RigDescription:

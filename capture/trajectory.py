@@ -52,40 +52,47 @@ class Box(Schema):
 class CameraSettings(Schema):
     """Constant for the whole recording."""
 
-    exposure_us: float = Field(10_000.0, gt=0, description="exposure time [us]")
-    gain_db: float = Field(0.0, ge=0, description="gain [dB]")
+    exposure_us: float = Field(default=10_000.0, gt=0, description="exposure time [us]")
+    gain_db: float = Field(default=0.0, ge=0, description="gain [dB]")
     pixel_format: Literal["rgb8", "bayer8", "bayer12"] = Field(
-        "rgb8", description="what the camera sends: its own colours, or raw photosites of 8 or 12 bits, of which colours are made "
+        default="rgb8", description="what the camera sends: its own colours, or raw photosites of 8 or 12 bits, of which colours are made "
         "here. Images are sRGB; 12 bits are kept as 16-bit files",
     )  # fmt: skip
-    binning: int = Field(1, ge=1, le=16, description="sensor pixels per image pixel, along both axes")
-    width: int = Field(1920, ge=16, description="image width after binning [px]")
-    height: int = Field(1080, ge=16, description="image height after binning [px]")
-    offset_x: int | None = Field(None, ge=0, description="left edge of the region after binning [px]; default: centred")
-    offset_y: int | None = Field(None, ge=0, description="upper edge of the region after binning [px]; default: centred")
+    binning: int = Field(default=1, ge=1, le=16, description="sensor pixels per image pixel, along both axes")
+    width: int = Field(default=1920, ge=16, description="image width after binning [px]")
+    height: int = Field(default=1080, ge=16, description="image height after binning [px]")
+    offset_x: int | None = Field(default=None, ge=0, description="left edge of the region after binning [px]; default: centred")
+    offset_y: int | None = Field(default=None, ge=0, description="upper edge of the region after binning [px]; default: centred")
 
 
 class Motion(Schema):
     """How the arm moves between views, and when it counts as still."""
 
-    order: Literal["given", "shortest"] = Field("given", description="take the views as listed, or in an order that saves time")
-    speed: float = Field(0.8, gt=0, le=np.pi, description="fastest joint [rad/s]")
-    acceleration: float = Field(1.2, gt=0, le=10, description="of the fastest joint [rad/s^2]")
-    settle_speed: float = Field(0.001, gt=0, description="every joint slower than this counts as still [rad/s]")
-    settle_time_s: float = Field(0.3, ge=0, le=60, description="how long it must have been still before the exposure [s]")
-    settle_difference: float | None = Field(
-        None, gt=0, lt=1, description="also wait until two pictures in a row differ by less, rms share of white; null: do not"
+    order: Literal["given", "shortest"] = Field(
+        default="given", description="take the views as listed, or in an order that saves time"
     )
-    settle_timeout_s: float = Field(5.0, gt=0, description="error where the arm is not still this long after the motion [s]")
+    speed: float = Field(default=0.8, gt=0, le=np.pi, description="fastest joint [rad/s]")
+    acceleration: float = Field(default=1.2, gt=0, le=10, description="of the fastest joint [rad/s^2]")
+    settle_speed: float = Field(default=0.001, gt=0, description="every joint slower than this counts as still [rad/s]")
+    settle_time_s: float = Field(default=0.3, ge=0, le=60, description="how long it must have been still before the exposure [s]")
+    settle_difference: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1,
+        description="also wait until two pictures in a row differ by less, rms share of white; null: do not",
+    )
+    settle_timeout_s: float = Field(
+        default=5.0, gt=0, description="error where the arm is not still this long after the motion [s]"
+    )
 
 
 class Safety(Schema):
     """Where no part of the arm or the camera may be."""
 
-    table_z: float | None = Field(0.0, description="z of the table's top in the base frame [m]; null: no table")
-    ceiling_z: float | None = Field(None, description="z of the ceiling that an arm hangs from, mostly 0 [m]; null: none")
-    clearance_m: float = Field(0.02, ge=0, le=0.5, description="distance kept to table, object and the arm itself [m]")
-    workspace: Box | None = Field(None, description="the camera stays inside this box; null: anywhere")
+    table_z: float | None = Field(default=0.0, description="z of the table's top in the base frame [m]; null: no table")
+    ceiling_z: float | None = Field(default=None, description="z of the ceiling that an arm hangs from, mostly 0 [m]; null: none")
+    clearance_m: float = Field(default=0.02, ge=0, le=0.5, description="distance kept to table, object and the arm itself [m]")
+    workspace: Box | None = Field(default=None, description="the camera stays inside this box; null: anywhere")
 
 
 class CharucoTarget(Schema):
@@ -96,7 +103,7 @@ class CharucoTarget(Schema):
     squares_y: int = Field(ge=3, description="squares along the board's y axis")
     square_length_m: float = Field(gt=0, description="side of a square [m]")
     marker_length_m: float = Field(gt=0, description="side of a marker [m]")
-    dictionary: str = Field("DICT_5X5_100", description="OpenCV's name of the marker dictionary")
+    dictionary: str = Field(default="DICT_5X5_100", description="OpenCV's name of the marker dictionary")
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -110,19 +117,23 @@ class CharucoTarget(Schema):
 class Trajectory(Schema):
     """A repeatable session: views, split, camera settings, motion, and what stands where."""
 
-    format: Literal["koala-trajectory"] = Field("koala-trajectory", description="what this file is")
-    version: Literal[1] = Field(1, description="version of this format")
+    format: Literal["koala-trajectory"] = Field(default="koala-trajectory", description="what this file is")
+    version: Literal[1] = Field(default=1, description="version of this format")
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$", description="name of the session")
     views: list[Views] = Field(min_length=1, description="groups of views, taken in this order")
-    split: Split | None = Field(None, description="training and test views; null: a calibration session, or all for training")
+    split: Split | None = Field(
+        default=None, description="training and test views; null: a calibration session, or all for training"
+    )
     camera: CameraSettings = Field(default_factory=CameraSettings, description="exposure, gain and region")
     motion: Motion = Field(default_factory=Motion, description="speed and settling")
     safety: Safety = Field(default_factory=Safety, description="where the arm may not go")
-    up: Literal["+z", "-z"] = Field("+z", description="the base's axis that points up: -z for an arm that hangs upside down")
-    object: Box | None = Field(None, description="the object's volume; the object stands in the middle of its bottom")
-    target: CharucoTarget | None = Field(None, description="calibration target, for a calibration session")
+    up: Literal["+z", "-z"] = Field(
+        default="+z", description="the base's axis that points up: -z for an arm that hangs upside down"
+    )
+    object: Box | None = Field(default=None, description="the object's volume; the object stands in the middle of its bottom")
+    target: CharucoTarget | None = Field(default=None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(
-        None,
+        default=None,
         description="base_from_board, roughly. The simulator puts the board exactly here; nothing else reads it. "
         "Board axes: x along squares_x, y along squares_y, z into the board, origin at the first corner",
     )

@@ -48,7 +48,7 @@ def spread(count: int, chosen: int) -> frozenset[int]:
 class _Looking(Schema):
     target: Vector = Field(description="point that the camera looks at [m]")
     roll_deg: list[float] = Field(
-        [0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
+        default=[0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
     )
 
     def _look(self, position: NDArray[np.float64], up: int) -> Viewpoint:
@@ -72,9 +72,9 @@ class HemisphereViews(_Looking):
     kind: Literal["hemisphere"] = Field(description="pattern of the views")
     count: int = Field(ge=1, le=10_000, description="number of views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
-    elevation_deg: Interval = Field((15.0, 70.0), description="lowest and highest ring above the horizon [degrees]")
-    azimuth_deg: Interval = Field((-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
-    rings: int = Field(4, ge=1, le=100, description="number of rings")
+    elevation_deg: Interval = Field(default=(15.0, 70.0), description="lowest and highest ring above the horizon [degrees]")
+    azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
+    rings: int = Field(default=4, ge=1, le=100, description="number of rings")
 
     @model_validator(mode="after")
     def _enough(self) -> Self:
@@ -108,8 +108,8 @@ class OrbitViews(_Looking):
     kind: Literal["orbit"] = Field(description="pattern of the views")
     count: int = Field(ge=1, le=10_000, description="number of views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
-    elevation_deg: float = Field(30.0, gt=-90, lt=90, description="of the ring above the horizon [degrees]")
-    azimuth_deg: Interval = Field((-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
+    elevation_deg: float = Field(default=30.0, gt=-90, lt=90, description="of the ring above the horizon [degrees]")
+    azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
 
     @property
     def number(self) -> int:
@@ -148,11 +148,11 @@ class TiltedViews(_Looking):
 
     kind: Literal["tilted"] = Field(description="pattern of the views")
     count: int = Field(ge=1, le=10_000, description="number of views")
-    distance: Interval = Field((0.3, 0.5), description="shortest and longest distance to the target [m]")
-    tilt_deg: Interval = Field((0.0, 40.0), description="smallest and largest angle between view and vertical [degrees]")
-    turn_deg: Interval = Field((-180.0, 180.0), description="range of the turn about the view axis [degrees]")
-    azimuth_deg: Interval = Field((-180.0, 180.0), description="range of the side that the camera looks from [degrees]")
-    shift: Interval = Field((0.0, 0.0), description="the point looked at moves up to this far along x and y [m]")
+    distance: Interval = Field(default=(0.3, 0.5), description="shortest and longest distance to the target [m]")
+    tilt_deg: Interval = Field(default=(0.0, 40.0), description="smallest and largest angle between view and vertical [degrees]")
+    turn_deg: Interval = Field(default=(-180.0, 180.0), description="range of the turn about the view axis [degrees]")
+    azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range of the side that the camera looks from [degrees]")
+    shift: Interval = Field(default=(0.0, 0.0), description="the point looked at moves up to this far along x and y [m]")
 
     @property
     def number(self) -> int:
@@ -178,9 +178,9 @@ class CameraPose(Schema):
     """One camera pose: either looking at a point, or with a quaternion."""
 
     position: Vector = Field(description="of the camera [m]")
-    look_at: Vector | None = Field(None, description="point in the middle of the image [m]")
+    look_at: Vector | None = Field(default=None, description="point in the middle of the image [m]")
     quaternion_wxyz: tuple[float, float, float, float] | None = Field(
-        None, description="orientation of base_from_camera, w x y z"
+        default=None, description="orientation of base_from_camera, w x y z"
     )
 
     @model_validator(mode="after")
@@ -207,7 +207,7 @@ class PoseViews(Schema):
     kind: Literal["poses"] = Field(description="pattern of the views")
     poses: list[CameraPose] = Field(min_length=1, description="the camera poses")
     roll_deg: list[float] = Field(
-        [0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
+        default=[0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
     )
 
     @property

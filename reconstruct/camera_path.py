@@ -30,15 +30,15 @@ class KeyPose(Schema):
 
     position: Vector = Field(description="Place of the camera, in world coordinates.")
     target: Vector = Field(description="Point that it looks at.")
-    up: Vector = Field((0, 0, 1), description="Direction that is up in the picture.")
+    up: Vector = Field(default=(0, 0, 1), description="Direction that is up in the picture.")
 
 
 class PathFile(Schema):
     """A file that describes a camera path."""
 
-    fps: float = Field(30, gt=0, le=240, description="Frames per second.")
-    seconds: float = Field(6, gt=0, le=3600, description="Length of the film.")
-    closed: bool = Field(False, description="Whether the last pose leads back to the first.")
+    fps: float = Field(default=30, gt=0, le=240, description="Frames per second.")
+    seconds: float = Field(default=6, gt=0, le=3600, description="Length of the film.")
+    closed: bool = Field(default=False, description="Whether the last pose leads back to the first.")
     poses: tuple[KeyPose, ...] = Field(min_length=2, description="Poses that the camera passes, at equal times.")
 
 

@@ -25,9 +25,9 @@ class ModelFile(Schema):
     """One file of `configs/models`."""
 
     about: str = Field(description="line that says what the model is")
-    base: str | None = Field(None, description="Model whose presets this one changes; itself without a base.")
-    fast: dict[str, Any] = Field({}, description="Changes for a workstation without GPU.")
-    paper: dict[str, Any] = Field({}, description="Changes for the published sizes.")
+    base: str | None = Field(default=None, description="Model whose presets this one changes; itself without a base.")
+    fast: dict[str, Any] = Field(default={}, description="Changes for a workstation without GPU.")
+    paper: dict[str, Any] = Field(default={}, description="Changes for the published sizes.")
 
 
 def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[str] | None = None) -> Config:
