@@ -37,7 +37,7 @@ def load_yaml(path: Path | str, model: type[Model], *, overrides: Sequence[str] 
     Args:
         path: the file.
         model: the schema.
-        overrides: "a.b=value" with value in YAML, applied before validation; later ones win over earlier ones.
+        overrides: "a.b=value" with value in YAML, "a.0.b=value" inside a list, applied before validation; later ones win over earlier ones.
 
     Raises:
         Misuse: in one line, with the file, the line number, the key and what would have been valid.
@@ -132,11 +132,21 @@ def _with_overrides(content: dict[str, Any], overrides: Iterable[str]) -> dict[s
     return content
 
 
-def _set(content: Any, keys: list[str], value: Any, override: str) -> dict[str, Any]:
+def _set(content: Any, keys: list[str], value: Any, override: str) -> Any:
+    """A copy of nested mappings and lists with one value in another's place; a list's keys are its items' numbers."""
+    if not keys:
+        return value
+    key, *rest = keys
+    if isinstance(content, list):
+        if not key.isdecimal() or int(key) >= len(content):
+            last = len(content) - 1
+            raise Misuse("there is no such item", where=f"--set {override}", why=f"'{key}' in a list of {last + 1}",
+                         remedy=f"items are numbered from 0 to {last}" if content else "write the whole list")  # fmt: skip
+        return [_set(item, rest, value, override) if index == int(key) else item for index, item in enumerate(content)]
     if not isinstance(content, dict):
-        raise Misuse("has no keys inside", where=f"--set {override}", why=f"'{keys[0]}' does not exist there")
-    inner = value if len(keys) == 1 else _set(content.get(keys[0]) or {}, keys[1:], value, override)
-    return {**content, keys[0]: inner}
+        raise Misuse("has no keys inside", where=f"--set {override}", why=f"'{key}' does not exist there")
+    inner = content.get(key)
+    return {**content, key: _set({} if inner is None else inner, rest, value, override)}
 
 
 def _misuse(error: ValidationError, content: Any, model: type[BaseModel], where: object, lines: dict[Place, int]) -> Misuse:

@@ -74,3 +74,14 @@ def test_overrides_win_and_their_mistakes_are_named(tmp_path):
     for override in ("speed", "spede=1", "speed.x=1", "speed=[1"):
         with pytest.raises(Misuse):
             _load(tmp_path, "speed: 1\n", overrides=[override])
+
+
+def test_overrides_reach_into_lists_by_number(tmp_path):
+    text = "views:\n - kind: orbit\n   radius: 1\n - kind: grid\n"
+    plan = _load(tmp_path, text, overrides=["views.1.spacing=3", "views.0={kind: grid}", "views.0.spacing=2"])
+    assert [view.spacing for view in plan.views] == [2, 3]
+    for override in ("views.2.spacing=1", "views.-1.spacing=1", "views.first.spacing=1"):
+        with pytest.raises(Misuse, match=r"no such item \('(2|-1|first)' in a list of 2\); items are numbered from 0 to 1"):
+            _load(tmp_path, text, overrides=[override])
+    with pytest.raises(Misuse, match=r"in a list of 0\); write the whole list"):
+        _load(tmp_path, "views: []\n", overrides=["views.0.spacing=1"])
