@@ -29,7 +29,7 @@ from reconstruct.evaluate import METRICS, evaluate
 from reconstruct.models import load_config
 from reconstruct.results import Row, row_of_seeds
 from reconstruct.run import CHECKPOINTS, RUN
-from reconstruct.seeds import welch
+from reconstruct.seeds import seed_folder, welch
 from reconstruct.train import train
 from reconstruct.trained import Trained
 
@@ -141,11 +141,6 @@ def chosen_seeds(base: Config, seeds: Sequence[int]) -> tuple[int, ...]:
     if len(set(seeds)) < len(seeds):
         raise Misuse("a seed is named twice", where="--seed", why=" ".join(map(str, seeds)), remedy="name each once")
     return tuple(seeds) or (base.train.seed,)
-
-
-def seed_folder(seed: int) -> str:
-    """Where the run of a seed lies, among those of its training."""
-    return f"seed_{seed}"
 
 
 def run(study: Study, out: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from datasets import files
 from datasets.errors import DatasetError, Misuse
 from reconstruct.evaluate import FORMAT, METRICS, VERSION
 from reconstruct.run import Run
-from reconstruct.seeds import Sample
+from reconstruct.seeds import Sample, seed_folder
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,12 @@ class _Measured:
         return self.run.config.model + (", fine-tuned" if "from" in self.run.content else "")
 
     @property
+    def folder(self) -> str:
+        """What its training is called on disk."""
+        path = self.run.path.resolve()
+        return path.parent.name if path.name == seed_folder(self.seed) else path.name
+
+    @property
     def seed(self) -> int:
         return self.run.config.train.seed
 
@@ -95,7 +101,7 @@ def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
     for group in [[one] for one in measured] if per_image else _by_recipe(measured):
         scene, label = group[0].scene, group[0].label
         while (scene, label) in labels:  # two trainings of one model are told apart by their folders
-            label = f"{label} ({group[0].run.path.name})" if "(" not in label else f"{label}'"
+            label = f"{label} ({group[0].folder})" if "(" not in label else f"{label}'"
         labels.add((scene, label))
         try:
             rows += group[0].image_rows(label) if per_image else [over_seeds([one.row(label) for one in group])]

@@ -11,6 +11,11 @@ import numpy as np
 CONFIDENCE = 0.95
 
 
+def seed_folder(seed: int) -> str:
+    """Name of the folder of a seed's run, among those of its training."""
+    return f"seed_{seed}"
+
+
 @dataclass(frozen=True)
 class Sample:
     """One figure of trainings that differ in nothing but their seed."""

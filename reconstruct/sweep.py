@@ -16,11 +16,12 @@ from datasets.console import progress
 from datasets.errors import Misuse
 from datasets.formats import find
 from reconstruct import table
-from reconstruct.ablate import Study, chosen_seeds, finish, seed_folder
+from reconstruct.ablate import Study, chosen_seeds, finish
 from reconstruct.errors import ReconstructError
 from reconstruct.evaluate import METRICS
 from reconstruct.models import load_config
 from reconstruct.results import rows_of_runs
+from reconstruct.seeds import seed_folder
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,13 @@ def test_what_differs_in_more_than_its_seed_or_in_nothing_stays_apart(
         row_of_seeds([tmp_path / "measured/one", tmp_path / "measured/two"])
 
 
+def test_trainings_of_one_model_are_named_after_the_folder_that_holds_their_seeds(measured: Callable[..., Path]) -> None:
+    base = [measured(f"base/seed_{seed}", 20.0, seed=seed) for seed in (4, 5)]
+    other = measured("other/seed_4", 20.0, seed=4, changes={"rate": 0.02})
+    rows = rows_of_runs([*base, other])
+    assert [(row.label, row.seeds) for row in rows] == [("surfnerf", 2), ("surfnerf (other)", 1)]
+
+
 def test_a_figure_that_one_seed_lacks_is_lacking(measured: Callable[..., Path]) -> None:
     runs = [measured("run0", 20.0), measured("run1", 21.0, seed=1)]
     metrics = json.loads((runs[1] / "metrics.json").read_text())
