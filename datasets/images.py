@@ -134,19 +134,18 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
     for name, value in (metadata or {}).items():
         spec.attribute(name, value)
     with files.atomic_path(path) as temporary:
-        target = oiio.ImageOutput.create(str(temporary))
-        if target is None:
+        if oiio.ImageOutput.create(str(temporary)) is None:
             oiio.geterror()
             raise DatasetError("image format cannot be written", where=path, why=f"suffix {path.suffix!r}")
-        good = target.open(str(temporary), spec) and target.write_image(np.ascontiguousarray(pixels))
-        complaint = target.geterror()
-        good = target.close() and good
+        target = oiio.ImageBuf(spec)
+        target.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
+        good = target.write(str(temporary))  # one call: of a file that Ctrl-C finds open without pixels, libpng complains aloud
         if shutil.disk_usage(path.parent).free < max(pixels.nbytes, 2**20):  # encoders keep silent about the last block
             good = good and _is_whole(temporary)
             if not good:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         if not good:
-            raise DatasetError("image cannot be written", where=path, why=complaint or target.geterror())
+            raise DatasetError("image cannot be written", where=path, why=target.geterror())
 
 
 def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:

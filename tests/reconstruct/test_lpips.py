@@ -8,6 +8,7 @@ from scipy.signal import correlate
 from datasets.errors import DatasetError, KoalaError, Misuse
 from reconstruct import evaluate, table
 from reconstruct.lpips import LAYERS, SMALLEST, WEIGHTS, Lpips
+from reconstruct.results import rows_of_runs
 from reconstruct.trained import Trained
 
 PUBLISHED = {(47, 40): 0.3724093, (31, 33): 0.3338005}
@@ -144,5 +145,5 @@ def test_a_run_is_measured_with_it(ball: Trained, weights_file: Path, lpips: Lpi
     assert "AlexNet, version 0.1" in written["definitions"]["lpips"]
     assert written["lpips_weights"] == {"file": weights_file.name, "sha256": lpips.sha256} and len(lpips.sha256) == 64
     assert "LPIPS" in evaluate.table(result)
-    rows = table.rows_of_runs([ball.run.path])
+    rows = rows_of_runs([ball.run.path])
     assert "LPIPS" in table.markdown(rows, table.chosen_columns(rows))
