@@ -61,6 +61,11 @@ class Study:
     cells: Cells
     """Overrides of each cell, by its name."""
 
+    @property
+    def common(self) -> dict[str, Any]:
+        """What holds for all its trainings beside scene, model and preset, as files note it."""
+        return {"overrides": list(self.overrides), "budget_s": self.budget_s}
+
 
 def grid(base: Config) -> Cells:
     """The paper's ablations around a configuration, by name; a cell that would repeat the base is left out.
@@ -188,19 +193,42 @@ def folder_name(cell: str) -> str:
 
 def _begin(study: Study, out: Path) -> None:
     """Note the study in its folder, or check that what is there is the same one; cells may be added."""
-    content = {"scene": study.scene, "model": study.model, "preset": study.preset, "overrides": list(study.overrides),
-               "budget_s": study.budget_s}  # fmt: skip
+    content = {"scene": study.scene, "model": study.model, "preset": study.preset, **study.common}
     cells = {name: list(changes) for name, changes in study.cells.items()}
-    if (out / STUDY).is_file():
-        before = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)
-        changed = [key for key in content if before.get(key) != content[key]]
-        changed += [name for name in cells if before["cells"].get(name, cells[name]) != cells[name]]
-        if changed:
-            raise Misuse("holds another study", where=out, why=f"{changed[0]} differs", remedy="choose another --out")
-        cells = before["cells"] | cells
-    else:
-        files.refuse_existing(out)
-    files.write_json(out / STUDY, {"format": FORMAT, "version": VERSION, **content, "cells": cells})
+    before = noted(out / STUDY, FORMAT, VERSION, content, within={"cells": cells})
+    files.write_json(out / STUDY, {"format": FORMAT, "version": VERSION, **content, "cells": before.get("cells", {}) | cells})
+
+
+def noted(path: Path, kind: str, version: int, content: dict[str, Any], within: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """What trainings into a folder were begun with, as its file `path` has it; {} where the folder is new.
+
+    Args:
+        content: what they are to be gone on with, by key: all of it must be the same.
+        within: collections to which may be added; an entry that is there already must be the same.
+
+    Raises:
+        Misuse: something differs, so that figures of unlike trainings would stand in one table; or the folder holds something else.
+    """
+    if not path.is_file():
+        files.refuse_existing(path.parent)
+        return {}
+    before = files.read_json(path, kind=kind, version=version)
+    pairs = [(key, before.get(key), value) for key, value in content.items()]
+    pairs += [
+        (f"{key}.{name}", before.get(key, {}).get(name, value), value)
+        for key, entries in within.items()
+        for name, value in entries.items()
+    ]
+    for key, old, new in pairs:
+        if old != new:
+            raise Misuse("was begun with other settings", where=path.parent, why=f"{key} was {_said(old)}, and is {_said(new)} now",
+                         remedy="choose another --out")  # fmt: skip
+    return before
+
+
+def _said(value: Any) -> str:
+    """A setting as a user gives it."""
+    return " ".join(map(str, value)) or "nothing" if isinstance(value, list) else "nothing" if value is None else str(value)
 
 
 def _finished(out: Path) -> dict[str, Row]:

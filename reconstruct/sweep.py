@@ -1,9 +1,11 @@
 """Many scenes and many models: one run each, on this machine or on a cluster (Ray), into one table.
 
+OUT/sweep.json               preset, common overrides, budget, and the scenes: name and path
 OUT/SCENE/MODEL/seed_N/      a run per scene, model and seed
 OUT/table.md .csv .tex
 
-A run that was measured is not trained again, one that was broken off is gone on with: a sweep can be stopped at any time.
+A run that was measured is not trained again, one that was broken off is gone on with: a sweep can be stopped at any time, and
+further scenes, models and seeds can be added to it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,12 +18,15 @@ from datasets.console import progress
 from datasets.errors import Misuse
 from datasets.formats import find
 from reconstruct import table
-from reconstruct.ablate import Study, chosen_seeds, finish
+from reconstruct.ablate import Study, chosen_seeds, finish, noted
 from reconstruct.errors import ReconstructError
 from reconstruct.evaluate import METRICS
 from reconstruct.models import load_config
 from reconstruct.results import rows_of_runs
 from reconstruct.seeds import seed_folder
+
+FORMAT, VERSION = "koala-sweep", 1
+SWEEP = "sweep.json"
 
 
 @dataclass(frozen=True)
@@ -79,8 +84,10 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
         ray_address: cluster to use; None starts Ray on this machine. Workers must see the scenes and `out` under the same paths.
 
     Raises:
+        Misuse: `out` holds something else, or a sweep with other settings.
         ReconstructError: jobs failed; the others are finished and in the table.
     """
+    _begin(wanted, out)
     todo = [job for job in wanted if not (job.path / METRICS).is_file()]
     failed: dict[str, str] = {}
     with progress("sweeping", len(todo), "runs") as shown:
@@ -99,6 +106,14 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
         raise ReconstructError(f"{len(failed)} of {len(todo)} runs failed", where=out, why=f"{name}: {problem}",
                                remedy="mend it and sweep again: what is finished is kept")  # fmt: skip
     return {"out": str(out), "runs": len(done), "trained": len(todo), "table": str(out / "table.md")}
+
+
+def _begin(wanted: Sequence[Job], out: Path) -> None:
+    """Note the settings in the sweep's folder, or check that those there are the same; scenes may be added."""
+    content = {"preset": wanted[0].study.preset, **wanted[0].study.common}
+    scenes = {Path(job.study.scene).name: job.study.scene for job in wanted}
+    before = noted(out / SWEEP, FORMAT, VERSION, content, within={"scenes": scenes})
+    files.write_json(out / SWEEP, {"format": FORMAT, "version": VERSION, **content, "scenes": before.get("scenes", {}) | scenes})
 
 
 def _in_turn(todo: Sequence[Job]) -> Iterator[tuple[Job, str]]:

@@ -89,7 +89,7 @@ def test_a_study_goes_on_where_it_was_broken_off(trainings: list[str], ball_scen
     more = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["k = 5"])
     assert ablate.run(more, tmp_path / "study")["cells"] == 4 and trainings[-1] == "k_5/seed_3", "cells can be added"
     other = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=4"], 5.0, [])
-    with pytest.raises(Misuse, match="holds another study"):
+    with pytest.raises(Misuse, match=r"begun with other settings.*overrides was train.seed=3, and is train.seed=4 now"):
         ablate.run(other, tmp_path / "study")
 
 

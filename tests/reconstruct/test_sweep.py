@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from reconstruct.models import load_config
 
 def stand_in(path: Path, study: Study, changes: Any) -> None:
     """A run on disk as training and evaluation leave it; of `zipnerf` it fails while a file named `broken` lies beside."""
-    if study.model == "zipnerf" and (path.parents[2] / "broken").exists():
+    if study.model == "zipnerf" and (path.parents[3] / "broken").exists():
         raise ReconstructError("training does not stay finite")
     path.mkdir(parents=True)
     normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
@@ -38,14 +39,15 @@ def test_a_failure_does_not_cost_the_others_and_can_be_mended(
 ) -> None:
     monkeypatch.setattr(sweep, "finish", stand_in)
     (tmp_path / "broken").write_text("")
-    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, tmp_path)
-    assert [job.path for job in wanted] == [tmp_path / "ball/zipnerf/seed_1", tmp_path / "ball/surfnerf/seed_1"]
+    out = tmp_path / "sweep"
+    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, out)
+    assert [job.path for job in wanted] == [out / "ball/zipnerf/seed_1", out / "ball/surfnerf/seed_1"]
     with pytest.raises(ReconstructError, match=r"1 of 2 runs failed \(ball/zipnerf/seed_1: training does not stay finite\)"):
-        sweep.run(wanted, tmp_path)
-    assert "surfnerf" in (tmp_path / "table.md").read_text() and "zipnerf" not in (tmp_path / "table.md").read_text()
+        sweep.run(wanted, out)
+    assert "surfnerf" in (out / "table.md").read_text() and "zipnerf" not in (out / "table.md").read_text()
     (tmp_path / "broken").unlink()
-    assert sweep.run(wanted, tmp_path) == {"out": str(tmp_path), "runs": 2, "trained": 1, "table": str(tmp_path / "table.md")}
-    assert "zipnerf" in (tmp_path / "table.tex").read_text()
+    assert sweep.run(wanted, out) == {"out": str(out), "runs": 2, "trained": 1, "table": str(out / "table.md")}
+    assert "zipnerf" in (out / "table.tex").read_text()
 
 
 def test_seeds_of_a_model_make_one_row(
@@ -58,6 +60,29 @@ def test_seeds_of_a_model_make_one_row(
     assert sweep.run(wanted, tmp_path)["runs"] == 4
     rows = [line for line in (tmp_path / "table.md").read_text().splitlines() if "nerf" in line]
     assert rows == ["| ball | zipnerf | **20.00 ± 0.00** |", "|  | surfnerf | **20.00 ± 0.00** |"]
+
+
+def test_a_sweep_is_gone_on_with_as_it_was_begun(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(sweep, "finish", stand_in)
+    scene, out = str(ball_scene[1]), tmp_path / "sweep"
+    ask = lambda *request, where=scene: sweep.run(sweep.jobs([where], *request, out), out)  # noqa: E731
+    ask(["zipnerf"], "fast", [], 5.0)
+    with pytest.raises(Misuse, match=r"begun with other settings \(budget_s was 5\.0, and is 3\.0 now\)"):
+        ask(["zipnerf"], "fast", [], 3.0)
+    with pytest.raises(Misuse, match=r"overrides was nothing, and is scale=0\.5 now"):
+        ask(["surfnerf"], "fast", ["scale=0.5"], 5.0)
+    elsewhere = tmp_path / "ball"
+    shutil.copytree(ball_scene[1], elsewhere)
+    with pytest.raises(Misuse, match=r"scenes\.ball was"):
+        ask(["zipnerf"], "fast", [], 5.0, where=str(elsewhere))
+    assert not (out / "ball/surfnerf").exists(), "refused before anything was trained"
+    assert ask(["zipnerf", "surfnerf"], "fast", [], 5.0)["trained"] == 1, "models can be added"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/notes.txt").write_text("mine")
+    with pytest.raises(Misuse, match="already exists"):
+        sweep.run(sweep.jobs([scene], ["zipnerf"], "fast", [], 5.0, tmp_path / "other"), tmp_path / "other")
 
 
 def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
