@@ -74,7 +74,7 @@ def refuse_existing(path: Path) -> None:
     """Raise Misuse where `path` holds something already: results are never overwritten."""
     path = Path(path)
     if path.is_file() or (path.is_dir() and any(path.iterdir())):
-        raise Misuse("already exists", where=path, remedy="choose another --out, or remove it first")
+        raise Misuse("already exists", where=path, remedy="choose another name, or remove it first")
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -250,7 +250,10 @@ def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, d
     report = ReportPage(f"Ablation of {study.model} on {Path(study.scene).name}", made_by=[command])
     base = next((row for row in rows if row.label == BASE), rows[0])
     number = lambda row, name: Number(row.values.get(name), std=row.deviations.get(name))  # noqa: E731
-    report.headline([(table.heading(name), number(base, name)) for name in columns[:4]], f"the base, and {len(rows) - 1} cells")
+    report.headline(
+        [(table.heading(name), number(base, name)) for name in columns[:4]],
+        f"the base, and {len(rows) - 1} other{'s' if len(rows) > 2 else ''}",
+    )
     report.section("Gain over the base", f"Better is to the right. {_doubt(rows)}")
     report.drawing(drawing)
     report.section("All figures")

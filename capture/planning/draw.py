@@ -146,5 +146,4 @@ def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict
         "title": title, "radii": RADII.tolist(), "views": views, "table_z": obstacles.table_z,
         "ceiling_z": obstacles.ceiling_z, "up": obstacles.up,
         "box": [] if box is None else _box_edges(box).round(4).tolist(),
-        "centre": (cameras[:, :3, 3].mean(0) if box is None else box.mean(0)).round(4).tolist(),
     }  # fmt: skip
