@@ -9,7 +9,6 @@ further cells and seeds can be added to it.
 """
 
 import shlex
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,18 +19,15 @@ import numpy as np
 from datasets import files
 from datasets.console import progress
 from datasets.errors import Misuse, nearest
-from datasets.formats import find, load_scene
+from datasets.formats import find
 from datasets.report_drawing import svg_of
 from datasets.report_page import Number, ReportPage
-from reconstruct import checkpoint, table
+from reconstruct import table
 from reconstruct.config import Config, LossConfig, SurfaceConfig
-from reconstruct.evaluate import METRICS, evaluate
-from reconstruct.models import load_config
+from reconstruct.evaluate import METRICS
+from reconstruct.recipe import Recipe, begin, chosen_seeds, finish
 from reconstruct.results import Row, row_of_seeds
-from reconstruct.run import CHECKPOINTS, RUN
 from reconstruct.seeds import seed_folder, welch
-from reconstruct.train import train
-from reconstruct.trained import Trained
 
 FORMAT, VERSION = "koala-study", 2
 STUDY, CELLS = "study.json", "cells"
@@ -49,22 +45,12 @@ Cells = dict[str, tuple[str, ...]]
 class Study:
     """What an ablation trains."""
 
-    scene: str
-    """Path of the scene."""
-    model: str
-    preset: str
-    overrides: tuple[str, ...]
+    recipe: Recipe
     """Common to all cells."""
-    budget_s: float | None
     seeds: tuple[int, ...]
     """Each cell is trained with each of them."""
     cells: Cells
     """Overrides of each cell, by its name."""
-
-    @property
-    def common(self) -> dict[str, Any]:
-        """What holds for all its trainings beside scene, model and preset, as files note it."""
-        return {"overrides": list(self.overrides), "budget_s": self.budget_s}
 
 
 def grid(base: Config) -> Cells:
@@ -128,24 +114,14 @@ def plan(
     Raises:
         Misuse: unknown scene, model, setting or cell, or a seed twice.
     """
-    base = load_config(model, preset, list(overrides))
+    recipe = Recipe(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s)
+    base = recipe.config()
     cells = grid(base)
     for name in wanted:
         if name not in cells:
             raise Misuse(f"there is no cell '{name}'", where="--cell", remedy=nearest(name, cells))
     chosen = {name: changes for name, changes in cells.items() if not wanted or name in wanted or name == BASE}
-    return Study(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s, chosen_seeds(base, seeds), chosen)
-
-
-def chosen_seeds(base: Config, seeds: Sequence[int]) -> tuple[int, ...]:
-    """The seeds asked for, else the one that a configuration has.
-
-    Raises:
-        Misuse: one is named twice.
-    """
-    if len(set(seeds)) < len(seeds):
-        raise Misuse("a seed is named twice", where="--seed", why=" ".join(map(str, seeds)), remedy="name each once")
-    return tuple(seeds) or (base.train.seed,)
+    return Study(recipe, chosen_seeds(base, seeds), chosen)
 
 
 def run(study: Study, out: Path) -> dict[str, Any]:
@@ -154,12 +130,14 @@ def run(study: Study, out: Path) -> dict[str, Any]:
     Raises:
         Misuse: `out` holds something else, or a study of something else.
     """
-    _begin(study, out)
+    cells = {name: list(changes) for name, changes in study.cells.items()}
+    settled = study.recipe.content("scene", "model", "preset", "overrides", "budget_s")
+    begin(out / STUDY, kind=FORMAT, version=VERSION, settled=settled, growing={"cells": cells})
     with progress("ablating", len(study.seeds) * len(study.cells), "trainings") as shown:
         for seed in study.seeds:
             for name, changes in study.cells.items():
                 shown.note(f"{name}, seed {seed}")
-                finish(out / CELLS / folder_name(name) / seed_folder(seed), study, [*changes, f"train.seed={seed}"])
+                finish(out / CELLS / folder_name(name) / seed_folder(seed), study.recipe, [*changes, f"train.seed={seed}"])
                 shown.advance()
     rows = [replace(row, label=name) for name, row in _finished(out).items()]
     columns = table.chosen_columns(rows)
@@ -173,62 +151,9 @@ def run(study: Study, out: Path) -> dict[str, Any]:
             "rows": [{"cell": row.label, **row.content(columns)} for row in rows]}  # fmt: skip
 
 
-def finish(path: Path, study: Study, changes: Sequence[str]) -> None:
-    """Train and measure one run, as far as that was not done yet; `path` is its folder."""
-    if (path / METRICS).is_file():
-        return
-    config = load_config(study.model, study.preset, [*study.overrides, *changes])
-    resume = (path / RUN).is_file() and bool(checkpoint.steps(path / CHECKPOINTS))
-    if path.exists() and not resume:
-        shutil.rmtree(path)  # broken off before its first checkpoint: nothing to go on with
-    scene = load_scene(study.scene, measure=not resume)
-    train(scene, find(study.scene), config, path, budget_s=study.budget_s, resume=resume)
-    evaluate(Trained.open(path))
-
-
 def folder_name(cell: str) -> str:
     """A cell's name as a folder's."""
     return cell.replace(" = ", "_").replace(" ", "_").replace("/", "_")
-
-
-def _begin(study: Study, out: Path) -> None:
-    """Note the study in its folder, or check that what is there is the same one; cells may be added."""
-    content = {"scene": study.scene, "model": study.model, "preset": study.preset, **study.common}
-    cells = {name: list(changes) for name, changes in study.cells.items()}
-    before = noted(out / STUDY, FORMAT, VERSION, content, within={"cells": cells})
-    files.write_json(out / STUDY, {"format": FORMAT, "version": VERSION, **content, "cells": before.get("cells", {}) | cells})
-
-
-def noted(path: Path, kind: str, version: int, content: dict[str, Any], within: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """What trainings into a folder were begun with, as its file `path` has it; {} where the folder is new.
-
-    Args:
-        content: what they are to be gone on with, by key: all of it must be the same.
-        within: collections to which may be added; an entry that is there already must be the same.
-
-    Raises:
-        Misuse: something differs, so that figures of unlike trainings would stand in one table; or the folder holds something else.
-    """
-    if not path.is_file():
-        files.refuse_existing(path.parent)
-        return {}
-    before = files.read_json(path, kind=kind, version=version)
-    pairs = [(key, before.get(key), value) for key, value in content.items()]
-    pairs += [
-        (f"{key}.{name}", before.get(key, {}).get(name, value), value)
-        for key, entries in within.items()
-        for name, value in entries.items()
-    ]
-    for key, old, new in pairs:
-        if old != new:
-            raise Misuse("was begun with other settings", where=path.parent, why=f"{key} was {_said(old)}, and is {_said(new)} now",
-                         remedy="choose another --out")  # fmt: skip
-    return before
-
-
-def _said(value: Any) -> str:
-    """A setting as a user gives it."""
-    return " ".join(map(str, value)) or "nothing" if isinstance(value, list) else "nothing" if value is None else str(value)
 
 
 def _finished(out: Path) -> dict[str, Row]:
@@ -240,14 +165,15 @@ def _finished(out: Path) -> dict[str, Row]:
 
 def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, drawing: str) -> ReportPage:
     """The study as a page: each cell's gain over the base, all figures, what each cell changes."""
-    budget = "" if study.budget_s is None else f" --budget {study.budget_s:g}"
-    common = "".join(f" --set {shlex.quote(override)}" for override in study.overrides)
+    recipe = study.recipe
+    budget = "" if recipe.budget_s is None else f" --budget {recipe.budget_s:g}"
+    common = "".join(f" --set {shlex.quote(override)}" for override in recipe.overrides)
     cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
-    every = set(cells) >= set(grid(load_config(study.model, study.preset, list(study.overrides))))
+    every = set(cells) >= set(grid(recipe.config()))
     named = "" if every else "".join(f" --cell {shlex.quote(name)}" for name in cells if name != BASE)
     seeds = "".join(f" --seed {seed}" for seed in study.seeds)
-    command = f"reconstruct ablate {study.scene} --model {study.model} --preset {study.preset}{budget}{common}{seeds}{named} --out {out}"
-    report = ReportPage(f"Ablation of {study.model} on {Path(study.scene).name}", made_by=[command])
+    command = f"reconstruct ablate {recipe.scene} --model {recipe.model} --preset {recipe.preset}{budget}{common}{seeds}{named} --out {out}"
+    report = ReportPage(f"Ablation of {recipe.model} on {Path(recipe.scene).name}", made_by=[command])
     base = next((row for row in rows if row.label == BASE), rows[0])
     number = lambda row, name: Number(row.values.get(name), std=row.deviations.get(name))  # noqa: E731
     report.headline(

@@ -16,12 +16,10 @@ from typing import Any
 from datasets import files
 from datasets.console import progress
 from datasets.errors import Misuse
-from datasets.formats import find
 from reconstruct import table
-from reconstruct.ablate import Study, chosen_seeds, finish, noted
 from reconstruct.errors import ReconstructError
 from reconstruct.evaluate import METRICS
-from reconstruct.models import load_config
+from reconstruct.recipe import Recipe, begin, chosen_seeds, finish, named
 from reconstruct.results import rows_of_runs
 from reconstruct.seeds import seed_folder
 
@@ -34,7 +32,7 @@ class Job:
     """One run of a sweep."""
 
     path: Path
-    study: Study
+    recipe: Recipe
     seed: int
 
     @property
@@ -47,7 +45,7 @@ class Job:
         from reconstruct.backend import cache_compilations
 
         cache_compilations()
-        finish(self.path, self.study, (f"train.seed={self.seed}",))
+        finish(self.path, self.recipe, (f"train.seed={self.seed}",))
 
 
 def jobs(
@@ -64,16 +62,17 @@ def jobs(
     Raises:
         Misuse: an unknown scene, model or setting, a seed twice, or two scenes of one name.
     """
-    of_model = {model: chosen_seeds(load_config(model, preset, list(overrides)), seeds) for model in models}
-    places = [find(scene).resolve() for scene in scenes]
-    if len({place.name for place in places}) < len(places):
-        raise Misuse("two scenes have one name", why=", ".join(place.name for place in places), remedy="rename a folder")
+    recipes = {
+        (name, model): Recipe(path, model, preset, tuple(overrides), budget_s)
+        for name, path in named(scenes).items()
+        for model in models
+    }
+    of_model = {recipe.model: chosen_seeds(recipe.config(), seeds) for recipe in recipes.values()}
     return [
-        Job(out / place.name / model / seed_folder(each[turn]), Study(str(place), model, preset, tuple(overrides), budget_s, each, {}), each[turn])
+        Job(out / name / model / seed_folder(of_model[model][turn]), recipe, of_model[model][turn])
         for turn in range(len(seeds) or 1)
-        for place in places
-        for model, each in of_model.items()
-    ]  # fmt: skip
+        for (name, model), recipe in recipes.items()
+    ]
 
 
 def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use_ray: bool = False) -> dict[str, Any]:
@@ -87,7 +86,9 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
         Misuse: `out` holds something else, or a sweep with other settings.
         ReconstructError: jobs failed; the others are finished and in the table.
     """
-    _begin(wanted, out)
+    settled = wanted[0].recipe.content("preset", "overrides", "budget_s")
+    scenes = {Path(job.recipe.scene).name: job.recipe.scene for job in wanted}
+    begin(out / SWEEP, kind=FORMAT, version=VERSION, settled=settled, growing={"scenes": scenes})
     todo = [job for job in wanted if not (job.path / METRICS).is_file()]
     failed: dict[str, str] = {}
     with progress("sweeping", len(todo), "runs") as shown:
@@ -106,14 +107,6 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
         raise ReconstructError(f"{len(failed)} of {len(todo)} runs failed", where=out, why=f"{name}: {problem}",
                                remedy="mend it and sweep again: what is finished is kept")  # fmt: skip
     return {"out": str(out), "runs": len(done), "trained": len(todo), "table": str(out / "table.md")}
-
-
-def _begin(wanted: Sequence[Job], out: Path) -> None:
-    """Note the settings in the sweep's folder, or check that those there are the same; scenes may be added."""
-    content = {"preset": wanted[0].study.preset, **wanted[0].study.common}
-    scenes = {Path(job.study.scene).name: job.study.scene for job in wanted}
-    before = noted(out / SWEEP, FORMAT, VERSION, content, within={"scenes": scenes})
-    files.write_json(out / SWEEP, {"format": FORMAT, "version": VERSION, **content, "scenes": before.get("scenes", {}) | scenes})
 
 
 def _in_turn(todo: Sequence[Job]) -> Iterator[tuple[Job, str]]:

@@ -1,5 +1,6 @@
 """Each skip on and off on the same scene: what it costs in error and what it saves in time.
 
+OUT/comparison.json      model, preset, overrides, and the scenes: name and path
 OUT/SCENE/cells/NAME/    a run per cell, as an ablation leaves them; one that was measured is not run again
 OUT/skips.csv, skips.md  cost and saving of each skip on each scene
 """
@@ -16,13 +17,15 @@ import numpy as np
 from datasets import files
 from datasets.console import progress
 from datasets.errors import Misuse, nearest
-from datasets.formats import find
-from reconstruct import ablate
+from reconstruct.ablate import BASE, CELLS
 from reconstruct.evaluate import METRICS
 from reconstruct.models import load_config
+from reconstruct.recipe import Recipe, begin, finish, named
 from reconstruct.run import Run
 from reconstruct.skipping import record
 
+FORMAT, VERSION = "koala-skips", 1
+COMPARISON = "comparison.json"
 WORST_DB, WORST_DEG = 0.1, 0.2
 """A skip that costs more than this on any scene is off by default."""
 NORMALS = "normal_mae_alpha_acc_deg"
@@ -66,7 +69,7 @@ def cells(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
             raise Misuse(f"there is no skip '{name}'", where="--skip", remedy=nearest(name, record.NAMES))
     chosen = names or record.NAMES
     defaults = load_config().skip
-    return {ablate.BASE: ()} | {name: (f"skip.{name}={str(not getattr(defaults, name)).lower()}",) for name in chosen}
+    return {BASE: ()} | {name: (f"skip.{name}={str(not getattr(defaults, name)).lower()}",) for name in chosen}
 
 
 def run(
@@ -81,27 +84,29 @@ def run(
     """Train and measure every cell that was not measured yet, then write the table.
 
     Raises:
-        Misuse: unknown scene, skip, model or setting.
+        Misuse: unknown scene, skip, model or setting; or `out` holds something else, or a comparison with other settings.
     """
-    wanted = cells(names)
-    load_config(model, preset, list(overrides))
+    wanted, places = cells(names), named(scenes)
+    recipes = {name: Recipe(path, model, preset, tuple(overrides)) for name, path in places.items()}
+    first = next(iter(recipes.values()))
+    first.config()  # what is wrong with it is said before anything is written
+    settled = first.content("model", "preset", "overrides")
+    begin(out / COMPARISON, kind=FORMAT, version=VERSION, settled=settled, growing={"scenes": places})
     results: list[Result] = []
     with progress("skipping", len(wanted) * len(scenes), "trainings") as shown:
-        for scene in scenes:
-            path = str(find(scene).resolve())
-            study, folder = ablate.Study(path, model, preset, tuple(overrides), None, (), wanted), out / Path(path).name
+        for scene, recipe in recipes.items():
             for name, changes in wanted.items():
                 shown.note(name)
-                ablate.finish(folder / ablate.CELLS / name, study, changes)
+                finish(out / scene / CELLS / name, recipe, changes)
                 shown.advance()
-            results += [compare(folder, name) for name in wanted if name != ablate.BASE]
+            results += [compare(out / scene, name) for name in wanted if name != BASE]
             write(results, out)
     return results
 
 
 def compare(folder: Path, name: str) -> Result:
     """One skip on one scene from its two runs."""
-    base, turned = (folder / ablate.CELLS / cell for cell in (ablate.BASE, name))
+    base, turned = (folder / CELLS / cell for cell in (BASE, name))
     skipped_first = getattr(Run.open(base).config.skip, name)
     kept, skipped = (turned, base) if skipped_first else (base, turned)
     mean = [files.read_json(path / METRICS)["mean"] for path in (kept, skipped)]

@@ -9,8 +9,7 @@ import pytest
 
 from datasets.errors import Misuse
 from datasets.scene import Scene
-from reconstruct import ablate
-from reconstruct.ablate import Study
+from reconstruct import ablate, recipe
 from reconstruct.models import load_config
 from reconstruct.run import Run
 
@@ -54,9 +53,9 @@ def trainings(monkeypatch: pytest.MonkeyPatch, ball_scene: tuple[Scene, Path]) -
         mean = {"psnr": 20.0 + len(done), "normal_mae_alpha_acc_deg": 30.0 - len(done)}
         (path / "metrics.json").write_text(json.dumps({"format": "koala-metrics", "version": 1, "mean": mean, "per_view": []}))
 
-    monkeypatch.setattr(ablate, "train", train)
-    monkeypatch.setattr(ablate.Trained, "open", lambda path: path)
-    monkeypatch.setattr(ablate, "evaluate", evaluate)
+    monkeypatch.setattr(recipe, "train", train)
+    monkeypatch.setattr(recipe.Trained, "open", lambda path: path)
+    monkeypatch.setattr(recipe, "evaluate", evaluate)
     return done
 
 
@@ -116,4 +115,4 @@ def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], make_run: Call
     with pytest.raises(Misuse, match="a seed is named twice"):
         ablate.plan(str(ball_scene[1]), "surfnerf", "fast", [], None, [], [1, 2, 1])
     with pytest.raises(Misuse, match="already exists"):
-        ablate.run(Study(str(ball_scene[1]), "surfnerf", "fast", (), None, (), {}), make_run(checkpointed=False).path)
+        ablate.run(ablate.plan(str(ball_scene[1]), "surfnerf", "fast", [], None, []), make_run(checkpointed=False).path)

@@ -11,19 +11,18 @@ import pytest
 from datasets.errors import Misuse
 from datasets.scene import Scene
 from reconstruct import sweep
-from reconstruct.ablate import Study
 from reconstruct.errors import ReconstructError
-from reconstruct.models import load_config
+from reconstruct.recipe import Recipe
 
 
-def stand_in(path: Path, study: Study, changes: Any) -> None:
+def stand_in(path: Path, recipe: Recipe, changes: Any) -> None:
     """A run on disk as training and evaluation leave it; of `zipnerf` it fails while a file named `broken` lies beside."""
-    if study.model == "zipnerf" and (path.parents[3] / "broken").exists():
+    if recipe.model == "zipnerf" and (path.parents[3] / "broken").exists():
         raise ReconstructError("training does not stay finite")
     path.mkdir(parents=True)
     normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
-    run = {"format": "koala-run", "version": 1, "scene": study.scene, "scene_name": Path(study.scene).name,
-           "config": load_config(study.model, overrides=list(changes)).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
+    run = {"format": "koala-run", "version": 1, "scene": recipe.scene, "scene_name": Path(recipe.scene).name,
+           "config": recipe.config(changes).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
     (path / "run.json").write_text(json.dumps(run))
     metrics = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 20.0}, "per_view": []}
     (path / "metrics.json").write_text(json.dumps(metrics))

@@ -1,13 +1,16 @@
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from datasets import files
 from datasets.errors import Misuse
-from reconstruct import ablate
+from datasets.scene import Scene
+from reconstruct.ablate import BASE, CELLS
 from reconstruct.evaluate import METRICS
 from reconstruct.models import load_config
 from reconstruct.rays import Normalisation
+from reconstruct.recipe import Recipe
 from reconstruct.run import Run
 from reconstruct.skipping import bench, record
 from reconstruct.skipping.record import Skip
@@ -15,7 +18,7 @@ from reconstruct.skipping.record import Skip
 
 def cell(folder: Path, name: str, override: list[str], psnr: float, degrees: float | None, ms: float, skips: list[Skip]) -> None:
     """A measured run of a hundred steps, all but the last tenth of them disturbed."""
-    path = folder / ablate.CELLS / name
+    path = folder / CELLS / name
     run = Run.create(path, load_config(overrides=override), folder, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0), {})
     seconds = 0.0
     for step in range(10, 101, 10):
@@ -32,7 +35,7 @@ def skip(name: str, skipped: bool) -> Skip:
 def test_cost_is_what_skipping_loses_whichever_is_the_default(tmp_path: Path) -> None:
     """Base skips empty rays and keeps fine levels; the cells are turned round."""
     both = [skip("empty_rays", True), skip("fine_levels", False)]
-    cell(tmp_path, ablate.BASE, [], 30.0, 12.0, 10.0, both)
+    cell(tmp_path, BASE, [], 30.0, 12.0, 10.0, both)
     cell(tmp_path, "empty_rays", ["skip.empty_rays=false"], 30.05, 12.1, 25.0, [skip("empty_rays", False)])
     cell(tmp_path, "fine_levels", ["skip.fine_levels=true"], 29.7, 12.0, 8.0, [skip("fine_levels", True)])
     empty, fine = bench.compare(tmp_path, "empty_rays"), bench.compare(tmp_path, "fine_levels")
@@ -51,7 +54,7 @@ def test_cost_is_what_skipping_loses_whichever_is_the_default(tmp_path: Path) ->
 
 
 def test_scenes_without_normals_and_skips_that_do_not_apply_are_told(tmp_path: Path) -> None:
-    cell(tmp_path, ablate.BASE, [], 30.0, None, 10.0, [skip("surroundings", False)])
+    cell(tmp_path, BASE, [], 30.0, None, 10.0, [skip("surroundings", False)])
     cell(tmp_path, "surroundings", ["skip.surroundings=false"], 30.0, None, 10.0, [skip("surroundings", False)])
     result = bench.compare(tmp_path, "surroundings")
     assert result.cost_deg is None and result.cheap and not result.applied
@@ -60,8 +63,26 @@ def test_scenes_without_normals_and_skips_that_do_not_apply_are_told(tmp_path: P
 
 def test_every_skip_has_a_cell_that_turns_it_round() -> None:
     wanted = bench.cells(())
-    assert list(wanted) == [ablate.BASE, *record.NAMES]
+    assert list(wanted) == [BASE, *record.NAMES]
     for name in record.NAMES:
         assert getattr(load_config(overrides=list(wanted[name])).skip, name) != getattr(load_config().skip, name)
     with pytest.raises(Misuse, match="fine_levels"):
         bench.cells(["fine_level"])
+
+
+def test_a_comparison_is_gone_on_with_as_it_was_begun(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stand_in(path: Path, recipe: Recipe, changes: Sequence[str]) -> None:
+        if not path.exists():
+            cell(path.parents[1], path.name, list(changes), 30.0, None, 10.0, [])
+
+    monkeypatch.setattr(bench, "finish", stand_in)
+    out = tmp_path / "skips"
+    ask = lambda **request: bench.run([str(ball_scene[1])], out, names=["fine_levels"], **request)  # noqa: E731
+    with pytest.raises(Misuse, match="surfnerf"):
+        ask(model="surfnrf")
+    assert not out.exists()
+    assert ask() == ask() and (out / "skips.md").is_file()
+    with pytest.raises(Misuse, match=r"begun with other settings.*overrides was nothing"):
+        ask(overrides=["scale=0.5"])
