@@ -76,7 +76,7 @@ def jobs(
 
 
 def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use_ray: bool = False) -> dict[str, Any]:
-    """Run all jobs that are not finished, then write the table of what there is.
+    """Run all jobs that are not finished, then write the table of all runs that there are, earlier ones too.
 
     Args:
         use_ray: as tasks of Ray, each with a GPU where the cluster has any; else one after the other in this process.
@@ -97,7 +97,8 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
                 failed[job.name] = problem
             shown.note(job.name)
             shown.advance()
-    done = [job.path for job in wanted if (job.path / METRICS).is_file()]
+    earlier = sorted(path.parent for path in out.glob(f"*/*/*/{METRICS}"))
+    done = [path for path in dict.fromkeys([*(job.path for job in wanted), *earlier]) if (path / METRICS).is_file()]
     if done:
         rows = rows_of_runs(done)
         for suffix, write in table.FORMS.items():
