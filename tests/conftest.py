@@ -1,5 +1,6 @@
 """What tests of every package share: real data where it is there, and small made-up scenes."""
 
+import os
 import shutil
 import signal
 import time
@@ -17,15 +18,21 @@ from datasets.camera_model import Camera
 from datasets.recording import Frame, Recording
 from datasets.scene import Scene, View
 
+ROOT = Path(__file__).parent.parent
+SHARED = ROOT.parent / "shared" / "data"
+
+os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "koala"))
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(
+    Path(os.environ["KOALA_CACHE"]) / "jax"
+)  # what one test compiled the next one reads
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+
 _NUMERICS = ("cloud", "contraction", "encodings", "field", "losses", "mlp", "model", "objective", "rays", "rendering",
              "safe", "sampling", "schedules", "stepfun", "surface")  # fmt: skip
 install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.beartype")  # shapes as annotated, or an error
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts background jobs deaf to Ctrl-C, and their children too
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-ROOT = Path(__file__).parent.parent
-SHARED = ROOT.parent / "shared" / "data"
 
 LONG = (
     "tests/test_pipeline.py",
