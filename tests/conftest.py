@@ -21,10 +21,9 @@ from datasets.scene import Scene, View
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"
 
-os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "koala"))
-os.environ["JAX_COMPILATION_CACHE_DIR"] = str(
-    Path(os.environ["KOALA_CACHE"]) / "jax"
-)  # what one test compiled the next one reads
+CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "koala")))
+"""Of this suite alone. What one test compiled, the next one reads, also that of another worker."""
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
 _NUMERICS = ("cloud", "contraction", "encodings", "field", "losses", "mlp", "model", "objective", "rays", "rendering",
