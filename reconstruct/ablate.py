@@ -141,8 +141,7 @@ def run(study: Study, out: Path) -> dict[str, Any]:
                 shown.advance()
     rows = [replace(row, label=name) for name, row in _finished(out).items()]
     columns = table.chosen_columns(rows)
-    for suffix, write in table.FORMS.items():
-        files.write_text(out / f"table{suffix}", write(rows, columns))
+    table.write_all(rows, columns, out)
     drawn = [name for name in FIGURES if name in columns]
     with files.atomic_path(out / "figure.png") as temporary:
         draw(rows, drawn).savefig(temporary, dpi=150)

@@ -76,17 +76,12 @@ def finish(path: Path, recipe: Recipe, changes: Sequence[str] = ()) -> None:
     evaluate(Trained.open(path))
 
 
-def begin(
-    path: Path, *, kind: str, version: int, settled: Mapping[str, Any], growing: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
+def begin(path: Path, *, kind: str, version: int, settled: Mapping[str, Any], growing: Mapping[str, Mapping[str, Any]]) -> None:
     """Note in the file `path` what the trainings beside it have in common, or check that they are gone on with as they were begun.
 
     Args:
         settled: what never changes, by key.
         growing: collections to which may be added; an entry that is there already never changes.
-
-    Returns:
-        What the file holds now.
 
     Raises:
         Misuse: something differs, so that unlike trainings would stand in one table; or the folder holds something else.
@@ -107,7 +102,6 @@ def begin(
         known = {key: {} for key in growing}
     content = {"format": kind, "version": version, **settled, **{key: known[key] | dict(growing[key]) for key in growing}}
     files.write_json(path, content)
-    return content
 
 
 def _said(value: Any) -> str:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from datasets import files
 from datasets.console import progress
 from datasets.errors import Misuse
 from reconstruct import table
@@ -101,8 +100,7 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
     done = [path for path in dict.fromkeys([*(job.path for job in wanted), *earlier]) if (path / METRICS).is_file()]
     if done:
         rows = rows_of_runs(done)
-        for suffix, write in table.FORMS.items():
-            files.write_text(out / f"table{suffix}", write(rows, table.chosen_columns(rows)))
+        table.write_all(rows, table.chosen_columns(rows), out)
     if failed:
         name, problem = next(iter(failed.items()))
         raise ReconstructError(f"{len(failed)} of {len(todo)} runs failed", where=out, why=f"{name}: {problem}",

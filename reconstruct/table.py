@@ -116,6 +116,12 @@ def write(rows: Sequence[Row], columns: Sequence[str], out: Path) -> None:
     files.write_text(out, FORMS[out.suffix](rows, columns))
 
 
+def write_all(rows: Sequence[Row], columns: Sequence[str], folder: Path) -> None:
+    """Write a table in every form, as `folder`/table.*; earlier ones are replaced, since such a folder grows."""
+    for suffix, form in FORMS.items():
+        files.write_text(folder / f"table{suffix}", form(rows, columns))
+
+
 def notes(rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
     """What the columns mean, a line each, and which rows' meshes were measured in part."""
     lines = [f"{HEADINGS[column]}: {definition(column)}" for column in columns]
