@@ -79,7 +79,7 @@ def for_scene(config: Config, scene: Scene, views: tuple[View, ...], normalisati
     known: dict[str, tuple[float, float, float]] = {}
     if config.field.outward and config.field.towards is None:
         known["towards"] = direction_of_cameras(views, normalisation)
-    if config.field.matte_around and config.field.half_box is None and not normalisation.bounded:
+    if config.field.half_box is None and not normalisation.bounded:
         x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
         known["half_box"] = (x, y, z)
     return merged_config(config, {"field": known})

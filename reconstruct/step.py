@@ -19,6 +19,7 @@ from reconstruct.faults import FAULTS, finite_parts, packed
 from reconstruct.mlp import computed_in
 from reconstruct.model import Footprint, Model, cloud_of, render
 from reconstruct.rays import Normalisation, Pixels, Rays
+from reconstruct.sampling import focus
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
 from reconstruct.sampling.proposal import Spacing, propose
@@ -128,7 +129,7 @@ class StepFunctions:
     def _batch(self, state: TrainState, pixels: Pixels, key: PRNGKeyArray, progress, second):
         """Gradient and terms of one batch; with an occupancy grid also the cells that it met and their densities."""
         keys = dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
-        index = jax.random.randint(keys["pixels"], (self._drawn,), 0, pixels.directions.shape[0])
+        index = self._pixels(state, pixels, keys["pixels"])
         rays, colour = _separate(pixels.take(_separate(self._spread(index))))
         rays = moved(rays, state.model.poses)
         batch = _separate(self._spread(self._choose(state, rays, colour, keys["samples"])))
@@ -142,6 +143,17 @@ class StepFunctions:
         rays, _, _, samples = batch
         points, _ = cloud_of(rays, samples, bounded=self._bounded, footprint=Footprint()).contracted()
         return gradient, terms, (state.occupancy.cell(*points), jnp.where(samples.valid, density, 0.0))
+
+    def _pixels(self, state: TrainState, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
+        """Pixels of a batch: random ones, among surroundings rather those that show the object."""
+        total, candidates, half_box = pixels.directions.shape[0], self.config.sampler.candidates, self.config.field.half_box
+        if self._bounded or state.occupancy is None or half_box is None or candidates == 1:
+            return jax.random.randint(key, (self._drawn,), 0, total)
+        index_key, jitter_key, order_key = jax.random.split(key, 3)
+        index = jax.random.randint(index_key, (candidates * self._drawn,), 0, total)
+        rays, _ = _separate(pixels.take(_separate(index)))
+        weights = focus.weights(state.occupancy, rays, half_box, jax.random.uniform(jitter_key, index.shape))
+        return index[focus.taken(order_key, weights, self._drawn)]
 
     def _spread(self, tree):
         """The arrays of a batch divided among the devices along their first axis; everything else is everywhere."""

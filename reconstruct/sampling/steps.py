@@ -25,7 +25,7 @@ class Steps(eqx.Module):
     def of(cls, rays: Rays, *, steps: int, bounded: bool, near: float, far: float) -> "Steps":
         """Even steps through the object's cube (bounded) or unit ball; front and background around them otherwise."""
         if bounded:
-            enter, leave = _cube_interval(rays)
+            enter, leave = box_interval(rays)
             enter = jnp.maximum(enter, near)
             leave = jnp.maximum(leave, enter)
             return cls(enter, enter, leave, leave, 0, steps, 0)
@@ -60,8 +60,8 @@ class Steps(eqx.Module):
         return jnp.where(u < self.front, before, jnp.where(u < self.front + self.inside, within, beyond))
 
 
-def _cube_interval(rays: Rays) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Where rays enter and leave the cube [-1, 1]^3; an empty interval where they miss it."""
+def box_interval(rays: Rays, half: Float[Array, "3"] | float = 1.0) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Where rays enter and leave the box [-half, half]; an empty interval where they miss it."""
     direction = jnp.where(jnp.abs(rays.directions) < 1e-9, 1e-9, rays.directions)
-    first, second = (-1 - rays.origins) / direction, (1 - rays.origins) / direction
+    first, second = (-half - rays.origins) / direction, (half - rays.origins) / direction
     return jnp.max(jnp.minimum(first, second), -1), jnp.min(jnp.maximum(first, second), -1)

@@ -27,5 +27,5 @@ def test_what_the_configuration_says_of_the_scene_stands(ball_scene: tuple[Scene
     given = load_config("surfnerf", "fast", ["field.matte_around=3.5", "field.half_box=[0.1,0.2,0.3]", "field.towards=[0,0,0.5]"])
     found = for_scene(given, among, among.views, Normalisation.of(among)).field
     assert found.half_box == (0.1, 0.2, 0.3) and found.towards == (0.0, 0.0, 0.5)
-    plain = load_config("surfnerf", "fast", ["field.outward=0"])
+    plain = load_config("surfnerf", "fast", ["field.outward=0", "field.half_box=[0.1,0.2,0.3]"])
     assert for_scene(plain, among, among.views, Normalisation.of(among)) == plain

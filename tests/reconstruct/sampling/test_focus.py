@@ -1,0 +1,60 @@
+"""Rays among surroundings: the grid tells which meet the object, and those are taken sooner."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reconstruct.rays import Rays
+from reconstruct.sampling import focus
+from reconstruct.sampling.occupancy import Occupancy, cell_centres
+
+GRID, HALF_BOX, RADIUS = 32, (0.5, 0.4, 0.6), 0.3
+CELL = np.sqrt(3) / GRID
+"""Half the diagonal of a cell: a cell whose centre is within the ball may reach so far beyond it."""
+
+
+def opaque(solid: np.ndarray) -> Occupancy:
+    """A grid with opaque matter in the given inner cells, and in all that are around them."""
+    fresh = Occupancy.create(jax.random.key(0), grid=GRID, outer_grid=8, bounded=False, possible=None)
+    cells = np.concatenate([solid, np.ones(len(fresh.extent) - len(solid), bool)])
+    return eqx.tree_at(lambda o: o.density, fresh, jnp.full(len(cells), 1e3)).with_occupied(jnp.asarray(cells))
+
+
+def weights(occupancy: Occupancy, rays: Rays) -> np.ndarray:
+    jitter = jax.random.uniform(jax.random.key(1), (len(rays.radii),))
+    return np.asarray(jax.jit(focus.weights, static_argnums=2)(occupancy, rays, HALF_BOX, jitter))
+
+
+def test_rays_that_meet_the_object_weigh_more(some_rays) -> None:
+    rays = some_rays(2000)
+    origins, towards = np.asarray(rays.origins, np.float64), np.asarray(rays.viewdirs, np.float64)
+    along = -np.sum(origins * towards, -1)
+    beside = np.linalg.norm(origins + along[:, None] * towards, axis=-1)
+    found = weights(opaque(np.linalg.norm(cell_centres(GRID, 1.0), axis=-1) < RADIUS), rays)
+    longest = 2 * np.linalg.norm(HALF_BOX) / focus.PLACES  # between two places: no chord longer than it is overlooked
+    met = (along > 0) & (beside < np.sqrt((RADIUS - CELL) ** 2 - (longest / 2) ** 2))
+    missed = (along < 0) | (beside > RADIUS + CELL)
+    assert met.sum() > 100 and missed.sum() > 500
+    np.testing.assert_allclose(found[missed], focus.BESIDE, atol=1e-7)
+    # the grid says an optical depth of 1 a cell, and these chords are longer than a cell by the distance of two places
+    assert (found[met] > focus.BESIDE + 1 - np.exp(-1)).all(), found[met].min()
+
+
+def test_what_the_object_stands_on_does_not_count(some_rays) -> None:
+    """Matter around the box, and in the thin layer of it that is left out at each side."""
+    outside = (np.abs(cell_centres(GRID, 1.0)) > np.asarray(HALF_BOX) * (1 - focus.INSET) + 1 / GRID).any(-1)
+    np.testing.assert_allclose(weights(opaque(outside), some_rays(500)), focus.BESIDE, atol=1e-7)
+
+
+def test_entries_are_taken_in_proportion_to_their_weights_and_none_twice() -> None:
+    weight, draws = jnp.asarray([1.1, 0.1, 0.1, 1.1, 0.6]), 20_000
+    several = jax.vmap(lambda key: focus.taken(key, weight, 3))(jax.random.split(jax.random.key(0), draws))
+    several = np.asarray(several)
+    assert all(len(set(row)) == 3 for row in several[:200].tolist())
+    share, expected = np.bincount(several[:, 0], minlength=5) / draws, np.asarray(weight / weight.sum())
+    assert (np.abs(share - expected) < 5 * np.sqrt(expected * (1 - expected) / draws)).all()
+    # once the first is taken, the second is drawn from the rest by the same rule
+    second = np.bincount(several[several[:, 0] == 0, 1], minlength=5)
+    rest = np.asarray(weight.at[0].set(0) / weight.at[0].set(0).sum())
+    assert (np.abs(second / second.sum() - rest) < 5 * np.sqrt(rest * (1 - rest) / second.sum()) + 1e-12).all()
