@@ -21,7 +21,7 @@ from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.measure import measured
 from datasets.recording import MANIFEST, TRUTH, Frame, Recording
 from datasets.region import Region
-from datasets.scene import SPLITS, Scene, View
+from datasets.scene import SPLITS, STATED, Scene, View
 
 NEAR_SHARE = 0.25
 """Where the pictures do not show it, near is this share of the depth at which a camera first meets the object's box: the
@@ -164,4 +164,4 @@ def object_box(recording: Recording, views: tuple[View, ...]) -> tuple[NDArray[n
         ) from None
     if not np.isfinite(centre).all() or not (size > 0).all() or not np.isfinite(size).all():
         raise DatasetError("object's volume is impossible", where=where, why=f"centre {centre}, size {size}")
-    return np.stack([centre - size / 2, centre + size / 2]), "stated"
+    return np.stack([centre - size / 2, centre + size / 2]), STATED

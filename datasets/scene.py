@@ -16,6 +16,8 @@ from datasets.camera_model import Camera
 from datasets.errors import DatasetError, Misuse
 
 SPLITS = ("train", "val", "test")
+STATED = "stated"
+"""`Scene.bounds_from` where the source says where the object is."""
 DISPARITY = "_disp"
 """End of the name of a depth file that holds Shiny Blender's 1 / (1 + distance along the ray)."""
 
@@ -146,8 +148,14 @@ class Scene:
     notes: tuple[str, ...] = ()
     """What the reader had to assume or leave out, a line each, for the user."""
     provenance: dict[str, Any] = field(default_factory=dict)
-    bounds_from: str = "stated"
-    """On what evidence near, far and box rest, for a person: "stated", "cameras alone", points or masks and how many."""
+    bounds_from: str = STATED
+    """On what evidence near, far and box rest, in words that begin with the box's: "stated", "cameras alone", points or masks
+    and how many."""
+
+    @property
+    def box_is_stated(self) -> bool:
+        """Whether whoever made the scene said where the object is; elsewhere the box is what pictures or cameras suggest."""
+        return self.bounds_from.removeprefix("box ").startswith(STATED)
 
     def split(self, name: str) -> tuple[View, ...]:
         """Views of one split. Raises Misuse where there are none."""

@@ -96,10 +96,11 @@ class SamplerConfig(Schema):
         default=8192, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped."
     )
     max_per_ray: int = Field(default=32, ge=1, description="Occupancy: at most so many of a ray's steps are drawn.")
-    candidates: int = Field(
-        default=4,
+    candidates: int | None = Field(
+        default=None,
         ge=1,
-        description="Occupancy, among surroundings: rays drawn for each that a step takes; those that meet the object sooner.",
+        description="Occupancy, among surroundings: rays drawn for each that a step takes, those that meet the object sooner; "
+        "none: 4 where the scene states the object's box, 1 elsewhere.",
     )
     steps: int = Field(default=192, ge=32, multiple_of=32, description="Occupancy: steps of a ray through the object's box.")
     grid: int = Field(default=128, ge=8, description="Occupancy: cells per axis over the object's box.")

@@ -13,6 +13,7 @@ from reconstruct.config import Config
 from reconstruct.hull import cells_in_masks, cells_in_sight
 from reconstruct.models import merged_config
 from reconstruct.rays import Normalisation, Pixels, direction_of_cameras
+from reconstruct.sampling import focus
 from reconstruct.skipping import record
 from reconstruct.skipping.facts import facts_of
 from reconstruct.skipping.pilot import gain_by_reflecting
@@ -74,15 +75,18 @@ def prepare(
 
 
 def for_scene(config: Config, scene: Scene, views: tuple[View, ...], normalisation: Normalisation) -> Config:
-    """The configuration with what an untrained field knows of the scene, where it does not say otherwise: from where the views
-    look, and how large the box is around which there is something else."""
-    known: dict[str, tuple[float, float, float]] = {}
+    """The configuration with what is known of the scene before training, where it does not say otherwise: from where the views
+    look, how large the box is around which there is something else, and whether rays that meet this box are to be preferred."""
+    field: dict[str, tuple[float, float, float]] = {}
+    sampler: dict[str, int] = {}
     if config.field.outward and config.field.towards is None:
-        known["towards"] = direction_of_cameras(views, normalisation)
+        field["towards"] = direction_of_cameras(views, normalisation)
     if config.field.half_box is None and not normalisation.bounded:
         x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
-        known["half_box"] = (x, y, z)
-    return merged_config(config, {"field": known})
+        field["half_box"] = (x, y, z)
+    if config.sampler.candidates is None and not normalisation.bounded:
+        sampler["candidates"] = focus.CANDIDATES if scene.box_is_stated else 1
+    return merged_config(config, {"field": field, "sampler": sampler})
 
 
 def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:

@@ -147,7 +147,7 @@ class StepFunctions:
     def _pixels(self, state: TrainState, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
         """Pixels of a batch: random ones, among surroundings rather those that show the object."""
         total, candidates, half_box = pixels.directions.shape[0], self.config.sampler.candidates, self.config.field.half_box
-        if self._bounded or state.occupancy is None or half_box is None or candidates == 1:
+        if self._bounded or state.occupancy is None or half_box is None or candidates in (None, 1):
             return jax.random.randint(key, (self._drawn,), 0, total)
         index_key, jitter_key, order_key = jax.random.split(key, 3)
         index = jax.random.randint(index_key, (candidates * self._drawn,), 0, total)

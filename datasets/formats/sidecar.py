@@ -13,7 +13,7 @@ import numpy as np
 
 from datasets import files
 from datasets.errors import DatasetError
-from datasets.scene import SPLITS, Scene, View
+from datasets.scene import SPLITS, STATED, Scene, View
 
 FILE = "koala.json"
 FORMAT, VERSION = "koala-sidecar", 1
@@ -59,7 +59,7 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
     return Scene(name, views, near, far, box, background, metric, notes=tuple(content.get("notes", ())),
-                 provenance=content.get("provenance", {}), bounds_from=str(content.get("bounds_from", "stated")))  # fmt: skip
+                 provenance=content.get("provenance", {}), bounds_from=str(content.get("bounds_from", STATED)))  # fmt: skip
 
 
 def read(folder: Path) -> dict[str, Any] | None:

@@ -16,6 +16,9 @@ PLACES = 16
 """Places along a ray's way through the box at which the grid is looked up."""
 INSET = 0.03
 """So much of the box, at all its sides, does not count: what an object stands on may reach into it."""
+CANDIDATES = 4
+"""Rays drawn for each that is taken, where the object's box is stated. Where it is only what the pictures suggest, it may hold
+anything, and what is around it is as much of the scene."""
 BESIDE = 0.1
 """Weight of a ray that meets nothing in the box; each that surely meets something has 1 more."""
 

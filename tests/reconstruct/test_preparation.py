@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from datasets.scene import Scene
 from reconstruct.models import load_config
@@ -27,5 +28,23 @@ def test_what_the_configuration_says_of_the_scene_stands(ball_scene: tuple[Scene
     given = load_config("surfnerf", "fast", ["field.matte_around=3.5", "field.half_box=[0.1,0.2,0.3]", "field.towards=[0,0,0.5]"])
     found = for_scene(given, among, among.views, Normalisation.of(among)).field
     assert found.half_box == (0.1, 0.2, 0.3) and found.towards == (0.0, 0.0, 0.5)
-    plain = load_config("surfnerf", "fast", ["field.outward=0", "field.half_box=[0.1,0.2,0.3]"])
+    plain = load_config("surfnerf", "fast", ["field.outward=0", "field.half_box=[0.1,0.2,0.3]", "sampler.candidates=2"])
     assert for_scene(plain, among, among.views, Normalisation.of(among)) == plain
+
+
+@pytest.mark.parametrize(
+    ("background", "bounds_from", "candidates"),
+    [
+        ("scene", "stated", 4),
+        ("scene", "box stated; near from 172 points", 4),
+        ("scene", "cameras alone", 1),
+        ("white", "stated", None),
+    ],
+)
+def test_rays_that_meet_the_box_are_preferred_where_it_is_stated(
+    ball_scene: tuple[Scene, Path], background: str, bounds_from: str, candidates: int | None
+) -> None:
+    """A box that is only guessed may hold anything, and without surroundings there is nothing to prefer it to."""
+    scene = replace(ball_scene[0], background=background, bounds_from=bounds_from)
+    config = load_config("surfnerf", "fast")
+    assert for_scene(config, scene, scene.views, Normalisation.of(scene)).sampler.candidates == candidates
