@@ -5,6 +5,7 @@ its place. Rendering runs in this process, training in its own.
 """
 
 import logging
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,6 +72,8 @@ class RunView:
         self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
         self._photograph: tuple[str, NDArray[np.float32]] | None = None
         self._surface: viser.SceneNodeHandle | None = None
+        self._sending = threading.Lock()
+        """Held while a picture is sent, or taken away: none arrives after its channel was left."""
         self.guest, self.training = Guest(run.path), is_training(run)
         self.eyes = Eyes(page, self._paint, moved=self._moved)
         first = self.train_views[0]
@@ -118,8 +121,9 @@ class RunView:
     def _changed(self) -> None:
         self.eyes.levels = self._levels()
         if self.channel.value == NOTHING:
-            for client in self.page.server.get_clients().values():
-                client.scene.set_background_image(None)
+            with self._sending:
+                for client in self.page.server.get_clients().values():
+                    client.scene.set_background_image(None)
         self.eyes.again()
 
     def _moved(self) -> None:
@@ -220,14 +224,16 @@ class RunView:
         if channel == NOTHING:
             return
         values = self.render(eye, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
-        if values is None or cancelled() or self.channel.value != channel:
+        if values is None or cancelled():
             return
         picture = enlarged(picture_of(channel, values), WIDTH)
         if self.wipe.value:
             picture = wiped(picture, self._photograph_from(eye, picture), self.share.value)
         shown = (255 * picture + 0.5).astype(np.uint8)
         depth = hiding_depth(values) if DEPTHS[0] < self.reach < DEPTHS[1] else None
-        client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
+        with self._sending:
+            if self.channel.value == channel:
+                client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
         client.flush()
 
     def _photograph_from(self, eye: Eye, like: NDArray[np.float32]) -> NDArray[np.float32]:

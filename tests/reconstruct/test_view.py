@@ -1,6 +1,7 @@
 """The page of a run, with a ball for a model whose picture is known."""
 
 import os
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -9,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+import viser
 
 from datasets.viewer import Page, open_page
 from reconstruct import checkpoint
@@ -179,6 +181,33 @@ def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: Trained, browse:
         window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
         assert window.errors == [] and window.outside() == []
         assert set(page.server.get_clients()) and len(page.server.get_clients()) == 1
+
+
+def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
+    ball: Trained, browse: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The channel is left while a picture is encoded: the page is empty afterwards, and stays so."""
+    send, sending = viser.SceneApi.set_background_image, threading.Event()
+
+    def slowly(scene: viser.SceneApi, image: np.ndarray | None, *args: Any, **options: Any) -> None:
+        if image is not None:
+            sending.set()
+            time.sleep(1.0)
+        send(scene, image, *args, **options)
+
+    monkeypatch.setattr(viser.SceneApi, "set_background_image", slowly)
+    with open_page("ball", 0) as page:
+        view = RunView(page, ball.run, None)
+        view.trained = ball
+        run_eyes(page, view)
+        window = browse(page.url)
+        window.until(lambda picture: (middle(picture) < 200).all(), "the ball")
+        view.sharpest.value = 5
+        sending.clear()
+        assert sending.wait(60), "a sharper picture"
+        view.channel.value = NOTHING
+        window.page.wait_for_timeout(2000)  # what was being sent has arrived
+        window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
 
 
 def test_every_channel_can_be_chosen(shown: Any, ball: Trained) -> None:
