@@ -26,9 +26,11 @@ views:
   - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], count: COUNT, roll_deg: [0, 90, 180, 270]}
 target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
 board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
+motion: {settle_time_s: 0.5}
 camera: {exposure_us: 10000, binning: 4, width: 64, height: 48}
 """
-"""A board seen at 64 x 48: pictures cost next to nothing. The arm settles until no bracket swings, so that they are the same."""
+"""A board seen at 64 x 48: pictures cost next to nothing. The arm settles for longer than it swings (`arm.QUIET_S`), however few of
+its states a busy computer sees, so that pictures are the same to the bit."""
 RIG = "robot: {host: HOST}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
 
 
