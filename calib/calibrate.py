@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import flips, handeye, intrinsics, joints, mistakes, outliers, projection, screening, uncertainty, verify
+from calib import verify
 from calib.errors import CalibrationError
-from calib.model import Accuracy, Known, Session, State
-from calib.refine import Refined
+from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty
+from calib.handeye.model import Accuracy, Known, Session, State
+from calib.handeye.refine import Refined
+from calib.intrinsics import estimate, projection
 from calib.session import TargetSession
+from calib.targets import screening
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
@@ -28,8 +31,8 @@ STATED = Accuracy()
 
 
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
-    """Intrinsics from the pictures alone; `lens` is a key of `intrinsics.LENSES`. Raises what `calib.intrinsics.calibrate` raises."""
-    found = intrinsics.calibrate(session.observations, session.width, session.height, lenses=intrinsics.LENSES[lens])
+    """Intrinsics from the pictures alone; `lens` is a key of `intrinsics.LENSES`. Raises what `calib.intrinsics.estimate.calibrate` raises."""
+    found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
     residuals = {
         "rms_px": found.rms_px, "held_out_px": found.held_out_px, "views_used": len(found.observations),
         "views_unseen": list(session.unseen), "views_left_out": list(found.left_out), "why_left_out": found.left_out,
@@ -58,7 +61,7 @@ def calibrate_handeye(
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
-        Misuse: `given` is for images of another size.
+        UsageError: `given` is for images of another size.
     """
     return finished(solve(session, given, accuracy, lens), accuracy, given is not None)
 
@@ -84,7 +87,7 @@ class Solution:
     first: First
     boards: Array
     """(views, 4, 4) camera_from_board of the views of `first`."""
-    closed: handeye.HandEye
+    closed: closed_forms.HandEye
     keep: NDArray[np.bool_]
     """(views,) which views of `first` the closed form agrees with."""
     fit: outliers.Fit
@@ -106,7 +109,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     _check_poses(session)
     joints.check(session, accuracy)
     first = _first(session, given, lens)
-    boards = intrinsics.camera_from_boards(first.camera, first.session.observations)
+    boards = estimate.camera_from_boards(first.camera, first.session.observations)
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
@@ -124,11 +127,11 @@ def _check_poses(session: TargetSession) -> None:
                                    why=f"its position is {base_from_flange[:3, 3].tolist()} m", remedy="leave this view out")  # fmt: skip
 
 
-def _closed_form(session: TargetSession, boards: Array) -> tuple[handeye.HandEye, NDArray[np.bool_]]:
+def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, NDArray[np.bool_]]:
     """A start and the views that agree with it; refuses weak motion, and mistakes about the arm's poses."""
     try:
         uncertainty.check_motion(session.base_from_flange)
-        closed, keep = handeye.solve_robustly(session.mount_poses, boards)
+        closed, keep = closed_forms.solve_robustly(session.mount_poses, boards)
     except CalibrationError:
         mistakes.explain(session.mount_poses, boards)
         raise
@@ -139,18 +142,18 @@ def _closed_form(session: TargetSession, boards: Array) -> tuple[handeye.HandEye
 def _first(session: TargetSession, given: Calibration | None, lens: str) -> First:
     """Camera to start from, and the views whose corners make sense."""
     if given is None:
-        found = intrinsics.calibrate(session.observations, session.width, session.height, lenses=intrinsics.LENSES[lens])
+        found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
         chosen = session.with_observations(found.observations)
         return First(chosen, found.camera, found.lens.free, None, found.sigma_px, found.left_out)
     verify.check_size(session, given.camera)
     observations, left_out = screening.agreeing_with_plane(session.observations)
     session = session.with_observations(observations)
-    intrinsics.check_enough(observations, MIN_CORNERS_GIVEN)
+    estimate.check_enough(observations, MIN_CORNERS_GIVEN)
     free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
     same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
-    boards = intrinsics.camera_from_boards(given.camera, observations)
+    boards = estimate.camera_from_boards(given.camera, observations)
     residuals = np.concatenate(
-        [intrinsics.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, observations, strict=True)]
+        [estimate.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, observations, strict=True)]
     )
     sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
     return First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
@@ -179,7 +182,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m, "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
         "views_used": len(session.observations), "views_unseen": list(session.unseen), "views_left_out": list(left_out), "why_left_out": left_out,
         "corners": int(refined.inliers.sum()), "corners_left_out": int((~refined.inliers).sum()),
-        "coverage": intrinsics.coverage(session.observations, session.width, session.height),
+        "coverage": estimate.coverage(session.observations, session.width, session.height),
         "view_rms_px": _by_view(session, measured, refined), "closed_form": _closed_form_facts(closed, refined),
     }  # fmt: skip
     free = first.free
@@ -210,7 +213,7 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
     }
 
 
-def _closed_form_facts(closed: handeye.HandEye, refined: Refined) -> dict[str, Any]:
+def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
     """What the closed form said, and how far the refinement moved from it."""
     distance, angle = pose.difference(closed.flange_from_camera, refined.state.flange_from_camera)
     return {

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.options import Arm, JointDeg, Lens, Pictures, Rig, check_lens, spread
-from datasets import console
-from datasets.console import Json
+from datasets.core import console
+from datasets.core.console import Json
 
 if TYPE_CHECKING:
     from datasets.calibration import Calibration
@@ -50,7 +50,7 @@ def compare_command(rig: Rig, json: Json = False) -> None:
 
     With their error on views that they have not seen; prints a table (Markdown).
     """
-    from calib import compare
+    from calib.study import compare
 
     accuracy = rig.accuracy()
     rows = compare.compare(*rig.read(), accuracy, rig.lens)
@@ -68,7 +68,7 @@ def verify_command(
 
     Best a recording that it was not made from; only the target's place is fitted.
     """
-    from calib.report import describe_verification
+    from calib.page.words import describe_verification
     from calib.verify import verify
     from datasets.calibration import Calibration
 
@@ -88,14 +88,15 @@ def report_command(
 
     Residuals over the image, errors of each view, coverage, error ellipses. Calibrates as 'calib handeye' does.
     """
-    from calib import calibrate, page
+    from calib import calibrate
+    from calib.page import report_page
 
     accuracy = rig.accuracy(joint_deg)
     _check_out(out)
     session, given = rig.read()
     solution = calibrate.solve(session, given, accuracy, rig.lens)
     calibration = calibrate.finished(solution, accuracy, given is not None)
-    page.write(out, calibration, solution, made_by=console.command_line())
+    report_page.write(out, calibration, solution, made_by=console.command_line())
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
@@ -112,9 +113,9 @@ def view_command(
 
     Target and cameras, residuals over the image before and after the refinement, coverage, error ellipses.
     """
-    from calib.view import show
+    from calib.page.view import show
     from datasets.calibration import Calibration
-    from datasets.viewer import open_page
+    from datasets.page import open_page
 
     calibration = Calibration.load(path)
     with open_page(path.stem, port) as page:
@@ -140,7 +141,8 @@ def plan_command(
 
     Within the box of the recorded camera positions; 'capture plan' judges whether the arm can take them.
     """
-    from calib import advice, calibrate
+    from calib import calibrate
+    from calib.study import advice
     from datasets.recording import Recording
 
     accuracy = rig.accuracy()
@@ -172,7 +174,7 @@ def refine_command(
     The arm's poses are priors; moved poses are used only where points that were set aside fit better.
     """
     from calib import sfm
-    from datasets.files import refuse_existing
+    from datasets.core.files import refuse_existing
     from datasets.formats import koala, load_scene
 
     accuracy = arm.accuracy()
@@ -199,13 +201,13 @@ def board_command(
     json: Json = False,
 ) -> None:
     """A target to print, in true size."""
-    from calib import printing
-    from calib.targets import Board
-    from datasets.errors import Misuse
+    from calib.targets import printing
+    from calib.targets.target import Board
+    from datasets.core.errors import UsageError
 
     numbers = squares.lower().split("x")
     if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
-        raise Misuse("squares are given as 9x7", where="--squares", why=f"{squares!r} given")
+        raise UsageError("squares are given as 9x7", where="--squares", why=f"{squares!r} given")
     marker = 0.0 if kind == "chessboard" else round(0.73 * square_mm, 1) if marker_mm is None else marker_mm
     board = Board.from_json({"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "square_length_m": 1e-3 * square_mm,
                              "marker_length_m": 1e-3 * marker, "dictionary": dictionary, "first_id": first_id}, where="board")  # fmt: skip
@@ -231,8 +233,8 @@ def bench_command(
 
     On simulated sessions without pictures, beside the Cramer-Rao bound.
     """
-    from calib import bench, bench_report
-    from datasets.files import refuse_existing
+    from calib.study import bench, bench_report
+    from datasets.core.files import refuse_existing
 
     refuse_existing(out)
     points = bench.quick_grid() if quick else bench.full_grid()
@@ -253,7 +255,7 @@ def study_command(
 
     On the simulated Koala rig; prints a table (Markdown).
     """
-    from calib import study
+    from calib.study import study
 
     with console.progress("simulating", len(study.VARIANTS), "kinds of session") as bar:
         outcomes = list(study.run(sessions, seed, done=lambda outcome: bar.advance()))
@@ -264,17 +266,17 @@ def study_command(
 
 def _check_out(out: Path) -> None:
     """Refuse before the work what would fail after it."""
-    from datasets.errors import Misuse
-    from datasets.files import refuse_existing
+    from datasets.core.errors import UsageError
+    from datasets.core.files import refuse_existing
 
     if out.is_dir():
-        raise Misuse("is a folder", where=out, remedy="give --out the name of a JSON file")
+        raise UsageError("is a folder", where=out, remedy="give --out the name of a JSON file")
     refuse_existing(out)
 
 
 def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
     """Write a calibration and say what is in it."""
-    from calib.report import describe_calibration, notes
+    from calib.page.words import describe_calibration, notes
 
     calibration.save(out)
     result: dict[str, Any] = {

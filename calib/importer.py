@@ -26,11 +26,12 @@ from pydantic import Field, model_validator
 
 from calib.errors import CalibrationError
 from calib.session import TargetSession, observe
-from calib.targets import Board
-from datasets import conventions, files, pose
+from calib.targets.target import Board
+from datasets import conventions, pose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
-from datasets.schema import Schema, load_yaml
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
+from datasets.core.schema import Schema, load_yaml
 
 Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
@@ -101,7 +102,7 @@ def describes(folder: Path, description: Path | None) -> bool:
 
 
 def load_description(folder: Path, description: Path | None = None) -> Description:
-    """The description in `description`, or in the folder itself. Raises Misuse where it is missing or wrong."""
+    """The description in `description`, or in the folder itself. Raises UsageError where it is missing or wrong."""
     return load_yaml(description or Path(folder) / DESCRIPTION, Description)
 
 
@@ -109,7 +110,7 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
     """Find the target in the images of a folder, and read the arm's pose of each.
 
     Raises:
-        Misuse: no image or no pose of an image is there.
+        UsageError: no image or no pose of an image is there.
         DatasetError, CalibrationError: a pose cannot be what the description says.
         TargetError: the target is in no image.
     """
@@ -117,7 +118,9 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
     board = Board.from_json(description.board, where="description, board")
     images = matching(folder, description.images)
     if not images:
-        raise Misuse("no images found", where=folder, why=f"nothing matches {description.images!r}", remedy="correct 'images'")
+        raise UsageError(
+            "no images found", where=folder, why=f"nothing matches {description.images!r}", remedy="correct 'images'"
+        )
     numbers = _numbers(folder, description, images)
     views = [
         (name, path, as_pose(numbers[name], description, where=f"{folder}, pose of view {name}")) for name, path in images.items()
@@ -153,7 +156,7 @@ def _numbers(folder: Path, description: Description, images: dict[str, Path]) ->
         found = {by_file.get(Path(name).name, name): values for name, values in found.items()}
     missing = [name for name in images if name not in found]
     if missing:
-        raise Misuse("images without a pose", where=folder, why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
+        raise UsageError("images without a pose", where=folder, why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
                      remedy=f"correct 'poses' ({description.poses})")  # fmt: skip
     result = {}
     for name in images:
@@ -171,7 +174,7 @@ def _read(path: Path) -> Any:
     try:
         return yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise Misuse("no such file", where=path, remedy="correct 'poses'") from None
+        raise UsageError("no such file", where=path, remedy="correct 'poses'") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise DatasetError("is not valid YAML", where=path, why=str(error)) from None
 
@@ -210,7 +213,7 @@ def _csv(path: Path, description: Description) -> dict[str, list[str]]:
                 raise DatasetError(f"no column {absent[0]!r}", where=path, why=f"it has {', '.join(columns) or 'none'}")
             return {row["image"]: [row[name] for name in names] for row in reader}
     except FileNotFoundError:
-        raise Misuse("no such file", where=path, remedy="correct 'poses'") from None
+        raise UsageError("no such file", where=path, remedy="correct 'poses'") from None
 
 
 def as_pose(numbers: Sequence[float], description: Description, *, where: object) -> Array:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from datasets import console
-from datasets.errors import Misuse, nearest
+from datasets.core import console
+from datasets.core.errors import UsageError, nearest
 
 if TYPE_CHECKING:
-    from calib.model import Accuracy
+    from calib.handeye.model import Accuracy
     from calib.session import TargetSession
     from datasets.calibration import Calibration
 
@@ -43,8 +43,8 @@ class Arm:
     arm_deg: ArmDeg = 0.01
 
     def accuracy(self, joint_deg: float = 0.0) -> "Accuracy":
-        """The arm's accuracy as given on the command line. Raises Misuse where it cannot be."""
-        from calib.model import Accuracy
+        """The arm's accuracy as given on the command line. Raises UsageError where it cannot be."""
+        from calib.handeye.model import Accuracy
 
         for name, value, least in (
             ("--arm-mm", self.arm_mm, 1e-9),
@@ -52,7 +52,7 @@ class Arm:
             ("--joint-deg", joint_deg, 0),
         ):
             if not (math.isfinite(value) and value >= least):
-                raise Misuse("accuracy must be a positive number", where=name, why=f"{value:g} given")
+                raise UsageError("accuracy must be a positive number", where=name, why=f"{value:g} given")
         return Accuracy(1e-3 * self.arm_mm, math.radians(self.arm_deg), math.radians(joint_deg))
 
 
@@ -74,7 +74,7 @@ class Pictures:
         if importer.describes(folder, self.description):
             imported = importer.load_description(folder, self.description)
         elif folder.is_dir() and not (folder / "manifest.json").is_file():
-            raise Misuse("is neither a recording nor a folder to import", where=folder, why="no manifest.json and no import.yaml in it",
+            raise UsageError("is neither a recording nor a folder to import", where=folder, why="no manifest.json and no import.yaml in it",
                          remedy="describe images and poses in a file, see docs/calibration.md, and give it as --import")  # fmt: skip
         number = len(importer.matching(folder, imported.images)) if imported else len(Recording.open(folder).frames)
         with console.progress("finding the target", number, "views") as bar:
@@ -107,11 +107,11 @@ class Rig(Arm, Pictures):
 
 
 def check_lens(lens: str) -> None:
-    """Raise Misuse where there is no such lens."""
-    from calib.intrinsics import LENSES
+    """Raise UsageError where there is no such lens."""
+    from calib.intrinsics.estimate import LENSES
 
     if lens not in LENSES:
-        raise Misuse(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))
+        raise UsageError(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))
 
 
 def spread(command: Callable[..., None]) -> Callable[..., None]:

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import TargetError
-from calib.model import Accuracy, Known, Session
-from calib.targets import Board, Observation
-from datasets import files, images, pose
+from calib.handeye.model import Accuracy, Known, Session
+from calib.targets.target import Board, Observation
+from datasets import pose
+from datasets.core import files
+from datasets.imaging import images
 from datasets.recording import FRAMES, MANIFEST, Recording
 
 

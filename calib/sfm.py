@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
-from calib.geometry import cross
-from calib.model import Accuracy
-from datasets import images, pose
+from calib.handeye.model import Accuracy
+from calib.solver.geometry import cross
+from datasets import pose
 from datasets.camera_model import Camera
+from datasets.imaging import images
 from datasets.scene import Scene, View
 
 Array = NDArray[np.float64]

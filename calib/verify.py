@@ -6,14 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import handeye, intrinsics, projection
 from calib.errors import CalibrationError
-from calib.model import Accuracy, Session, State, camera_points, predict
-from calib.refine import Refined, fit_board, refine
+from calib.handeye import closed_forms
+from calib.handeye.model import Accuracy, Session, State, camera_points, predict
+from calib.handeye.refine import Refined, fit_board, refine
+from calib.intrinsics import estimate, projection
 from calib.session import TargetSession
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 
 Array = NDArray[np.float64]
 FOLDS = 5
@@ -44,16 +45,16 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     """Predict the corners of `session` with `calibration`.
 
     Raises:
-        Misuse: the calibration has no hand-eye pose, or is for images of another size.
+        UsageError: the calibration has no hand-eye pose, or is for images of another size.
     """
     mount = calibration.base_from_camera if session.eye_to_hand else calibration.flange_from_camera
     if mount is None:
-        raise Misuse("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
+        raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     check_size(session, calibration.camera)
     session = _with_joints_corrected(session, calibration)
     camera, flange_from_camera = calibration.camera, mount.matrix
-    boards = intrinsics.camera_from_boards(camera, session.observations)
-    board = handeye.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
+    boards = estimate.camera_from_boards(camera, session.observations)
+    board = closed_forms.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
     measured = session.measured(projection.NAMES, None, Accuracy(), camera.fisheye)
     state = fit_board(measured, State(projection.vector(camera), flange_from_camera, board, np.zeros((len(boards), 6))))
     residuals, millimetres = errors(measured, state)
@@ -66,7 +67,7 @@ def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> 
     if calibration.joint_offsets is None:
         return session
     if session.joints is None:
-        raise Misuse("calibration holds joint offsets, the session no joint angles", remedy="calibrate without --joint-deg")
+        raise UsageError("calibration holds joint offsets, the session no joint angles", remedy="calibrate without --joint-deg")
     return replace(session, base_from_flange=calibration.joint_offsets.corrected(session.base_from_flange, session.joints))
 
 
@@ -98,9 +99,9 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
 
 
 def check_size(session: TargetSession, camera: Camera) -> None:
-    """Raise Misuse where `camera` is for images of another size than those of `session`."""
+    """Raise UsageError where `camera` is for images of another size than those of `session`."""
     if (camera.width, camera.height) != (session.width, session.height):
-        raise Misuse("calibration is for images of another size", where=session.provenance.get("recording", ""),
+        raise UsageError("calibration is for images of another size", where=session.provenance.get("recording", ""),
                      why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
                      remedy="calibrate with the camera setting of the recording")  # fmt: skip
 

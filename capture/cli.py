@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capture.errors import SimulationError
-from datasets import console
+from datasets.core import console
 
 if TYPE_CHECKING:
     from capture.planning import PlannedView
@@ -44,15 +44,15 @@ def run_command(
 
     from capture import trajectory as trajectories
     from capture.planning import plan
-    from capture.recorder import record
-    from capture.rigs import describe, open_rig, scene_for
-    from datasets.errors import KoalaError
+    from capture.recording.recorder import record
+    from capture.rig.opening import describe, open_rig, scene_for
+    from datasets.core.errors import KoalaError
 
     session = trajectories.load_trajectory(trajectory, overrides=settings)
     scene = scene_for(rig, scene, session)
     mount = describe(rig).flange_from_camera.matrix()
     if not resume:
-        from datasets.files import refuse_existing
+        from datasets.core.files import refuse_existing
 
         refuse_existing(out)
     start = time.monotonic()
@@ -95,8 +95,8 @@ def plan_command(
     """Check that the arm can take every view, and say how long it would take. Moves nothing."""
     from capture import trajectory as trajectories
     from capture.planning import Obstacles, draw, duration, plan
-    from capture.rigs import describe
-    from datasets.files import refuse_existing
+    from capture.rig.opening import describe
+    from datasets.core.files import refuse_existing
 
     for path in (plot, page):
         if path is not None:
@@ -136,9 +136,9 @@ def view_command(
     as_json: console.Json = False,
 ) -> None:
     """Look at a trajectory or a recording in the browser: arm, views, what is in the way, and the session over time."""
-    from capture.rigs import describe
-    from capture.view import show
-    from datasets.viewer import open_page
+    from capture.page.view import show
+    from capture.rig.opening import describe
+    from datasets.page import open_page
 
     with open_page(path.stem, port) as page:
         shown = show(page, path, describe(rig), overrides=settings)
@@ -156,7 +156,7 @@ def check_command(
     as_json: console.Json = False,
 ) -> None:  # fmt: skip
     """Verify a recording: hashes, counts, clocks, exposure, sharpness. Says what to take again; exit code 1 with findings."""
-    from capture import check
+    from capture.recording import check
     from datasets.recording import Recording
 
     frames = len(Recording.open(recording).frames)
@@ -185,7 +185,7 @@ def report_command(
     as_json: console.Json = False,
 ) -> None:
     """Write a page on a recording: findings, exposure, sharpness and joints over time, every view."""
-    from capture import report
+    from capture.page import report
 
     with console.progress("reading", 1, "pictures") as shown:
 
@@ -209,10 +209,10 @@ def replay_command(
     as_json: console.Json = False,
 ) -> None:  # fmt: skip
     """Drive the joint path of a recording again, without the camera, and report how far each frame's pose is from it."""
-    from capture.replay import replay, summary
-    from capture.rigs import open_arm
+    from capture.recording.replay import replay, summary
+    from capture.rig.opening import open_arm
     from capture.trajectory import Trajectory
-    from datasets import files
+    from datasets.core import files
     from datasets.recording import Recording as Recordings
 
     found = Recordings.open(recording)
@@ -245,10 +245,10 @@ def sim_command(
     """Start a simulated UR5e controller by itself, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
     import time
 
-    from capture.rigs import write_simulated_rig
-    from capture.sim.controller import SimulatedController
-    from capture.sim.scenes import check_name
-    from capture.sim.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
+    from capture.rig.opening import write_simulated_rig
+    from capture.sim.controller.process import SimulatedController
+    from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
+    from capture.sim.laboratory.scenes import check_name
 
     check_name(scene)
     with SimulatedController.as_built(seed=seed, time_scale=time_scale, hangs=hangs, host=host) as controller:
@@ -274,8 +274,8 @@ def bench_command(
     as_json: console.Json = False,
 ) -> None:
     """Measure on the simulated rig: sharpness against settling time, overhead of the loop, rate of states."""
-    from capture import bench
-    from datasets import files
+    from capture.recording import bench
+    from datasets.core import files
 
     files.refuse_existing(out)
     with console.progress("bench", 1 + frames + len(bench.DELAYS_S), "steps") as shown:
@@ -299,8 +299,8 @@ def _watched(out: Path, session: "Session", mount: Any, planned: "list[PlannedVi
     import os
     import signal
 
-    from capture.view import watch
-    from datasets.viewer import open_page
+    from capture.page.view import watch
+    from datasets.page import open_page
 
     with open_page(session.name, port) as page:
         watch(page, out, session, mount, planned, stop=lambda: os.kill(os.getpid(), signal.SIGINT))

@@ -1,6 +1,6 @@
 """What can go wrong with a rig: each error says what happened, in what state the rig was left, and what to do."""
 
-from datasets.errors import KoalaError
+from datasets.core.errors import KoalaError
 
 
 class CaptureError(KoalaError):

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from capture.rig_description import PoseDescription, Vector
+from capture.rig.description import PoseDescription, Vector
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
-from datasets.schema import Schema, load_yaml
+from datasets.core.schema import Schema, load_yaml
 
 FORMAT, VERSION = "koala-trajectory", 1
 
@@ -187,5 +187,5 @@ class Trajectory(Schema):
 
 
 def load_trajectory(path: Path | str, *, overrides: list[str] | None = None) -> Trajectory:
-    """Read a trajectory file; raises Misuse in one line (file, line, key, nearest valid key) where something is wrong."""
+    """Read a trajectory file; raises UsageError in one line (file, line, key, nearest valid key) where something is wrong."""
     return load_yaml(path, Trajectory, overrides=overrides or [])

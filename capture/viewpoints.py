@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from capture.rig_description import Vector
+from capture.rig.description import Vector
 from datasets import pose
-from datasets.schema import Schema
+from datasets.core.schema import Schema
 
 Interval = tuple[float, float]
 

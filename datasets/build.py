@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import bounds, files, images
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
-from datasets.measure import measured
+from datasets.imaging import images
+from datasets.imaging.region import Region
 from datasets.recording import MANIFEST, TRUTH, Frame, Recording
-from datasets.region import Region
 from datasets.scene import SPLITS, STATED, Scene, View
+from datasets.structure import bounds
+from datasets.structure.measure import measured
 
 NEAR_SHARE = 0.25
 """Where the pictures do not show it, near is this share of the depth at which a camera first meets the object's box: the
@@ -35,20 +37,20 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
     For each N of `sizes`, `images_N` holds the images at 1/N of their size.
 
     Raises:
-        Misuse: a calibration session, a calibration without a hand-eye pose, or an `out` that holds something.
+        UsageError: a calibration session, a calibration without a hand-eye pose, or an `out` that holds something.
         DatasetError: an image is missing, damaged, altered or of another size than the calibrated camera's.
     """
     files.refuse_existing(out)
     recording = Recording.open(recording_path)
     calibration = Calibration.load(calibration_path)
     if calibration.flange_from_camera is None:
-        raise Misuse(
+        raise UsageError(
             "calibration holds no hand-eye pose", where=calibration_path, remedy="run 'calib handeye' on the target's recording"
         )
     frames = [frame for frame in recording.frames if frame.split in SPLITS]
     if not frames:
         why = f"all {len(recording.frames)} frames are of a calibration session" if recording.frames else "it holds no frames"
-        raise Misuse(
+        raise UsageError(
             "recording has no views of an object", where=recording_path, why=why, remedy="record a trajectory with an object"
         )
     camera, notes = camera_for(recording, calibration)

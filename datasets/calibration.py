@@ -13,9 +13,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files, kinematics, pose
+from datasets import kinematics, pose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError
+from datasets.core import files
+from datasets.core.errors import DatasetError
 
 FORMAT, VERSION = "koala-calibration", 1
 _POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
@@ -143,7 +144,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a calibration. Raises Misuse where the file is missing, DatasetError where it is damaged."""
+        """Read a calibration. Raises UsageError where the file is missing, DatasetError where it is damaged."""
         content = files.read_json(path, kind=FORMAT, version=VERSION)
         if "camera" not in content:
             raise DatasetError("calibration holds no camera", where=path)

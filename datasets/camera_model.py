@@ -18,7 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 
 Points = NDArray[np.float64]
 _KINDS: dict[str, type] = {"width": int, "height": int, "fisheye": bool}

@@ -6,9 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
-from datasets import console, edit_commands
-from datasets.console import Json, Port
-from datasets.edit_commands import Out, Root, SceneName
+from datasets.core import console
+from datasets.core.console import Json, Port
+from datasets.edit import commands
+from datasets.edit.commands import Out, Root, SceneName
 
 app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
 
@@ -33,7 +34,7 @@ def build(
 ) -> None:
     """Make a posed scene from a recording and a calibration."""
     from datasets.build import build as build_scene
-    from datasets.check import summary
+    from datasets.checks.check import summary
     from datasets.recording import Recording
 
     with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
@@ -50,7 +51,7 @@ def info(
     as_json: Json = False,
 ) -> None:
     """Say what a scene holds: views, camera, bounds, truth."""
-    from datasets.check import summary
+    from datasets.checks.check import summary
     from datasets.formats import load_scene
 
     found = summary(load_scene(scene, data_root=data_root, images=images, measure=measure))
@@ -68,7 +69,7 @@ def check(
     """Read everything in a scene and list what is wrong.
 
     Each finding is one line: what, where, why and how to mend it. Exit code 1 where there is an error."""
-    from datasets.check import check as check_scene
+    from datasets.checks.check import check as check_scene
 
     with console.progress("checking", 1, "views") as shown:
 
@@ -94,10 +95,10 @@ def view(
     as_json: Json = False,
 ) -> None:
     """Look at a scene in the browser: cameras, points, bounds, pictures and what 'datasets check' finds."""
-    from datasets.errors import KoalaError
+    from datasets.core.errors import KoalaError
     from datasets.formats import load_scene
-    from datasets.view import describe, show
-    from datasets.viewer import open_page
+    from datasets.page import open_page
+    from datasets.page.view import describe, show
 
     problems: list[KoalaError] = []
     loaded = load_scene(scene, data_root=data_root, images=images, problems=problems)
@@ -118,7 +119,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Write a page on a scene: what it holds, what 'datasets check' finds, where its cameras are, every view."""
-    from datasets.report import write
+    from datasets.reports.scene import write
 
     with console.progress("checking", 1, "views") as shown:
 
@@ -151,7 +152,7 @@ def export(
 ) -> None:
     """Write a scene in another format, undistorted where that knows no lens."""
     from datasets.build import extra_truth
-    from datasets.files import refuse_existing
+    from datasets.core.files import refuse_existing
     from datasets.formats import find, load_scene, save_scene
 
     refuse_existing(out)
@@ -189,7 +190,7 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Time reading 1920x1080 pictures and making them four times smaller."""
-    from datasets.bench import read_and_shrink
+    from datasets.imaging.bench import read_and_shrink
 
     found = read_and_shrink(count, suffix=suffix)
     text = ("{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
@@ -198,17 +199,17 @@ def bench(
     console.report(found, as_json=as_json, text=text.format(**found))
 
 
-edit_commands.add_to(app)
+commands.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    """Whole numbers of a list such as "2,4,8". Raises Misuse where it is none."""
-    from datasets.errors import Misuse
+    """Whole numbers of a list such as "2,4,8". Raises UsageError where it is none."""
+    from datasets.core.errors import UsageError
 
     try:
         return tuple(int(word) for word in text.split(",") if word.strip())
     except ValueError:
-        raise Misuse("is no list of whole numbers", where=repr(text), remedy="write it as 2,4,8") from None
+        raise UsageError("is no list of whole numbers", where=repr(text), remedy="write it as 2,4,8") from None
 
 
 def _text(found: dict[str, Any]) -> str:

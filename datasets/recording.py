@@ -17,8 +17,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files, pose
-from datasets.errors import DatasetError, Misuse
+from datasets import pose
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
 
 FORMAT, VERSION = "koala-recording", 1
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
@@ -80,7 +81,7 @@ class Recording:
 
     @classmethod
     def create(cls, path: Path, manifest: dict[str, Any]) -> Self:
-        """Start a new recording in a folder that is missing or empty. Raises Misuse where it holds something."""
+        """Start a new recording in a folder that is missing or empty. Raises UsageError where it holds something."""
         path = Path(path)
         files.refuse_existing(path)
         (path / IMAGES).mkdir(parents=True, exist_ok=True)
@@ -93,7 +94,7 @@ class Recording:
         """Read a recording, complete or not. A last line cut off by a kill is dropped; any other damage raises."""
         path = Path(path)
         if not (path / MANIFEST).is_file():
-            raise Misuse(
+            raise UsageError(
                 "is not a recording", where=path, why=f"no {MANIFEST} in it", remedy="give a folder made by 'capture run'"
             )
         manifest = files.read_json(files.inside(path, MANIFEST), kind=FORMAT, version=VERSION)

@@ -11,9 +11,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import images
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
+from datasets.imaging import images
 
 SPLITS = ("train", "val", "test")
 STATED = "stated"
@@ -78,11 +78,13 @@ class View:
         z in world units; "alpha" is 0..1; "diffuse" and "specular" are linear light.
 
         Raises:
-            Misuse: the view has no such truth.
+            UsageError: the view has no such truth.
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
         if channel not in self.truth:
-            raise Misuse(f"no truth called {channel!r}", where=f"view {self.name}", why=f"it has {sorted(self.truth) or 'none'}")
+            raise UsageError(
+                f"no truth called {channel!r}", where=f"view {self.name}", why=f"it has {sorted(self.truth) or 'none'}"
+            )
         path = self.truth[channel]
         values = images.read(path)
         self._check_size(values, path)
@@ -158,11 +160,11 @@ class Scene:
         return self.bounds_from.removeprefix("box ").startswith(STATED)
 
     def split(self, name: str) -> tuple[View, ...]:
-        """Views of one split. Raises Misuse where there are none."""
+        """Views of one split. Raises UsageError where there are none."""
         chosen = tuple(view for view in self.views if view.split == name)
         if not chosen:
             found = sorted({view.split for view in self.views})
-            raise Misuse(f"scene has no {name} views", where=self.name, why=f"it has {', '.join(found) or 'no views at all'}")
+            raise UsageError(f"scene has no {name} views", where=self.name, why=f"it has {', '.join(found) or 'no views at all'}")
         return chosen
 
     def with_views(self, views: tuple[View, ...]) -> Self:

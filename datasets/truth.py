@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from datasets import files, pose
+from datasets import pose
 from datasets.calibration import Calibration
-from datasets.errors import Misuse
+from datasets.core import files
+from datasets.core.errors import UsageError
 from datasets.recording import TRUTH, Recording
 
 POSES = "poses.json"
@@ -28,12 +29,12 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
         included.
 
     Raises:
-        Misuse: the recording is of a real rig, or the calibration holds no hand-eye pose.
+        UsageError: the recording is of a real rig, or the calibration holds no hand-eye pose.
     """
     if not has_truth(recording):
-        raise Misuse("recording knows no truth", where=recording, remedy="only simulated recordings have one")
+        raise UsageError("recording knows no truth", where=recording, remedy="only simulated recordings have one")
     if calibration.flange_from_camera is None:
-        raise Misuse("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
+        raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     source = Path(recording) / TRUTH / POSES
     content = files.read_json(source, kind=FORMAT, version=VERSION)
     found = calibration.flange_from_camera.matrix
@@ -41,7 +42,7 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
     shift, turn = pose.difference(found, true)
     frames = [frame for frame in Recording.open(recording).frames if frame.name in content["base_from_camera"]]
     if not frames:
-        raise Misuse("recording holds no frames", where=recording, remedy="record it first")
+        raise UsageError("recording holds no frames", where=recording, remedy="record it first")
     cameras = [
         pose.difference(calibration.camera_pose(frame.base_from_flange, frame.joints),
                         pose.checked(content["base_from_camera"][frame.name], where=source))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from capture.planning import plan
 from capture.planning.obstacles import segments
-from capture.rig_description import RigDescription
+from capture.rig.description import RigDescription
 from capture.trajectory import load_trajectory
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL

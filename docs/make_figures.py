@@ -21,8 +21,9 @@ import drawings
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import console, images
-from datasets.errors import KoalaError, Misuse
+from datasets.core import console
+from datasets.core.errors import KoalaError, UsageError
+from datasets.imaging import images
 from datasets.recording import Recording
 
 WIDTH, HEIGHT, PANEL = 1280, 720, 400
@@ -48,11 +49,11 @@ class Shot:
 def main() -> None:
     """Make all pictures; the last line says where they are."""
     if len(sys.argv) < 3:
-        raise Misuse("give the folder of the demonstration and that of the pictures", remedy="or run: make figures")
+        raise UsageError("give the folder of the demonstration and that of the pictures", remedy="or run: make figures")
     demo, out = Path(sys.argv[1]), Path(sys.argv[2])
     for needed in ("board", "recording", "calibration.json", "run", "report/strip.png", "mesh.ply"):
         if not (demo / needed).exists():
-            raise Misuse("is missing", where=demo / needed, remedy="run: make demo")
+            raise UsageError("is missing", where=demo / needed, remedy="run: make demo")
     out.mkdir(parents=True, exist_ok=True)
     if only := tuple(sys.argv[3:]):
         return pages(demo, out, only)
@@ -82,7 +83,7 @@ def plan(name: str, path: Path) -> None:
     """What `capture plan --plot` draws of a trajectory that we ship."""
     from capture.planning import Obstacles, draw, duration
     from capture.planning import plan as planned_views
-    from capture.rig_description import RigDescription
+    from capture.rig.description import RigDescription
     from capture.trajectory import load_trajectory
 
     session = load_trajectory(drawings.SESSION.with_name(f"{name}.yaml"))

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from make_figures import chromium, run_program, served
 
-from datasets import console
-from datasets.errors import KoalaError, Misuse, nearest
-from datasets.viewer import open_page
+from datasets.core import console
+from datasets.core.errors import KoalaError, UsageError, nearest
+from datasets.page import open_page
 
 KINDS = ("alone", "open", "moving")
 """Of trainings."""
@@ -38,7 +38,7 @@ def main() -> None:
         return console.hint((__doc__ or "").strip())
     measures = {"moving": (moving, 20.0), "memory": (memory, 600.0), "training": (training, 60.0)}
     if len(sys.argv) < 3 or sys.argv[1] not in measures:
-        raise Misuse("give what to measure and on what", remedy=f"one of {', '.join(measures)}, then a run or a scene")
+        raise UsageError("give what to measure and on what", remedy=f"one of {', '.join(measures)}, then a run or a scene")
     name, path, *rest = sys.argv[1:]
     measure, seconds = measures[name]
     if rest and rest[0].replace(".", "", 1).isdigit():
@@ -47,9 +47,9 @@ def main() -> None:
     for word in rest:
         if word not in known:
             advice = nearest(word, known) if known else "give seconds alone"
-            raise Misuse(f"there is no '{word}' in 'measure_pages {name}'", remedy=advice)
+            raise UsageError(f"there is no '{word}' in 'measure_pages {name}'", remedy=advice)
     if not Path(path).exists():
-        raise Misuse("no such run or scene", where=path)
+        raise UsageError("no such run or scene", where=path)
     console.report(measure(Path(path), seconds, *rest), as_json=True, text="")
 
 
@@ -76,8 +76,8 @@ class Watched:
     """The page of a run in this process, with the times at which pictures were sent."""
 
     def __init__(self, page: Any, path: Path) -> None:
+        from reconstruct.page.page import show
         from reconstruct.run import Run
-        from reconstruct.view import show
 
         self.sent: list[tuple[float, int]] = []
         shown = show(page, Run.open(path))

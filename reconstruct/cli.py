@@ -5,16 +5,16 @@ from typing import Annotated
 
 import typer
 
-from datasets import console
-from reconstruct import train_command
+from datasets.core import console
 from reconstruct.bench import commands as bench_commands
 from reconstruct.options import ModelName, Preset, RunFolder, Seeds, StandsOn
+from reconstruct.training import command
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, measure it, and take pictures and geometry out of it.")
 app.add_typer(bench_commands.app, name="bench")
 
 
-app.command()(train_command.train)
+app.command()(command.train)
 
 
 @app.command("models")
@@ -39,7 +39,7 @@ def table_command(
     as_json: console.Json = False,
 ) -> None:
     """Put the results of runs beside each other, in the paper's layout; runs that differ in their seed alone make one row."""
-    from reconstruct import results, table
+    from reconstruct.studies import results, table
 
     rows = results.rows_of_runs(runs, per_image=per_image)
     chosen = table.chosen_columns(rows, columns or ())
@@ -65,8 +65,8 @@ def ablate_command(
     as_json: console.Json = False,
 ) -> None:
     """Train a model again and again with one thing changed, into one table and one figure."""
-    from reconstruct import ablate
     from reconstruct.backend import cache_compilations
+    from reconstruct.studies import ablate
 
     study = ablate.plan(scene, model, preset, set_ or (), budget, cells or (), seeds or ())
     if plan_only:
@@ -91,11 +91,11 @@ def skips_command(
 ) -> None:
     """Measure what each skip costs in error and saves in time: trains with it and without it."""
     from reconstruct.backend import cache_compilations
-    from reconstruct.skipping import bench
+    from reconstruct.studies import skips
 
     cache_compilations()
-    results = bench.run(scenes, out, names=names or (), model=model, preset=preset, overrides=set_ or ())
-    console.report({"skips": bench.rows(results)}, as_json=as_json, text=f"{bench.markdown(results).rstrip()}\n{out}")
+    results = skips.run(scenes, out, names=names or (), model=model, preset=preset, overrides=set_ or ())
+    console.report({"skips": skips.rows(results)}, as_json=as_json, text=f"{skips.markdown(results).rstrip()}\n{out}")
 
 
 @app.command("sweep")
@@ -114,7 +114,7 @@ def sweep_command(
     as_json: console.Json = False,
 ) -> None:
     """Train and measure every model on every scene, into one table."""
-    from reconstruct import sweep
+    from reconstruct.studies import sweep
 
     jobs = sweep.jobs(scenes, models, preset, set_ or (), budget, out, seeds or ())
     result = sweep.run(jobs, out, use_ray=ray or address is not None, ray_address=address)
@@ -130,8 +130,8 @@ def figures_command(
 ) -> None:
     """Draw the figures of the paper's supplement from the code itself and a trained run."""
     from reconstruct.backend import cache_compilations
-    from reconstruct.figures import draw_all
-    from reconstruct.trained import Trained
+    from reconstruct.output.figures import draw_all
+    from reconstruct.output.restored import Trained
 
     cache_compilations()
     result = draw_all(Trained.open(run), out, steps=steps)
@@ -157,13 +157,13 @@ def eval_command(
     as_json: console.Json = False,
 ) -> None:
     """Measure a run on its test views (writes RUN/metrics.json), or renderings made elsewhere with the same ruler."""
-    from datasets.errors import Misuse
+    from datasets.core.errors import UsageError
     from datasets.formats import load_scene
     from reconstruct.backend import cache_compilations
-    from reconstruct.evaluate import METRICS, evaluate, table
-    from reconstruct.lpips import Lpips
-    from reconstruct.renders import measure
-    from reconstruct.trained import Trained
+    from reconstruct.output.evaluate import METRICS, evaluate, table
+    from reconstruct.output.foreign_renders import measure
+    from reconstruct.output.lpips import Lpips
+    from reconstruct.output.restored import Trained
 
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
@@ -173,7 +173,7 @@ def eval_command(
     elif run is None and renders is not None and scene is not None and not align and stands_on is None:
         result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
     else:
-        raise Misuse("give either a run, or --renders DIR --scene SCENE")
+        raise UsageError("give either a run, or --renders DIR --scene SCENE")
     console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())
 
 
@@ -188,11 +188,11 @@ def render_command(
     as_json: console.Json = False,
 ) -> None:
     """Render views: colour, its diffuse and specular part, normals, depth, opacity, roughness."""
-    from datasets.files import refuse_existing
-    from reconstruct import camera_path
+    from datasets.core.files import refuse_existing
     from reconstruct.backend import cache_compilations
-    from reconstruct.export import render, render_along
-    from reconstruct.trained import Trained
+    from reconstruct.output import camera_path
+    from reconstruct.output.export import render, render_along
+    from reconstruct.output.restored import Trained
 
     refuse_existing(out)
     along = None if path is None else camera_path.from_file(path)[0]
@@ -212,19 +212,19 @@ def view_command(
     as_json: console.Json = False,
 ) -> None:
     """Fly through a run in the browser, while it trains and afterwards: colour, its parts, normals, depth, beside the photographs."""
-    from datasets.viewer import open_page
+    from datasets.page import open_page
     from reconstruct.backend import cache_compilations
     from reconstruct.run import RUN, Run
 
     cache_compilations()
     with open_page(path.name, port) as page:
         if (path / RUN).is_file():
-            from reconstruct.view import show
+            from reconstruct.page.page import show
 
             show(page, Run.open(path), mesh=mesh)
         else:
             from datasets.formats import load_scene
-            from datasets.view import show as show_scene
+            from datasets.page.view import show as show_scene
 
             show_scene(page, path, load_scene(path), quick=True)
         console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
@@ -247,10 +247,10 @@ def film_command(
     as_json: console.Json = False,
 ) -> None:
     """Film a run along an orbit or a camera path, as MP4."""
-    from reconstruct import camera_path
     from reconstruct.backend import cache_compilations
-    from reconstruct.film import film
-    from reconstruct.trained import Trained
+    from reconstruct.output import camera_path
+    from reconstruct.output.film import film
+    from reconstruct.output.restored import Trained
 
     along = None if path is None else camera_path.from_file(path)
     cache_compilations()
@@ -280,15 +280,15 @@ def mesh_command(
     as_json: console.Json = False,
 ) -> None:
     """Take the object's surface out of a run, as a coloured triangle mesh or points in world coordinates."""
-    from datasets.errors import Misuse
-    from datasets.files import refuse_existing
-    from reconstruct import mesh
+    from datasets.core.errors import UsageError
+    from datasets.core.files import refuse_existing
     from reconstruct.backend import cache_compilations
-    from reconstruct.trained import Trained
+    from reconstruct.output import mesh
+    from reconstruct.output.restored import Trained
 
     suffixes = mesh.SUFFIXES if points is None else (".ply",)
     if out.suffix.lower() not in suffixes:
-        raise Misuse(f"{'meshes' if points is None else 'points'} are not written as '{out.suffix}'", where=out,
+        raise UsageError(f"{'meshes' if points is None else 'points'} are not written as '{out.suffix}'", where=out,
                      remedy=f"end --out in {', '.join(suffixes)}")  # fmt: skip
     refuse_existing(out)
     cache_compilations()
@@ -312,10 +312,10 @@ def report_command(
     as_json: console.Json = False,
 ) -> None:
     """Write a page with results, pictures beside the truth and the error over time."""
-    from datasets.files import refuse_existing
+    from datasets.core.files import refuse_existing
     from reconstruct.backend import cache_compilations
-    from reconstruct.report import write
-    from reconstruct.trained import Trained
+    from reconstruct.output.report import write
+    from reconstruct.output.restored import Trained
 
     refuse_existing(out)
     cache_compilations()

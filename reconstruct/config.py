@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from datasets.schema import Schema
+from datasets.core.schema import Schema
 
 
 class EncodingConfig(Schema):

@@ -1,6 +1,6 @@
 """Errors of reconstruction."""
 
-from datasets.errors import KoalaError
+from datasets.core.errors import KoalaError
 
 
 class ReconstructError(KoalaError):

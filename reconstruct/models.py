@@ -13,8 +13,8 @@ from typing import Any
 
 from pydantic import Field
 
-from datasets.errors import Misuse, nearest
-from datasets.schema import Schema, read_yaml, validate
+from datasets.core.errors import UsageError, nearest
+from datasets.core.schema import Schema, read_yaml, validate
 from reconstruct.config import Config
 
 PRESETS = ("fast", "paper")
@@ -34,15 +34,17 @@ def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[s
     """Defaults, then the base's preset, then the model file's, then `key=value` overrides.
 
     Raises:
-        Misuse: unknown model, preset or key (with the nearest valid one), or a value out of range.
+        UsageError: unknown model, preset or key (with the nearest valid one), or a value out of range.
     """
     if preset not in PRESETS:
-        raise Misuse(f"model {model} has no preset '{preset}'", remedy=nearest(preset, PRESETS))
+        raise UsageError(f"model {model} has no preset '{preset}'", remedy=nearest(preset, PRESETS))
     changes, content = _read(model, preset)
     if content.base is not None:
         base, below = _read(content.base, preset)
         if below.base is not None:
-            raise Misuse(f"the base of model {model} has a base itself", where=_path(model), remedy=f"write base: {below.base}")
+            raise UsageError(
+                f"the base of model {model} has a base itself", where=_path(model), remedy=f"write base: {below.base}"
+            )
         changes = merged(base, changes)
     return _validated({**changes, "model": model, "preset": preset}, overrides)
 
@@ -105,7 +107,7 @@ def _path(model: str) -> Path:
 def _read(model: str, preset: str) -> tuple[Tree, ModelFile]:
     """The changes of one preset as they are written, and the whole file; each key is known to be a setting."""
     if model not in names():
-        raise Misuse(f"there is no model '{model}'", remedy=nearest(model, names()))
+        raise UsageError(f"there is no model '{model}'", remedy=nearest(model, names()))
     content, lines = read_yaml(_path(model))
     file = validate(content, ModelFile, where=_path(model), lines=lines)
     changes = getattr(file, preset)

@@ -20,11 +20,11 @@ def _presets(incomplete: str) -> list[str]:
 
 def _side(name: str | None) -> str | None:
     """A side of the object's box, or none."""
-    from datasets.errors import Misuse
-    from reconstruct.surroundings import SIDES
+    from datasets.core.errors import UsageError
+    from reconstruct.output.stray_matter import SIDES
 
     if name is not None and name not in SIDES:
-        raise Misuse(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
+        raise UsageError(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
     return name
 
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from datasets import files
-from datasets.errors import DatasetError, Misuse
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
 from datasets.scene import Scene
 from reconstruct.config import Config
-from reconstruct.rays import Normalisation
+from reconstruct.scene.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
 RUN, LOG, FAULTS, CHECKPOINTS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints"
@@ -47,10 +47,12 @@ class Run:
 
     @classmethod
     def open(cls, path: Path) -> "Run":
-        """Read a run. Raises Misuse where `path` is none."""
+        """Read a run. Raises UsageError where `path` is none."""
         path = Path(path)
         if not (path / RUN).is_file():
-            raise Misuse("is not a run", where=path, why=f"no {RUN} in it", remedy="give a folder made by 'reconstruct train'")
+            raise UsageError(
+                "is not a run", where=path, why=f"no {RUN} in it", remedy="give a folder made by 'reconstruct train'"
+            )
         content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
         try:
             normalisation = Normalisation(**{**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])})

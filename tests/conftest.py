@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from jaxtyping import install_import_hook
 
-from datasets import files, images, pose
+from datasets import pose
 from datasets.camera_model import Camera
+from datasets.core import files
+from datasets.imaging import images
 from datasets.recording import Frame, Recording
 from datasets.scene import Scene, View
 
@@ -26,8 +28,8 @@ CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
-_NUMERICS = ("cloud", "contraction", "encodings", "field", "losses", "mlp", "model", "objective", "rays", "rendering",
-             "safe", "sampling", "schedules", "stepfun", "surface")  # fmt: skip
+_NUMERICS = ("numerics", "scene.rays", "field", "sampling", "rendering.volume", "rendering.model", "surface", "training.objective",
+             "training.schedules")  # fmt: skip
 install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.beartype")  # shapes as annotated, or an error
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts background jobs deaf to Ctrl-C, and their children too
@@ -35,8 +37,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts backgrou
 
 LONG = (
     "tests/test_pipeline.py",
-    "tests/reconstruct/test_train.py",
-    "tests/reconstruct/test_step.py",
+    "tests/reconstruct/training/test_loop.py",
+    "tests/reconstruct/training/test_step.py",
     "tests/faults/test_faults.py",
 )
 """Files that take longest. They begin first: a worker that meets one last leaves the other idle."""

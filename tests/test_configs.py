@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from datasets.schema import read_yaml
+from datasets.core.schema import read_yaml
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 FILES = sorted(CONFIGS.rglob("*.yaml"))
@@ -19,7 +19,7 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return load_trajectory
     if folder == "rigs":
-        from capture.rig_description import load_rig
+        from capture.rig.description import load_rig
 
         return load_rig
     if folder == "imports":

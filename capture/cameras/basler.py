@@ -10,9 +10,9 @@ from typing import Any, Self
 from capture.cameras.genicam_lock import release_abandoned
 from capture.cameras.pixels import choose_format, colours
 from capture.errors import CaptureError, RigConnectionError
-from capture.rig import Image
+from capture.rig.protocols import Image
 from capture.trajectory import CameraSettings
-from datasets.region import Region
+from datasets.imaging.region import Region
 
 TRIES = 4
 """Exposures that may arrive damaged, one after the other, before the grab fails."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture.errors import CaptureError
-from datasets.images import srgb_from_linear
+from datasets.imaging.images import srgb_from_linear
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from capture.planning.obstacles import RADII, Obstacles, segments
 from capture.planning.plan import PlannedView
-from datasets import files
+from datasets.core import files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,1 +1,1 @@
-"""Arms, each behind the `Robot` protocol of `capture.rig`."""
+"""Arms, each behind the `Robot` protocol of `capture.rig.protocols`."""

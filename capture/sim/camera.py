@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from capture.cameras.basler import Basler
 from capture.errors import SimulationError
-from capture.rig import Image
-from capture.sim.lens import Lens, Sensor
+from capture.rig.protocols import Image
+from capture.sim.laboratory.lens import Lens, Sensor
+from capture.sim.laboratory.views import make_view
 from capture.sim.truth import RigTruth
-from capture.sim.views import make_view
 from capture.trajectory import Trajectory
-from datasets import files, images, pose
+from datasets import pose
 from datasets.camera_model import Camera
+from datasets.core import files
+from datasets.imaging import images
 
 MOMENTS = 16
 """At so many moments of an exposure the simulation asks where the arm is."""
@@ -58,11 +60,11 @@ def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArr
 
 
 class SimulatedCamera:
-    """A Basler whose light is computed; does what `capture.rig.Camera` says.
+    """A Basler whose light is computed; does what `capture.rig.protocols.Camera` says.
 
     Args:
         trajectory: its camera settings, and what stands where.
-        scene: a name of `capture.sim.scenes.SCENES`.
+        scene: a name of `capture.sim.laboratory.scenes.SCENES`.
         truth: the rig as it really is.
         arm: says where the flange truly is during an exposure that begins now.
         seed: of textures and noise. Noise also depends on the frame, not on what was taken before.
@@ -102,7 +104,7 @@ class SimulatedCamera:
         self._frame = frame
 
     def grab(self) -> Image:
-        """See `capture.rig.Camera`; `device_ticks` are nanoseconds of the host's clock, as of a camera on USB."""
+        """See `capture.rig.protocols.Camera`; `device_ticks` are nanoseconds of the host's clock, as of a camera on USB."""
         settings, moment = self.trajectory.camera, time.monotonic_ns()
         poses = self._arm.exposed(settings.exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
         poses = poses[blur_moments(self.lens.camera, poses)]
@@ -120,7 +122,7 @@ class SimulatedCamera:
         return replace(image, host_time_ns=moment, device_ticks=moment)
 
     def description(self) -> dict[str, Any]:
-        """See `capture.rig.Camera`."""
+        """See `capture.rig.protocols.Camera`."""
         return {**self._driver.description(), "simulated": True}
 
     def keep_truth(self, folder: Path, name: str, split: str) -> None:

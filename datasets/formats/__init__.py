@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import DatasetError, KoalaError, Misuse, nearest
+from datasets.core.errors import DatasetError, KoalaError, UsageError, nearest
 from datasets.formats import assemble, blender, colmap, dtu, koala, llff, nerfstudio
 from datasets.scene import Scene
 
@@ -55,12 +55,12 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
         problems: where a list is given, a damaged view is left out and its error put there; else it is raised.
 
     Raises:
-        Misuse: no such folder, or nothing in it that Koala knows.
+        UsageError: no such folder, or nothing in it that Koala knows.
         DatasetError: a file does not hold what its layout promises.
     """
     folder = find(path, data_root)
     if format is not None and format not in FORMATS:
-        raise Misuse(f"no format called {format!r}", remedy=nearest(format, FORMATS))
+        raise UsageError(f"no format called {format!r}", remedy=nearest(format, FORMATS))
     kind = format or detect(folder)
     try:
         scene = FORMATS[kind][1](folder, hold_out=hold_out, images_folder=images, problems=problems)
@@ -70,7 +70,7 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
     if images is not None:  # truth and sightings are of the full size
         scene = replace(scene, views=tuple(replace(view, truth={}) for view in scene.views), sightings=None)
     if measure and scene.points is None and scene.bounds_from.startswith(assemble.CAMERAS_ALONE):
-        from datasets.measure import measured
+        from datasets.structure.measure import measured
 
         scene = measured(scene)
     return scene
@@ -92,25 +92,25 @@ def save_scene(scene: Scene, path: Path, format: str, *, sizes: Sequence[int] = 
         One line on what the layout cannot hold, and what was done about it; empty where it holds everything.
 
     Raises:
-        Misuse: no such layout, `path` holds something, or sizes for a layout without room.
+        UsageError: no such layout, `path` holds something, or sizes for a layout without room.
         DatasetError: an image is missing or damaged, or a lens leaves no picture.
     """
     if format not in WRITERS:
-        raise Misuse(f"cannot export to {format!r}", remedy=nearest(format, WRITERS))
+        raise UsageError(f"cannot export to {format!r}", remedy=nearest(format, WRITERS))
     if sizes and format not in SIZED:
-        raise Misuse(f"{format} has no room for smaller images", remedy=f"sizes go with {', '.join(sorted(SIZED))}")
+        raise UsageError(f"{format} has no room for smaller images", remedy=f"sizes go with {', '.join(sorted(SIZED))}")
     if any(size < 2 for size in sizes):
-        raise Misuse("sizes are to be 2 or more", why=", ".join(map(str, sizes)))
+        raise UsageError("sizes are to be 2 or more", why=", ".join(map(str, sizes)))
     options: dict[str, Any] = {"sizes": tuple(sizes)} if sizes else {}
     return WRITERS[format](scene, path, extra=extra, done=done, **options)
 
 
 def detect(folder: Path) -> str:
-    """Name of the layout that a folder has. Raises Misuse where it has none of them."""
+    """Name of the layout that a folder has. Raises UsageError where it has none of them."""
     for name, (matches, _) in FORMATS.items():
         if matches(folder):
             return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both: a model says more
-    raise Misuse("holds no scene that Koala knows", where=folder,
+    raise UsageError("holds no scene that Koala knows", where=folder,
                  why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model",
                  remedy="give the folder that holds one of these")  # fmt: skip
 
@@ -119,7 +119,7 @@ def find(path: str | Path, data_root: Path | None = None) -> Path:
     """The folder that `path` means: below `data_root`, else as it stands, else below $KOALA_DATA.
 
     Raises:
-        Misuse: it is in none of them; the message lists where it was looked for.
+        UsageError: it is in none of them; the message lists where it was looked for.
     """
     path = Path(path).expanduser()
     roots = [data_root, Path(), os.environ.get("KOALA_DATA")]
@@ -128,8 +128,8 @@ def find(path: str | Path, data_root: Path | None = None) -> Path:
         if candidate.is_dir():
             return candidate
     if path.is_file():
-        raise Misuse("is a file, not a scene", where=path, remedy="give the folder that holds it")
-    raise Misuse("no such scene", where=path, why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
+        raise UsageError("is a file, not a scene", where=path, remedy="give the folder that holds it")
+    raise UsageError("no such scene", where=path, why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
                  remedy=f"{_neighbours(path.name, candidates)}or set --data-root or KOALA_DATA")  # fmt: skip
 
 

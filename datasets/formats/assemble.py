@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import bounds, files, images
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, KoalaError
-from datasets.hull import visual_hull
+from datasets.core import files
+from datasets.core.errors import DatasetError, KoalaError
+from datasets.imaging import images
 from datasets.scene import Scene, View
+from datasets.structure import bounds
+from datasets.structure.hull import visual_hull
 
 SAME_SHAPE = 0.02
 """Aspect ratios that differ by less are those of one image at two sizes, each rounded to pixels."""

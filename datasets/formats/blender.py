@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from datasets import files, images
-from datasets.errors import KoalaError
+from datasets.core import files
+from datasets.core.errors import KoalaError
 from datasets.formats import assemble, export, opengl, sidecar
 from datasets.formats.koala import file_name, link
+from datasets.imaging import images
 from datasets.scene import DISPARITY, SPLITS, Scene, View
 
 TRUTH = {"normals": ("_normal.png",), "alpha": ("_alpha.png",), "depth": (f"{DISPARITY}.tiff", f"{DISPARITY}.tif")}

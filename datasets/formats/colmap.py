@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from datasets import downscale, files, pose
+from datasets import pose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, KoalaError, Misuse
+from datasets.core import files
+from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.formats import assemble, export, llff, sidecar
 from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
 from datasets.formats.koala import file_name, link
+from datasets.imaging import downscale
 from datasets.scene import Scene, Sightings, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
@@ -105,7 +107,7 @@ def _place(folder: Path, wanted: str | None) -> tuple[Path, Path]:
     """(folder of the model, folder of its images): the first model that has images."""
     places = [folder / place for place in PLACES if any((folder / place / f"cameras{end}").is_file() for end in (".bin", ".txt"))]
     if not places:
-        raise Misuse("holds no COLMAP model", where=folder, why=f"no cameras.bin in {', '.join(filter(None, PLACES))}")
+        raise UsageError("holds no COLMAP model", where=folder, why=f"no cameras.bin in {', '.join(filter(None, PLACES))}")
     if wanted is not None:
         return places[0], files.inside(folder, wanted)
     for place in places:

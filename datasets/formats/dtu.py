@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import arrays, bounds, files, images, pose
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.conventions import opencv_from_pixels, pixels_from_opencv
-from datasets.errors import DatasetError, KoalaError
+from datasets.core import arrays, files
+from datasets.core.errors import DatasetError, KoalaError
 from datasets.formats import assemble, export, sidecar
 from datasets.formats.koala import link
 from datasets.formats.llff import PICTURES
+from datasets.imaging import images
 from datasets.scene import Scene, View
+from datasets.structure import bounds
 
 CAMERAS = ("cameras_sphere.npz", "cameras.npz")
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import images, undistort
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 from datasets.formats.koala import file_name, link
+from datasets.imaging import images, undistort
 from datasets.scene import DISPARITY, Scene, View
 
 ORDERS = {"normals": undistort.NEAREST, "depth": undistort.NEAREST}

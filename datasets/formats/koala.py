@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import arrays, downscale, files, pose
+from datasets import pose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, KoalaError
+from datasets.core import arrays, files
+from datasets.core.errors import DatasetError, KoalaError
 from datasets.formats import assemble, sidecar
+from datasets.imaging import downscale
 from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View
 
 FILE = "cameras.json"
@@ -45,7 +47,7 @@ def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, d
         What the layout cannot hold of the scene: nothing.
 
     Raises:
-        Misuse: `path` holds something already.
+        UsageError: `path` holds something already.
     """
     with files.atomic_folder(path) as folder:
         views = []

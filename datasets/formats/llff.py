@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import arrays, bounds, downscale, files, pose
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF
-from datasets.errors import DatasetError, KoalaError, Misuse
+from datasets.core import arrays, files
+from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.formats import assemble, export, sidecar
 from datasets.formats.koala import file_name, link
+from datasets.imaging import downscale
 from datasets.scene import Scene, View
+from datasets.structure import bounds
 
 FILE = "poses_bounds.npy"
 PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
@@ -112,7 +115,7 @@ def find_images(folder: Path, wanted: str | None) -> tuple[list[Path], str]:
         files.inside(folder, wanted)
         offered = [path for path in [folder / wanted] if path.is_dir()]
     if not offered:
-        raise Misuse("no folder of images", where=folder / (wanted or "images"), remedy="put the images there")
+        raise UsageError("no folder of images", where=folder / (wanted or "images"), remedy="put the images there")
     pictures = sorted(path for path in offered[0].iterdir() if path.suffix.lower() in PICTURES and path.name[0] != ".")
     if not pictures:
         raise DatasetError("scene has no images", where=offered[0], remedy="put the images there")

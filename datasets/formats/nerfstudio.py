@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import downscale, files, images
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, KoalaError
+from datasets.core import files
+from datasets.core.errors import DatasetError, KoalaError
 from datasets.formats import assemble, export, opengl, ply, sidecar
 from datasets.formats.koala import file_name, link
+from datasets.imaging import downscale, images
 from datasets.scene import SPLITS, Scene, View
 
 FILE = "transforms.json"

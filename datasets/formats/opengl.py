@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files, images, pose
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_OPENGL
-from datasets.errors import DatasetError
+from datasets.core import files
+from datasets.core.errors import DatasetError
+from datasets.imaging import images
 
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr", ".JPG", ".PNG")
 """What may be left off a `file_path`."""

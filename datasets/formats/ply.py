@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import files
-from datasets.errors import DatasetError
+from datasets.core import files
+from datasets.core.errors import DatasetError
 
 KINDS = {
     "char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4", "float": "<f4", "double": "<f8",

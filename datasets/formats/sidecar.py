@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets import files
-from datasets.errors import DatasetError
+from datasets.core import files
+from datasets.core.errors import DatasetError
 from datasets.scene import SPLITS, STATED, Scene, View
 
 FILE = "koala.json"

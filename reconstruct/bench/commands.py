@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from datasets import console
+from datasets.core import console
 
 app = typer.Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
 
@@ -35,7 +35,7 @@ def bench_command(
     """Train under time budgets on frozen scenes: error, work and memory as CSV and as a page."""
     if context.invoked_subcommand is not None:
         return
-    from datasets.errors import Misuse
+    from datasets.core.errors import UsageError
     from reconstruct.bench import peers
     from reconstruct.bench import suite as suites
 
@@ -48,7 +48,7 @@ def bench_command(
         console.report({"trials": [vars(trial) for trial in trials], "training_s": total}, as_json=as_json, text="\n".join(lines))
         return
     if out is None:
-        raise Misuse("give the folder of the benchmark: --out DIR")
+        raise UsageError("give the folder of the benchmark: --out DIR")
     known = [] if peer is None else peers.read(peer)
     from reconstruct.bench import page
     from reconstruct.bench import run as runs
@@ -68,7 +68,7 @@ def compare_command(
     as_json: console.Json = False,
 ) -> None:
     """Say which differences between two benchmarks exceed the noise of repeated seeds."""
-    from datasets.errors import Misuse
+    from datasets.core.errors import UsageError
     from reconstruct.bench import compare
     from reconstruct.bench.records import Records
     from reconstruct.bench.run import RECORDS
@@ -76,13 +76,13 @@ def compare_command(
     sides = []
     for folder in (before, after):
         if not (folder / RECORDS).is_file():
-            raise Misuse(
+            raise UsageError(
                 "holds no benchmark", where=folder, why=f"no {RECORDS} in it", remedy="give a folder made by 'reconstruct bench'"
             )
         sides.append(Records(folder / RECORDS).rows())
     found = compare.compare(*sides)
     if not found:
-        raise Misuse("the two have no trial in common", where=f"{before}, {after}")
+        raise UsageError("the two have no trial in common", where=f"{before}, {after}")
     console.report(compare.summary(found), as_json=as_json, text=compare.text(found, everything=everything))
 
 
@@ -93,13 +93,14 @@ def machine_command(
     as_json: console.Json = False,
 ) -> None:
     """Measure what this machine allows, and how far each kernel of a training step is from it."""
-    from datasets.errors import Misuse
-    from reconstruct.bench import context, kernels, machine
+    from datasets.core.errors import UsageError
+    from reconstruct.bench import context
+    from reconstruct.bench.cost import kernels, machine
     from reconstruct.models import load_config
 
     config = load_config(model, "fast")
     if config.sampler.kind != "occupancy":
-        raise Misuse("is not taken apart", where=model, why="only models with an occupancy grid are")
+        raise UsageError("is not taken apart", where=model, why="only models with an occupancy grid are")
     with console.progress("measuring", 1 if limits_only else 13, "kernels") as shown:
         limits = machine.limits()
         shown.advance()
@@ -121,21 +122,21 @@ def scenes_command(
     as_json: console.Json = False,
 ) -> None:
     """Make the shiny scenes whose shape and light are known exactly."""
-    from datasets.errors import Misuse, nearest
+    from datasets.core.errors import UsageError, nearest
     from reconstruct.backend import cache_compilations
-    from reconstruct.bench import scenes, shiny
+    from reconstruct.bench.scenes import make, shiny
 
     if layout not in (layouts := ("koala", "blender", "llff")):
-        raise Misuse(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
+        raise UsageError(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
     for name in names or ():
         if name not in shiny.SCENES:
-            raise Misuse(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, shiny.SCENES))
+            raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, shiny.SCENES))
     cache_compilations()
     chosen, written = names or list(shiny.SCENES), []
     with console.progress("rendering", len(chosen) * (train + test), "views") as shown:
         for name in chosen:
             shown.note(name)
-            if scenes.provide(name, out / name, size=size, train=train, test=test, format=layout, done=shown.advance):
+            if make.provide(name, out / name, size=size, train=train, test=test, format=layout, done=shown.advance):
                 written.append(name)
     text = "\n".join(f"{out / name}{'' if name in written else '  (was there)'}" for name in chosen)
     console.report({"scenes": [str(out / name) for name in chosen], "written": written}, as_json=as_json, text=text)

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from reconstruct import table
 from reconstruct.bench.records import Row
-from reconstruct.table import HIGHER_IS_BETTER
+from reconstruct.studies import table
+from reconstruct.studies.table import HIGHER_IS_BETTER
 
 FIGURES = ("psnr", "normal_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm")
 """A panel each, where there is anything to draw."""

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets import files
-from datasets.report_page import Number, ReportPage
-from reconstruct import table
+from datasets.core import files
+from datasets.reports.html import Number, ReportPage
 from reconstruct.bench import drawings, targets
 from reconstruct.bench.records import DEFINITIONS, DONE, Records, Row, latest
 from reconstruct.bench.run import PROFILES, RECORDS, profiles
 from reconstruct.bench.suite import COST, QUALITY
+from reconstruct.studies import table
 
 PAGE = "index.html"
 COLUMNS = ("psnr", "ssim", "normal_mae_alpha_acc_deg", "normal_mae_deg", "normal_pred_mae_alpha_acc_deg", "depth_rmse_mm",

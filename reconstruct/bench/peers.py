@@ -9,7 +9,7 @@ import csv
 import io
 from pathlib import Path
 
-from datasets.errors import DatasetError, Misuse, nearest
+from datasets.core.errors import DatasetError, UsageError, nearest
 from reconstruct.bench.records import Row
 
 TEXT = ("program", "scene", "note")
@@ -22,11 +22,11 @@ def read(path: Path) -> list[Row]:
     """One row per line; numbers as numbers, what is not given as None. `scale` is 1 where it is not given.
 
     Raises:
-        Misuse: there is no such file.
+        UsageError: there is no such file.
         DatasetError: an unknown or missing column, or a cell that is no number.
     """
     if not path.is_file():
-        raise Misuse("no such file", where=path, remedy="give the CSV with the figures of other programs")
+        raise UsageError("no such file", where=path, remedy="give the CSV with the figures of other programs")
     reader = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
     columns = list(reader.fieldnames or [])
     for column in columns:

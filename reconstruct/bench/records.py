@@ -8,9 +8,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import DatasetError
-from reconstruct import metrics, surface_distance
+from datasets.core.errors import DatasetError
 from reconstruct.bench.suite import Trial
+from reconstruct.output import metrics, surface_distance
 
 KEY = tuple(field.name for field in fields(Trial))
 FIGURES = (*metrics.DEFINITIONS, *surface_distance.DEFINITIONS)

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from datasets import files
-from datasets.console import progress
-from datasets.errors import KoalaError
+from datasets.core import files
+from datasets.core.console import progress
+from datasets.core.errors import KoalaError
 from reconstruct.backend import cache_folder
 from reconstruct.bench import context, suite, trial
 from reconstruct.bench.records import DONE, Records

@@ -10,10 +10,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import Misuse, nearest
+from datasets.core.errors import UsageError, nearest
 from datasets.formats import find
-from reconstruct.bench import scenes
-from reconstruct.bench.shiny import SCENES
+from reconstruct.bench.scenes import make
+from reconstruct.bench.scenes.shiny import SCENES
 
 QUALITY, COST, PROFILE = "quality", "cost", "profile"
 """Kinds of trials: error after a budget; time and memory alone, against the amount of pictures; where the time of a step goes."""
@@ -103,20 +103,20 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     """The trials of a suite. Models and budgets that it does not have are trained on its scenes as well.
 
     Raises:
-        Misuse: there is no such suite, or it has no such scene, or none of that scale or preset.
+        UsageError: there is no such suite, or it has no such scene, or none of that scale or preset.
     """
     if suite not in SUITES:
-        raise Misuse(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
+        raise UsageError(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
     blocks = SUITES[suite]
     known = dict.fromkeys(name for block in blocks for name, _ in block.scenes) | dict.fromkeys(SCENES)
     for name in choice.scenes:
         if name not in known:
-            raise Misuse(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, known))
+            raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, known))
     trials = dict.fromkeys(trial for block in _chosen(blocks, choice) for trial in block.trials())
     if not trials:
         scales = sorted({f"{scale:g}" for block in blocks for _, scale in block.scenes})
         presets = sorted({preset for block in blocks for preset in block.presets})
-        raise Misuse(f"suite {suite} has no such trial", where="--scale, --preset",
+        raise UsageError(f"suite {suite} has no such trial", where="--scale, --preset",
                      why=f"scales are {', '.join(scales)}, presets {', '.join(presets)}", remedy="choose among these")  # fmt: skip
     return sorted(trials, key=lambda trial: trial.seed)
 
@@ -149,14 +149,14 @@ def folders(trials: Sequence[Trial], made_in: Path, data: Path | None, rendered:
     found = {}
     for name in dict.fromkeys(trial.scene for trial in trials):
         if name in SCENES:
-            place = made_in / f"{name}-{scenes.EDITION}"
+            place = made_in / f"{name}-{make.EDITION}"
             if rendered is not None and not place.exists():
                 rendered(name)
-            scenes.provide(name, place)
+            make.provide(name, place)
             found[name] = place
             continue
         try:
             found[name] = find(name, data)
-        except Misuse:
+        except UsageError:
             continue
     return found

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruct.bench.records import Row
-from reconstruct.bench.shiny import SCENES
-from reconstruct.table import HIGHER_IS_BETTER
+from reconstruct.bench.scenes.shiny import SCENES
+from reconstruct.studies.table import HIGHER_IS_BETTER
 
 
 @dataclass(frozen=True)

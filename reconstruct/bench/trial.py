@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from datasets import files
+from datasets.core import files
 from datasets.formats import load_scene
 from datasets.scene import Scene
 from reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
@@ -55,10 +55,10 @@ def chosen_views(scene: Scene, count: int) -> Scene:
 def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train; what it took, by the names of `records.WORK`."""
     from reconstruct.models import load_config
-    from reconstruct.rays import scaled_camera
     from reconstruct.run import Run
-    from reconstruct.step import StepFunctions
-    from reconstruct.train import train
+    from reconstruct.scene.rays import scaled_camera
+    from reconstruct.training.loop import train
+    from reconstruct.training.step import StepFunctions
 
     config = load_config(trial.model, trial.preset, [f"scale={trial.scale}", f"train.seed={trial.seed}"])
     clock, processor = time.perf_counter(), time.process_time()
@@ -79,8 +79,8 @@ def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any
 
 def quality(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train and measure on the test views."""
-    from reconstruct.evaluate import evaluate
-    from reconstruct.trained import Trained
+    from reconstruct.output.evaluate import evaluate
+    from reconstruct.output.restored import Trained
 
     found = trained(trial, scene, place, out)
     measured = evaluate(Trained.open(out))
@@ -89,7 +89,7 @@ def quality(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any
 
 def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train and render one test view: time and memory alone."""
-    from reconstruct.trained import Trained
+    from reconstruct.output.restored import Trained
 
     found = trained(trial, scene, place, out)
     ready = Trained.open(out)
@@ -102,8 +102,8 @@ def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
 
 def profile(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train, then look where the time of the steps goes that would follow."""
-    from reconstruct.bench.profile import step_profile
-    from reconstruct.trained import Trained
+    from reconstruct.bench.cost.profile import step_profile
+    from reconstruct.output.restored import Trained
 
     found = trained(trial, scene, place, out)
     return {**found, "profile": step_profile(Trained.open(out), scene)}

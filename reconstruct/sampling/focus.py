@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from reconstruct.rays import Rays
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.steps import box_interval
+from reconstruct.scene.rays import Rays
 
 PLACES = 16
 """Places along a ray's way through the box at which the grid is looked up."""

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from reconstruct.rays import Rays
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
+from reconstruct.scene.rays import Rays
 
 BLOCK = 32
 UNSEEN = 0.02

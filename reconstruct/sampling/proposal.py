@@ -6,15 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.cloud import Cloud
 from reconstruct.config import EncodingConfig, SamplerConfig
-from reconstruct.encodings.create import create_encoding
-from reconstruct.encodings.encoding import Encoding
-from reconstruct.mlp import Mlp
-from reconstruct.rays import Normalisation, Rays
-from reconstruct.rendering import volume_weights
-from reconstruct.safe import safe_exp
-from reconstruct.stepfun import inverse_power_ladder, power_ladder, sample_intervals
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.encodings.create import create_encoding
+from reconstruct.field.encodings.encoding import Encoding
+from reconstruct.field.mlp import Mlp
+from reconstruct.numerics.safe import safe_exp
+from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, sample_intervals
+from reconstruct.rendering.volume import volume_weights
+from reconstruct.scene.rays import Normalisation, Rays
 
 
 class Proposal(eqx.Module):

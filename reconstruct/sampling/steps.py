@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from reconstruct.rays import Rays
+from reconstruct.scene.rays import Rays
 
 FRONT, BEHIND = 32, 64
 """Steps between the near plane and the object's ball, and from there to the far plane, where there are surroundings."""

@@ -7,10 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calib import model, projection
-from calib.targets import Board, Observation
-from datasets import images, pose
+from calib.handeye import model
+from calib.intrinsics import projection
+from calib.targets.target import Board, Observation
+from datasets import pose
 from datasets.camera_model import Camera
+from datasets.imaging import images
 from datasets.recording import Frame, Recording
 
 BOARD = Board("charuco", 11, 8, 0.03, 0.022, "DICT_5X5_100")

@@ -5,11 +5,11 @@ import pytest
 
 from calib import calibrate, verify
 from calib.errors import TargetError, Unobservable
-from calib.model import Accuracy
+from calib.handeye.model import Accuracy
 from calib.session import TargetSession, observe_recording
 from datasets import pose
 from datasets.calibration import Calibration
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 
 
 def target_session(simulated, name="a"):
@@ -71,7 +71,7 @@ def test_given_intrinsics_without_deviations_stay(simulate):
 
 def test_given_intrinsics_of_another_size_are_refused(simulate):
     simulated = simulate(seed=45, views=12)
-    with pytest.raises(Misuse, match="480x300, the recording has 960x600"):
+    with pytest.raises(UsageError, match="480x300, the recording has 960x600"):
         calibrate.calibrate_handeye(target_session(simulated), Calibration(simulated.camera.scaled(480, 300), {}))
 
 
@@ -116,5 +116,5 @@ def test_verification_sees_a_hand_eye_error(simulate):
 
 def test_verification_needs_a_hand_eye_pose_and_the_right_size(simulate):
     session = target_session(simulate(seed=48, views=8))
-    with pytest.raises(Misuse, match="holds no hand-eye pose"):
+    with pytest.raises(UsageError, match="holds no hand-eye pose"):
         verify.verify(session, Calibration(simulate(seed=48, views=8).camera, {}))

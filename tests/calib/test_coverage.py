@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib import calibrate, refine, study, uncertainty
-from calib.bench import ESTIMATED, RIG
-from calib.simulate import Pattern, simulate, viewpoints
+from calib import calibrate
+from calib.handeye import refine, uncertainty
+from calib.study import study
+from calib.study.bench import ESTIMATED, RIG
+from calib.study.simulate import Pattern, simulate, viewpoints
 from datasets import pose
 
 

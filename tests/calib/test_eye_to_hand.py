@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate, model, projection, refine, uncertainty, verify
+from calib import calibrate, verify
 from calib.errors import Unobservable
-from calib.model import Accuracy, Session, State
+from calib.handeye import model, refine, uncertainty
+from calib.handeye.model import Accuracy, Session, State
+from calib.intrinsics import projection
 from calib.session import TargetSession
-from calib.simulate import KOALA
-from calib.targets import Board, Observation
+from calib.study.simulate import KOALA
+from calib.targets.target import Board, Observation
 from datasets import pose
 from datasets.calibration import Calibration
 

@@ -8,7 +8,7 @@ from calib import importer
 from calib.calibrate import calibrate_handeye
 from calib.errors import CalibrationError
 from datasets import pose
-from datasets.errors import DatasetError, KoalaError, Misuse
+from datasets.core.errors import DatasetError, KoalaError, UsageError
 
 MATRIX = pose.from_rotation_vector([2.0, -1.0, 0.4], [0.3, -0.2, 0.5])
 BOARD = {
@@ -130,11 +130,11 @@ def test_an_imported_session_is_calibrated_as_a_recorded_one(folder):
 def test_what_is_missing_is_named(folder):
     path, names, truth = folder
     write_poses(path, names[:-2], truth.reported[:-2], "csv")
-    with pytest.raises(Misuse, match=r"images without a pose.*010, 011"):
+    with pytest.raises(UsageError, match=r"images without a pose.*010, 011"):
         importer.import_session(path, described())
-    with pytest.raises(Misuse, match="no images found"):
+    with pytest.raises(UsageError, match="no images found"):
         importer.import_session(path, described(images="pictures/*.png"))
-    with pytest.raises(Misuse, match="no such file"):
+    with pytest.raises(UsageError, match="no such file"):
         importer.import_session(path, described(poses="nowhere.json"))
     (path / "other.json").write_text("{}")
     with pytest.raises(DatasetError, match="no key 'a'"):
@@ -146,10 +146,10 @@ def test_what_is_missing_is_named(folder):
 
 def test_descriptions_are_checked(tmp_path):
     (tmp_path / "import.yaml").write_text("images: a.png\nposes: b.csv\nlayout: matrix\nboard: {}\n")
-    with pytest.raises(Misuse, match="exactly one"):
+    with pytest.raises(UsageError, match="exactly one"):
         importer.load_description(tmp_path)
     (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrx\nboard: {}\n")
-    with pytest.raises(Misuse, match="layout"):
+    with pytest.raises(UsageError, match="layout"):
         importer.load_description(tmp_path)
 
 

@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from calib import options
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,5 +51,5 @@ def test_accuracies_are_converted():
 
 @pytest.mark.parametrize("values", [{"arm_mm": 0.0}, {"arm_deg": -1.0}, {"arm_mm": float("nan")}, {"arm_deg": float("inf")}])
 def test_accuracies_that_cannot_be_are_named(values):
-    with pytest.raises(Misuse, match="accuracy must be a positive number"):
+    with pytest.raises(UsageError, match="accuracy must be a positive number"):
         options.Arm(**values).accuracy()

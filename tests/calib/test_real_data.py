@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import calibrate, compare, handeye, importer, intrinsics
+from calib import calibrate, importer
 from calib.calibrate import calibrate_handeye
-from calib.model import Accuracy
-from calib.report import notes
+from calib.handeye import closed_forms
+from calib.handeye.model import Accuracy
+from calib.intrinsics import estimate
+from calib.page.words import notes
+from calib.study import compare
 from datasets import pose
 from datasets.calibration import Calibration
 
@@ -54,7 +57,7 @@ def published():
 
 
 def closed_form(session, camera, method):
-    return handeye.solve(session.mount_poses, intrinsics.camera_from_boards(camera, session.observations), method)
+    return closed_forms.solve(session.mount_poses, estimate.camera_from_boards(camera, session.observations), method)
 
 
 def by_name(session, camera):
@@ -81,7 +84,7 @@ def test_charuco_agrees_with_the_published_answer(charuco, published):
 @pytest.mark.parametrize("name", ["visp", "charuco", "beside"])
 def test_refinement_predicts_unseen_views_about_as_well_as_the_best_closed_form_or_better(name, request):
     rows = by_name(*request.getfixturevalue(name))
-    closed = min(rows[method].held_out_px for method in handeye.METHODS if np.isfinite(rows[method].held_out_px))
+    closed = min(rows[method].held_out_px for method in closed_forms.METHODS if np.isfinite(rows[method].held_out_px))
     # 8 and 12 views of arms that are millimetres off: which method wins by a seventh is chance
     assert rows["refinement, all views"].held_out_px < 1.15 * closed
     assert rows["refinement, all views"].held_out_px < rows["tsai"].held_out_px * 1.1
@@ -130,7 +133,7 @@ def test_inverse_poses_are_recognised(visp):
 
 def test_intrinsics_from_the_pictures_agree_with_the_maker_s(charuco):
     session, camera = charuco
-    found = intrinsics.calibrate(session.observations, session.width, session.height)
+    found = estimate.calibrate(session.observations, session.width, session.height)
     # twelve views that cover a third of the image: within four deviations of the camera's own figures
     assert abs(found.camera.fx - camera.fx) < max(4 * found.std["fx"], 5)
     assert abs(found.camera.cx - camera.cx) < max(4 * found.std["cx"], 8)

@@ -6,8 +6,8 @@ import pytest
 
 from calib.errors import TargetError
 from calib.session import describe, grey, observe, observe_recording
-from datasets import images
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
+from datasets.imaging import images
 
 
 def test_recording_is_observed_view_by_view(recorded):
@@ -61,7 +61,7 @@ def test_recording_without_board_or_frames_or_target_says_so(recorded, tmp_path)
     (copy / "manifest.json").write_text(json.dumps({**manifest, "board": None}))
     with pytest.raises(TargetError, match="describes no calibration target"):
         observe_recording(copy)
-    with pytest.raises(Misuse, match="is not a recording"):
+    with pytest.raises(UsageError, match="is not a recording"):
         observe_recording(tmp_path / "nowhere")
 
 

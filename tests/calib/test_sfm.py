@@ -6,9 +6,10 @@ import pytest
 
 from calib import sfm
 from calib.errors import CalibrationError
-from calib.model import Accuracy
-from datasets import images, pose
+from calib.handeye.model import Accuracy
+from datasets import pose
 from datasets.camera_model import Camera
+from datasets.imaging import images
 from datasets.scene import Scene, View
 
 CAMERA = Camera(320, 240, 300.0, 301.0, 161.0, 119.0, -0.05, 0.02)

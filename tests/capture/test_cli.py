@@ -14,10 +14,11 @@ import trimesh
 
 from capture.errors import RigConnectionError
 from capture.kinematics import forward
-from capture.rig_description import load_rig
-from capture.sim.controller import HANGING_HOME
-from capture.sim.handle import ControllerHandle
-from datasets import files, images
+from capture.rig.description import load_rig
+from capture.sim.controller.handle import ControllerHandle
+from capture.sim.controller.process import HANGING_HOME
+from datasets.core import files
+from datasets.imaging import images
 from datasets.recording import Recording
 
 SESSION = """\

@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.recorder import record
-from capture.rigs import open_rig, write_simulated_rig
-from capture.sim.controller import SimulatedController
+from capture.recording.recorder import record
+from capture.rig.opening import open_rig, write_simulated_rig
+from capture.sim.controller.process import SimulatedController
 from capture.trajectory import load_trajectory
-from datasets import files, images, pose
+from datasets import pose
+from datasets.core import files
+from datasets.imaging import images
 from datasets.recording import TRUTH, Recording
 
 SCENES = ("shiny_ball", "crystal_capture")

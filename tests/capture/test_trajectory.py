@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from capture.trajectory import Box, load_trajectory
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 
 SMALL = """\
 name: small
@@ -77,7 +77,7 @@ def test_test_views_lie_between_training_views(tmp_path):
 )
 def test_mistakes_are_named(tmp_path, change, expected):
     assert SMALL.count(change[0]) == 1
-    with pytest.raises(Misuse) as caught:
+    with pytest.raises(UsageError) as caught:
         _load(tmp_path, SMALL.replace(*change))
     assert [part for part in expected if part not in str(caught.value)] == []
 
@@ -93,7 +93,7 @@ def test_the_table_is_where_the_trajectory_says(tmp_path):
 
 def test_a_target_session_has_no_split(tmp_path):
     target = "target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022}\n"
-    with pytest.raises(Misuse, match="a session with a target has no split"):
+    with pytest.raises(UsageError, match="a session with a target has no split"):
         _load(tmp_path, SMALL + target)
     assert set(_load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target)).splits) == {"calibration"}
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import images, pose
+from datasets import pose
 from datasets.camera_model import Camera
+from datasets.imaging import images
 from datasets.scene import Scene, View
 
 CAMERA = Camera(128, 96, 110, 110, 64, 48)

@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import files, images, pose
+from datasets import pose
 from datasets.build import build, with_measured_near
 from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import load_scene
+from datasets.imaging import images
+from datasets.imaging.region import Region
 from datasets.recording import Frame, Recording
-from datasets.region import Region
 from datasets.scene import Scene
 
 CAMERA = Camera(48, 36, 45.0, 45.5, 24.6, 17.1, k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4)
@@ -123,14 +125,14 @@ def unhinge(recording: Recording, calibration: Path, how: str) -> None:
     ("how", "kind", "words"),
     [
         ("size", DatasetError, "002.png: image has the wrong size"),
-        ("gone", Misuse, "002.png: no such image"),
+        ("gone", UsageError, "002.png: no such image"),
         ("altered", DatasetError, "002.png: image is not the one that was recorded"),
         ("other camera", DatasetError, "images are 48x36, the calibrated camera is 96x72"),
-        ("no hand-eye", Misuse, "run 'calib handeye'"),
+        ("no hand-eye", UsageError, "run 'calib handeye'"),
         ("NaN", DatasetError, "not finite"),
         ("object", DatasetError, "object's volume is impossible"),
-        ("board", Misuse, "all 5 frames are of a calibration session"),
-        ("empty", Misuse, "holds no frames"),
+        ("board", UsageError, "all 5 frames are of a calibration session"),
+        ("empty", UsageError, "holds no frames"),
     ],
 )
 def test_damage_is_told_and_leaves_nothing(
@@ -144,7 +146,7 @@ def test_damage_is_told_and_leaves_nothing(
 
 def test_nothing_is_overwritten(recording: Recording, calibration: Path, tmp_path: Path) -> None:
     build(recording.path, calibration, tmp_path / "scene")
-    with pytest.raises(Misuse, match="already exists"):
+    with pytest.raises(UsageError, match="already exists"):
         build(recording.path, calibration, tmp_path / "scene")
 
 

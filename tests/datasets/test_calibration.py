@@ -7,7 +7,7 @@ import pytest
 from datasets import kinematics, pose
 from datasets.calibration import Calibration, JointOffsets, UncertainPose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 
 CAMERA = Camera(640, 480, 500.0, 501.0, 322.0, 239.0, k1=-0.1)
 POSE = UncertainPose(
@@ -61,7 +61,7 @@ def test_damage_is_named(tmp_path: Path, change: dict, words: str) -> None:
 
 
 def test_a_missing_file_is_misuse(tmp_path: Path) -> None:
-    with pytest.raises(Misuse, match="no such file"):
+    with pytest.raises(UsageError, match="no such file"):
         Calibration.load(tmp_path / "none.json")
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from datasets.camera_model import Camera
 from datasets.conventions import pixels_from_opencv
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 
 
 def between(low: float, high: float) -> st.SearchStrategy[float]:

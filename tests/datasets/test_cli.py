@@ -80,15 +80,15 @@ def test_scenes_from_scenes(saved: Path, tmp_path: Path, capsys: pytest.CaptureF
     box = ["--left", 8, "--top", 4, "--width", 50, "--height", 40]
     assert done("crop", saved, *box, "--out", tmp_path / "g")["sizes"] == [[50, 40]]
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]  # nothing temporary is left
-    from datasets.errors import Misuse
+    from datasets.core.errors import UsageError
 
     for wrong in (("subset", saved, "--splits", "exam"), ("convert", saved, "--format", "koala", "--sizes", "2,x")):
-        with pytest.raises(Misuse):
+        with pytest.raises(UsageError):
             done(*wrong, "--out", tmp_path / "h")
 
 
 def test_names_are_looked_up_in_the_data_root_first(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datasets.errors import Misuse
+    from datasets.core.errors import UsageError
     from datasets.formats import find
 
     for root in ("root", "here", "env"):
@@ -100,7 +100,7 @@ def test_names_are_looked_up_in_the_data_root_first(saved: Path, tmp_path: Path,
     (tmp_path / "here" / "koala" / "x").rmdir()
     assert find("koala/x") == tmp_path / "env" / "koala" / "x"
     (tmp_path / "here" / "koala" / "gold_head").mkdir()
-    with pytest.raises(Misuse, match="did you mean 'gold_head'"):
+    with pytest.raises(UsageError, match="did you mean 'gold_head'"):
         find("koala/gold_hed")
 
 

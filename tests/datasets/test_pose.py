@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datasets import pose
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 
 numbers = st.floats(-3, 3, allow_subnormal=False)
 vectors = st.tuples(numbers, numbers, numbers)

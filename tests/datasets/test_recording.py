@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from datasets import pose
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 from datasets.recording import FRAMES, Frame, Recording
 
 
@@ -74,7 +74,7 @@ def test_a_frame_that_json_cannot_hold_is_not_written(recording: Recording) -> N
 
 
 def test_create_and_open_refuse(recording: Recording, tmp_path: Path) -> None:
-    with pytest.raises(Misuse, match="already exists"):
+    with pytest.raises(UsageError, match="already exists"):
         Recording.create(recording.path, {})
-    with pytest.raises(Misuse, match="is not a recording"):
+    with pytest.raises(UsageError, match="is not a recording"):
         Recording.open(tmp_path)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import images
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import find, load_scene
+from datasets.imaging import images
 from datasets.scene import Scene
 
 
@@ -35,14 +35,14 @@ def test_normals_are_unit_or_nothing(make_scene: Callable[..., Scene], tmp_path:
     images.write(tmp_path / "n.png", stored)
     normals = replace(view, truth={"normals": tmp_path / "n.png"}).read_truth("normals")
     assert np.abs(normals[:36] - [1, 0, 0]).max() < 0.01 and np.array_equal(normals[36:], np.zeros((36, 96, 3)))
-    with pytest.raises(Misuse, match="no truth called 'specular'"):
+    with pytest.raises(UsageError, match="no truth called 'specular'"):
         view.read_truth("specular")
 
 
 def test_split_names_what_there_is(make_scene: Callable[..., Scene]) -> None:
     scene = make_scene()
     assert len(scene.split("test")) == 3
-    with pytest.raises(Misuse, match=r"no val views.*it has test, train"):
+    with pytest.raises(UsageError, match=r"no val views.*it has test, train"):
         scene.split("val")
 
 
@@ -54,12 +54,12 @@ def test_names_are_looked_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert find("koala/head") == tmp_path / "b" / "koala" / "head"
     assert find("koala/head", tmp_path / "a") == tmp_path / "a" / "koala" / "head"
     assert find("a/koala/head") == Path("a/koala/head")
-    with pytest.raises(Misuse, match=r"looked in .*none.*, .*b/none"):
+    with pytest.raises(UsageError, match=r"looked in .*none.*, .*b/none"):
         find("none")
 
 
 def test_unknown_folders_and_formats(tmp_path: Path) -> None:
-    with pytest.raises(Misuse, match="holds no scene that Koala knows"):
+    with pytest.raises(UsageError, match="holds no scene that Koala knows"):
         load_scene(tmp_path)
-    with pytest.raises(Misuse, match="did you mean 'blender'"):
+    with pytest.raises(UsageError, match="did you mean 'blender'"):
         load_scene(tmp_path, format="blendr")

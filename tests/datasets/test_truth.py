@@ -8,7 +8,7 @@ import pytest
 from datasets import pose, truth
 from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 FOUND = UncertainPose(np.eye(4), np.eye(6))
@@ -24,11 +24,11 @@ def test_errors_are_those_that_were_put_in(simulated_session: Callable[..., Path
 
 def test_what_knows_no_truth_is_said_so(simulated_session: Callable[..., Path], tmp_path: Path) -> None:
     recording = simulated_session(tmp_path / "rec")
-    with pytest.raises(Misuse, match="no hand-eye pose"):
+    with pytest.raises(UsageError, match="no hand-eye pose"):
         truth.calibration_error(recording, Calibration(CAMERA, {}))
     (recording / "truth" / "poses.json").unlink()
     assert not truth.has_truth(recording)
-    with pytest.raises(Misuse, match="knows no truth"):
+    with pytest.raises(UsageError, match="knows no truth"):
         truth.calibration_error(recording, Calibration(CAMERA, {}, FOUND))
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 import typer
 
-from datasets.errors import KoalaError
+from datasets.core.errors import KoalaError
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

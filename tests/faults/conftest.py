@@ -13,8 +13,8 @@ import pytest
 
 from capture import cli
 from capture.robots.dashboard import Dashboard
-from capture.sim.controller import SimulatedController
-from datasets import files
+from capture.sim.controller.process import SimulatedController
+from datasets.core import files
 from datasets.recording import Recording
 
 COUNT = 8

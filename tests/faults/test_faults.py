@@ -15,7 +15,7 @@ from capture.errors import CaptureError
 from capture.kinematics import forward
 from capture.robots.timing import Deadlines
 from capture.robots.ur import UR5e
-from capture.sim.controller import SimulatedController
+from capture.sim.controller.process import SimulatedController
 from datasets.recording import Recording
 
 Session = Any

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import files
+from datasets.core import files
 from datasets.recording import Recording
 
 

@@ -13,21 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct import losses, stepfun, surface
-from reconstruct.cloud import _perpendicular, gaussians_in_frustums
-from reconstruct.contraction import contract, contraction_scale, pull_back
-from reconstruct.encodings.directional import integrated_directional_encoding
-from reconstruct.encodings.frequencies import Frequencies
-from reconstruct.encodings.lattice import PermutohedralLattice, ball_share
-from reconstruct.encodings.simplex import LIFT, VERTICES_PER_UNIT_VOLUME
-from reconstruct.encodings.view import view_encoding
-from reconstruct.encodings.voxels import VoxelGrid, cube_share
-from reconstruct.rays import Rays
-from reconstruct.rendering import volume_weights
-from reconstruct.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
+from reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
+from reconstruct.field.contraction import contract, contraction_scale, pull_back
+from reconstruct.field.encodings.directional import integrated_directional_encoding
+from reconstruct.field.encodings.frequencies import Frequencies
+from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
+from reconstruct.field.encodings.simplex import LIFT, VERTICES_PER_UNIT_VOLUME
+from reconstruct.field.encodings.view import view_encoding
+from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
+from reconstruct.numerics import stepfun
+from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
+from reconstruct.rendering.volume import volume_weights
 from reconstruct.sampling.packing import draw_probability
 from reconstruct.sampling.steps import Steps
-from reconstruct.schedules import encoding_blur, learning_rate
+from reconstruct.scene.rays import Rays
+from reconstruct.surface import losses, sphere
+from reconstruct.training.schedules import encoding_blur, learning_rate
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "numerics.md"
 RNG = np.random.default_rng(0)
@@ -132,7 +133,7 @@ ROWS = [
         "depths 0 to 1 per step, empty rays", 1e-5, 1e-6, "sums of 32", (np.zeros((4, 32)),)),
     Row("Steps", lambda d: steps_of(d, 1e-6), (DIRECTIONS,), "directions along axes and between, near 1e-6, far 1e3", 1e-3, 2e-6,
         "disparity: the furthest steps share the last digits of 1e-3"),
-    Row("neighbourhood_radius", lambda t, h: surface.neighbourhood_radius(jnp.full_like(t, 1e-3), t, h), (MIDDLES, HALVES),
+    Row("neighbourhood_radius", lambda t, h: sphere.neighbourhood_radius(jnp.full_like(t, 1e-3), t, h), (MIDDLES, HALVES),
         "t and its half width 1e-6 to 1e6", 1e-6, 0, "sums of squares"),
     Row("gaussians_in_frustums", frustums, (MIDDLES, np.minimum(HALVES, MIDDLES)), "t and its half width 1e-6 to 1e6", 5e-3, 1e-6,
         "the length along the ray is a difference that cancels for long frustums"),

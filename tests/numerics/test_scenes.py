@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets import images
-from datasets.console import progress
-from datasets.errors import DatasetError
+from datasets.core.console import progress
+from datasets.core.errors import DatasetError
+from datasets.imaging import images
 from datasets.scene import Scene
 from reconstruct.models import load_config
-from reconstruct.rays import BRIGHTEST, Normalisation, Pixels, read_scaled
-from reconstruct.step import StepFunctions
+from reconstruct.scene.rays import BRIGHTEST, Normalisation, Pixels, read_scaled
+from reconstruct.training.step import StepFunctions
 
 SMALL = ["encoding.levels=3", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8", "field.ide_degree=2",
          "sampler.rays=128", "sampler.samples=1024", "sampler.grid=16", "sampler.outer_grid=8", "sampler.steps=32",

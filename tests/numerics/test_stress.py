@@ -13,9 +13,9 @@ import pytest
 
 from reconstruct import models
 from reconstruct.config import Config
-from reconstruct.faults import FAULTS, cause
-from reconstruct.rays import Normalisation, Pixels
-from reconstruct.step import StepFunctions, TrainState
+from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.training.faults import FAULTS, cause
+from reconstruct.training.step import StepFunctions, TrainState
 
 PIXELS, VIEWS, CHUNKS, STEPS = 1500, 5, 4, 6
 SMALL = {

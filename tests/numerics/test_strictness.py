@@ -8,16 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct import losses, objective, surface
-from reconstruct.contraction import contract, contraction_scale, pull_back
-from reconstruct.encodings.directional import integrated_directional_encoding
-from reconstruct.model import Footprint, Model, cloud_of, render
+from reconstruct.field.contraction import contract, contraction_scale, pull_back
+from reconstruct.field.encodings.directional import integrated_directional_encoding
 from reconstruct.models import load_config
-from reconstruct.rays import Rays
-from reconstruct.rendering import volume_weights
-from reconstruct.safe import normalise, safe_exp, safe_norm, srgb_from_linear
+from reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_linear
+from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
+from reconstruct.rendering.model import Footprint, Model, cloud_of, render
+from reconstruct.rendering.volume import volume_weights
 from reconstruct.sampling.samples import RaySamples
-from reconstruct.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
+from reconstruct.scene.rays import Rays
+from reconstruct.surface import losses, sphere
+from reconstruct.training import objective
 
 SMALL = [
     "surface.density=0.1",
@@ -51,9 +52,9 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "resample_blurred": lambda: resample_blurred(jnp.sort(some(2, 9)), jnp.sort(some(2, 5)), some(2, 4), 0.03),
     "volume_weights": lambda: volume_weights(some(2, 4), some(2, 4)),
     "directional": lambda: integrated_directional_encoding(normalise(some(5, 3)).T, some(5), 5),
-    "first_surface": lambda: surface.first_surface(some(4, 6), some(4, 6) > 0.3),
-    "radius": lambda: surface.neighbourhood_radius(some(4), some(4), some(4)),
-    "rotations": lambda: surface.random_rotations(jax.random.key(0), 4),
+    "first_surface": lambda: sphere.first_surface(some(4, 6), some(4, 6) > 0.3),
+    "radius": lambda: sphere.neighbourhood_radius(some(4), some(4), some(4)),
+    "rotations": lambda: sphere.random_rotations(jax.random.key(0), 4),
     "charbonnier": lambda: losses.charbonnier(some(4), 1e-3),
     "interlevel": lambda: losses.interlevel(some(2, 4), some(2, 4)),
     "distortion": lambda: losses.distortion(some(2, 4), some(2, 4), some(2, 4)),

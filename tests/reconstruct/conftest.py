@@ -11,24 +11,25 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import images, pose
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.formats import koala
+from datasets.imaging import images
 from datasets.scene import Scene, View
-from reconstruct import checkpoint
-from reconstruct.appearance import Material, Shading
-from reconstruct.cloud import Cloud
 from reconstruct.config import Config
-from reconstruct.field import Field
-from reconstruct.model import Model
+from reconstruct.field.appearance import Material, Shading
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.field import Field
 from reconstruct.models import load_config
-from reconstruct.rays import Normalisation
-from reconstruct.renderer import Renderer
+from reconstruct.numerics.safe import srgb_from_linear
+from reconstruct.output.restored import Trained
+from reconstruct.rendering.model import Model
+from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.safe import srgb_from_linear
 from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.step import StepFunctions
-from reconstruct.trained import Trained
+from reconstruct.scene.rays import Normalisation
+from reconstruct.training import checkpoint
+from reconstruct.training.step import StepFunctions
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08

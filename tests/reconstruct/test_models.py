@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 from reconstruct.config import Config
 from reconstruct.models import load_config, merged, names, over_run, overview
 
@@ -89,16 +89,16 @@ def test_later_overrides_win_and_leave_the_rest_of_the_preset() -> None:
     ],
 )
 def test_wrong_overrides_are_refused_in_one_line(override: str, says: str) -> None:
-    with pytest.raises(Misuse) as error:
+    with pytest.raises(UsageError) as error:
         load_config(overrides=[override])
     assert says in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_unknown_models_and_presets_name_the_nearest() -> None:
-    with pytest.raises(Misuse, match="did you mean 'surfnerf'"):
+    with pytest.raises(UsageError, match="did you mean 'surfnerf'"):
         load_config("surfnref")
-    with pytest.raises(Misuse, match="did you mean 'paper'"):
+    with pytest.raises(UsageError, match="did you mean 'paper'"):
         load_config("surfnerf", "papr")
 
 
@@ -106,7 +106,9 @@ def test_a_wrong_key_in_a_model_file_names_the_nearest(tmp_path: Path, monkeypat
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "mine.yaml").write_text("about: mine\nfast:\n  encoding: {levles: 3}\n")
     monkeypatch.setattr("importlib.resources.files", lambda package: tmp_path)
-    with pytest.raises(Misuse, match=r"model mine, preset fast, line 3: unknown key 'encoding.levles'; did you mean 'levels'"):
+    with pytest.raises(
+        UsageError, match=r"model mine, preset fast, line 3: unknown key 'encoding.levles'; did you mean 'levels'"
+    ):
         load_config("mine")
 
 
@@ -118,9 +120,9 @@ def test_a_base_must_be_a_model_without_base(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr("importlib.resources.files", lambda package: tmp_path)
     config = load_config("two")
     assert (config.model, config.train.seed, config.train.steps) == ("two", 2, 7)
-    with pytest.raises(Misuse, match="the base of model three has a base itself; write base: one"):
+    with pytest.raises(UsageError, match="the base of model three has a base itself; write base: one"):
         load_config("three")
-    with pytest.raises(Misuse, match="did you mean 'one'"):
+    with pytest.raises(UsageError, match="did you mean 'one'"):
         load_config("four")
 
 

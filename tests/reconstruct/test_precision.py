@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.console import progress
+from datasets.core.console import progress
 from datasets.scene import Scene
-from reconstruct.cloud import points_on_rays
 from reconstruct.config import Config
-from reconstruct.mlp import computed_in
-from reconstruct.model import render
+from reconstruct.field.cloud import points_on_rays
+from reconstruct.field.mlp import computed_in
 from reconstruct.models import load_config, merged_config
-from reconstruct.rays import Normalisation, Pixels, Rays
+from reconstruct.rendering.model import render
 from reconstruct.sampling.samples import RaySamples
-from reconstruct.step import StepFunctions, TrainState
+from reconstruct.scene.rays import Normalisation, Pixels, Rays
+from reconstruct.training.step import StepFunctions, TrainState
 
 STEPS = 80
 SMALL = ["encoding.levels=3", "encoding.log2_size=10", "encoding.finest=32", "field.spatial_width=16", "field.view_width=16",

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from reconstruct.rays import Normalisation
 from reconstruct.run import Run
+from reconstruct.scene.rays import Normalisation
 
 
 def test_the_box_that_was_measured_for_the_training_is_the_box_of_the_run(ball_scene, small_config, tmp_path):

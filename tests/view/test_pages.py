@@ -16,8 +16,8 @@ from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
 from datasets.formats import koala
+from datasets.page import open_page, shapes
 from datasets.scene import Scene
-from datasets.viewer import open_page, shapes
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -64,7 +64,7 @@ def test_a_scene_shows_its_cameras_and_ends_on_ctrl_c(saved: Path, browse: Calla
 
 
 def test_findings_are_where_they_belong(saved: Path, browse: Callable[[str], Any]) -> None:
-    from datasets import view
+    from datasets.page import view
 
     (saved / "images" / "003.png").write_bytes((saved / "images" / "002.png").read_bytes())
     scene = koala.load(saved)
@@ -93,11 +93,11 @@ safety: {workspace: {centre: [0.45, 0, 0.4], size: [1.0, 1.2, 0.8]}}
 
 
 def test_a_trajectory_shows_the_arm_moving_and_what_it_cannot_take(tmp_path: Path, browse: Callable[[str], Any]) -> None:
+    from capture.page.session import SAFETY, CaptureView
+    from capture.page.timeline import of_trajectory
     from capture.planning.obstacles import PARTS, segments
-    from capture.rig_description import RigDescription
+    from capture.rig.description import RigDescription
     from capture.trajectory import load_trajectory
-    from capture.view_session import SAFETY, CaptureView
-    from capture.view_timeline import of_trajectory
 
     (tmp_path / "t.yaml").write_text(TRAJECTORY)
     trajectory, mount = load_trajectory(tmp_path / "t.yaml"), RigDescription().flange_from_camera.matrix()
@@ -118,7 +118,7 @@ def test_a_trajectory_shows_the_arm_moving_and_what_it_cannot_take(tmp_path: Pat
 
 def test_a_calibration_shows_its_target_and_what_is_missing(browse: Callable[[str], Any]) -> None:
     """Without its recording, the page has the target, the certainty, and a sentence that says why there is no more."""
-    from calib.view import show
+    from calib.page.view import show
 
     known = UncertainPose(pose.from_rotation_vector([np.pi, 0, 0], [0.3, 0.1, 0.0]), np.diag([1e-9] * 3 + [1e-8] * 3))
     board = {"type": "charuco", "squares_x": 9, "squares_y": 7, "square_length_m": 0.03, "marker_length_m": 0.022,
@@ -140,7 +140,7 @@ def test_a_calibration_shows_its_target_and_what_is_missing(browse: Callable[[st
 def test_a_view_is_told_with_its_place_in_its_unit(make_scene: Callable[..., Scene], metric: bool, place: str) -> None:
     from dataclasses import replace
 
-    from datasets.view import words_on
+    from datasets.page.view import words_on
 
     view = replace(make_scene().views[0], world_from_camera=pose.rigid(np.eye(3), np.array([1.0, 2.0, 0.5])), truth={})
     assert words_on(view, metric=metric).endswith(place)

@@ -6,8 +6,8 @@ import pytest
 from capture.cameras.basler import TRIES, Basler
 from capture.errors import CaptureError, RigConnectionError
 from capture.trajectory import CameraSettings
-from datasets import images
-from datasets.region import Region
+from datasets.imaging import images
+from datasets.imaging.region import Region
 
 SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000, gain_db=3)
 

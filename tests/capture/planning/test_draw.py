@@ -6,9 +6,9 @@ import pytest
 
 from capture.kinematics import forward
 from capture.planning import Obstacles, draw, plan
-from capture.rig_description import RigDescription
+from capture.rig.description import RigDescription
 from capture.trajectory import load_trajectory
-from datasets import images
+from datasets.imaging import images
 
 MOUNT = RigDescription().flange_from_camera.matrix()
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from capture.planning import duration, plan
 from capture.planning.order import TURN_M, short_order
-from capture.rig_description import RigDescription
+from capture.rig.description import RigDescription
 from capture.trajectory import load_trajectory
 from datasets import pose
 

@@ -6,7 +6,7 @@ import pytest
 from capture.errors import PlanningError, UnreachableError
 from capture.kinematics import JOINT_LIMIT, forward
 from capture.planning import Obstacles, connect, plan
-from capture.rig_description import RigDescription
+from capture.rig.description import RigDescription
 from capture.trajectory import Trajectory, load_trajectory
 from datasets import pose
 

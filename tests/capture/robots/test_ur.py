@@ -14,7 +14,7 @@ from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, 
 from capture.kinematics import forward
 from capture.robots.timing import Deadlines, Settling
 from capture.robots.ur import UR5e
-from capture.sim.controller import SimulatedController
+from capture.sim.controller.process import SimulatedController
 from datasets import pose
 
 GOALS = np.array([[0.2, -1.4, 0.9, -1.5, -1.5, 0.2], [0.5, -1.2, 1.2, -1.5, -1.2, 0.4], [0.1, -1.3, 1.0, -1.8, -1.5, -0.2]])

@@ -3,14 +3,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.focus import sharpness
+from capture.recording.focus import sharpness
 from capture.sim.camera import SimulatedCamera, blur_moments
+from capture.sim.laboratory.views import check_scene
 from capture.sim.truth import RigTruth
-from capture.sim.views import check_scene
 from capture.trajectory import Trajectory, load_trajectory
-from datasets import files, images, pose
+from datasets import pose
 from datasets.camera_model import Camera
-from datasets.errors import Misuse
+from datasets.core import files
+from datasets.core.errors import UsageError
+from datasets.imaging import images
 
 TRUTH = RigTruth.draw(np.eye(4), 0)
 
@@ -116,9 +118,9 @@ def test_noise_depends_on_seed_and_frame_and_on_nothing_before(trajectory):
 
 def test_scene_and_trajectory_must_suit_each_other(configs, trajectory):
     calibration = load_trajectory(configs / "trajectories" / "calibration_demo.yaml")
-    with pytest.raises(Misuse, match="needs a trajectory with 'target'"):
+    with pytest.raises(UsageError, match="needs a trajectory with 'target'"):
         check_scene("charuco_board", trajectory)
-    with pytest.raises(Misuse, match="needs a trajectory with 'object'"):
+    with pytest.raises(UsageError, match="needs a trajectory with 'object'"):
         check_scene("gold_head", calibration)
     check_scene("charuco_board", calibration)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 from datasets.formats import colmap, detect, koala, llff, load_scene, save_scene
 from datasets.formats.colmap_files import read_model
 from datasets.scene import Scene

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import images, pose
+from datasets import pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
-from datasets.errors import DatasetError, KoalaError, Misuse
+from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.formats import colmap, detect, llff, load_scene
+from datasets.imaging import images
 
 SIZE = (30, 40, 3)
 
@@ -183,7 +184,7 @@ def test_the_largest_images_are_taken_unless_others_are_asked_for(rows: Callable
         images.write(folder / "images_2" / f"{index}.png", np.zeros((15, 20, 3)))
     assert load_scene(folder).views[0].camera.width == 40
     assert load_scene(folder, images="images_2").views[0].camera == Camera(20, 15, 25.0, 25.0, 10.0, 7.5)
-    with pytest.raises(Misuse, match="no folder of images"):
+    with pytest.raises(UsageError, match="no folder of images"):
         load_scene(folder, images="images_4")
 
 

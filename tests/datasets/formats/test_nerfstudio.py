@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import images
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_OPENGL
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 from datasets.formats import load_scene, nerfstudio
+from datasets.imaging import images
 from datasets.scene import Scene
 
 

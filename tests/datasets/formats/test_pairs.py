@@ -12,14 +12,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from datasets import images, pose
+from datasets import pose
 from datasets.camera_model import Camera
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 from datasets.formats import WRITERS, load_scene, save_scene
 from datasets.formats.blender import LAYOUT as BLENDER
 from datasets.formats.dtu import LAYOUT as DTU
 from datasets.formats.llff import LAYOUT as LLFF
 from datasets.formats.nerfstudio import LAYOUT as NERFSTUDIO
+from datasets.imaging import images
 from datasets.scene import Scene, Sightings, View
 
 HOLDS: dict[str, Callable[[Camera], bool]] = {name: lambda camera: True for name in WRITERS}
@@ -161,9 +162,9 @@ def test_points_and_sightings_survive(layout: str, make: Callable[[Path], Scene]
 
 
 def test_a_writer_says_what_it_has_no_room_for(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
-    with pytest.raises(Misuse, match="did you mean 'colmap'"):
+    with pytest.raises(UsageError, match="did you mean 'colmap'"):
         save_scene(make_scene(), tmp_path / "x", "colmapp")
-    with pytest.raises(Misuse, match="dtu has no room for smaller images"):
+    with pytest.raises(UsageError, match="dtu has no room for smaller images"):
         save_scene(make_scene(), tmp_path / "x", "dtu", sizes=(2,))
     lens = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12)
     said = save_scene(make_scene(lens, mask=True), tmp_path / "b", "blender")

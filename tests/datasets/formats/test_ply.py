@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 from datasets.formats.ply import read_points, write_points
 
 POINTS = np.random.default_rng(0).normal(size=(7, 3))

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.bounds import corners
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import load_scene
 from datasets.scene import Scene
+from datasets.structure.bounds import corners
 
 Folder = Callable[[str], Path]
 
@@ -104,7 +104,7 @@ def test_colmap_small_takes_the_model_that_has_images(real_data: Folder) -> None
 
 @pytest.mark.parametrize("name", ["visp_franka_handeye", "franka_charuco_handeye"])
 def test_sets_that_are_no_scenes_say_so(real_data: Folder, name: str) -> None:
-    with pytest.raises(Misuse, match="holds no scene that Koala knows"):
+    with pytest.raises(UsageError, match="holds no scene that Koala knows"):
         load_scene(real_data(name))
 
 

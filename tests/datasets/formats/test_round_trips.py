@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import images
 from datasets.camera_model import Camera
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import blender, koala, llff, load_scene
 from datasets.formats.sidecar import FILE as SIDECAR
+from datasets.imaging import images
 from datasets.scene import Scene
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
@@ -162,7 +162,7 @@ def test_a_failed_export_leaves_nothing(make_scene: Callable[..., Scene], tmp_pa
         WRITERS[layout](scene, tmp_path / "here" / "out")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "precious").write_text("x")
-    with pytest.raises(Misuse, match="already exists"):
+    with pytest.raises(UsageError, match="already exists"):
         WRITERS[layout](scene, tmp_path / "full")
 
 

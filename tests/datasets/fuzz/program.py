@@ -19,12 +19,13 @@ import numpy as np
 from corruption import PICTURES, WAYS, Corruption
 from watch import Watch, forget_peak, peak_bytes
 
-from datasets import images, pose
+from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
-from datasets.check import check
-from datasets.errors import KoalaError
+from datasets.checks.check import check
+from datasets.core.errors import KoalaError
 from datasets.formats import load_scene, save_scene
+from datasets.imaging import images
 from datasets.recording import Frame, Recording
 from datasets.scene import Scene, Sightings, View
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 from reconstruct.bench.records import Records
 from reconstruct.bench.run import RECORDS
 from reconstruct.cli import app
@@ -23,7 +23,7 @@ def test_the_plan_trains_nothing() -> None:
 
 
 def test_out_is_needed_and_names_are_checked(tmp_path: Path) -> None:
-    assert isinstance(invoke().exception, Misuse)
+    assert isinstance(invoke().exception, UsageError)
     assert "did you mean 'quick'" in str(invoke("--suite", "quik", "--out", tmp_path).exception)
     assert "no such file" in str(invoke("--peer", tmp_path / "none.csv", "--out", tmp_path).exception)
     assert "did you mean 'teapot'" in str(invoke("scenes", "--scene", "tepot", "--out", tmp_path).exception)
@@ -37,5 +37,5 @@ def test_two_benchmarks_are_compared(tmp_path: Path, make_row: Callable) -> None
     told = json.loads(invoke("compare", tmp_path / "a", tmp_path / "b", "--json").stdout)
     assert {row["figure"]: row["verdict"] for row in told["differences"]}["psnr"] == "better"
     assert "better" in invoke("compare", tmp_path / "a", tmp_path / "b").stdout
-    with pytest.raises(Misuse, match="holds no benchmark"):
+    with pytest.raises(UsageError, match="holds no benchmark"):
         raise invoke("compare", tmp_path / "a", tmp_path / "none").exception

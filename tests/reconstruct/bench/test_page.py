@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from datasets import files
+from datasets.core import files
 from reconstruct.bench import page
 from reconstruct.bench.records import Records
 from reconstruct.bench.run import PROFILES, PROFILES_FORMAT, PROFILES_VERSION, RECORDS

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.errors import DatasetError, Misuse
+from datasets.core.errors import DatasetError, UsageError
 from reconstruct.bench import peers
 
 
@@ -29,5 +29,5 @@ def test_mistakes_are_named(text: str, complaint: str, tmp_path: Path) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(Misuse, match="no such file"):
+    with pytest.raises(UsageError, match="no such file"):
         peers.read(tmp_path / "peers.csv")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.errors import DatasetError
+from datasets.core.errors import DatasetError
 from reconstruct.bench.records import COLUMNS, Records, latest
 from reconstruct.bench.suite import Trial
 

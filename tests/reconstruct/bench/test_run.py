@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
-from datasets.errors import KoalaError
+from datasets.core.errors import KoalaError
 from datasets.formats import load_scene
-from reconstruct.bench import run, scenes
+from reconstruct.bench import run
 from reconstruct.bench.records import Records
+from reconstruct.bench.scenes import make
 from reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
 from reconstruct.bench.trial import chosen_views
 
@@ -65,7 +66,7 @@ def test_views_are_chosen_evenly(ball_scene: tuple) -> None:
 @pytest.mark.parametrize("kind", [QUALITY, COST, PROFILE])
 def test_a_real_trial(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_row: Callable) -> None:
     place = tmp_path / "scene"
-    scenes.write("chrome_ball", place, size=32, train=6, test=2)
+    make.write("chrome_ball", place, size=32, train=6, test=2)
     row = run.measure(Trial(kind, "chrome_ball", 1.0, 0, "surfnerf", "fast", 1.0, 0), place, tmp_path)
     assert row["status"] == "done"
     assert row["steps"] > 0 and row["rays_per_s"] > 0 and row["peak_memory_mb"] > 100 and row["width"] == 32

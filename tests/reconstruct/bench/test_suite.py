@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.errors import Misuse
+from datasets.core.errors import UsageError
 from reconstruct.bench.suite import COST, PROFILE, QUALITY, SUITES, Choice, folders, plan
 from reconstruct.models import load_config
 
@@ -36,11 +36,11 @@ def test_choices() -> None:
     assert [trial.name for trial in trials] == ["quality-teapot-1-0-zipnerf-fast-60-5"]
     chosen = Choice(("lego400",), scales=(0.5,), models=("surfnerf",), presets=("fast",), budgets_s=(60.0,), seeds=(0,))
     assert [trial.name for trial in plan("full", chosen)] == ["quality-lego400-0.5-0-surfnerf-fast-60-0"]
-    with pytest.raises(Misuse, match=r"full has no such trial.*scales are 0\.25, 0\.5, 1, presets fast, paper"):
+    with pytest.raises(UsageError, match=r"full has no such trial.*scales are 0\.25, 0\.5, 1, presets fast, paper"):
         plan("full", Choice(scenes=("lego400",), scales=(0.3,)))
-    with pytest.raises(Misuse, match="did you mean 'gold_rings'"):
+    with pytest.raises(UsageError, match="did you mean 'gold_rings'"):
         plan("quick", Choice(scenes=("gold_ring",)))
-    with pytest.raises(Misuse, match="did you mean 'quick'"):
+    with pytest.raises(UsageError, match="did you mean 'quick'"):
         plan("quik")
 
 

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.rays import Rays
 from reconstruct.sampling.steps import Steps
+from reconstruct.scene.rays import Rays
 
 
 def _some_rays(count: int, seed: int = 0, distance: float = 3.0) -> Rays:

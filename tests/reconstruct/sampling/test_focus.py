@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.rays import Rays
 from reconstruct.sampling import focus
 from reconstruct.sampling.occupancy import Occupancy, cell_centres
+from reconstruct.scene.rays import Rays
 
 GRID, HALF_BOX, RADIUS = 32, (0.5, 0.4, 0.6), 0.3
 CELL = np.sqrt(3) / GRID

@@ -3,10 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.cloud import Cloud
 from reconstruct.config import EncodingConfig, SamplerConfig
-from reconstruct.rays import Normalisation, Rays
+from reconstruct.field.cloud import Cloud
 from reconstruct.sampling.proposal import Proposal, Spacing, propose
+from reconstruct.scene.rays import Normalisation, Rays
 
 
 @pytest.mark.parametrize("bounded", [True, False])

@@ -1,0 +1,73 @@
+"""A chessboard with both numbers of squares even, or both odd, looks the same when it is turned by 180 degrees.
+
+Each view then has two readings. The arm tells which go together: whatever the hand-eye pose is, arm and camera turn by the same angle
+between two views, and in the end every view must put the board in the same place.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibrationError
+from calib.handeye import closed_forms
+from calib.session import TargetSession
+from datasets import pose
+from datasets.core.errors import KoalaError
+
+Array = NDArray[np.float64]
+
+
+def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
+    """The session with all views read the same way round, and their (views, 4, 4) poses; boards that are not ambiguous come back as given.
+
+    Raises:
+        CalibrationError: no reading of the views fits the arm.
+    """
+    if not session.board.is_ambiguous:
+        return session, camera_from_board
+    both = np.stack([camera_from_board, camera_from_board @ half_turn(session)])  # (2, views, 4, 4)
+    views = np.arange(len(camera_from_board))
+    best, best_score = None, np.inf
+    for reference in views[: min(len(views), 5)]:
+        turned = _by_angle(session.mount_poses, both, reference)
+        for _ in range(5):
+            try:
+                answer, keep = closed_forms.solve_robustly(session.mount_poses, both[turned, views])
+            except KoalaError:
+                break
+            score = answer.score(keep) / max(keep.mean(), 1e-9)
+            if score < best_score:
+                best, best_score = turned, score
+            following = _by_place(session.mount_poses, both, answer)
+            if (following == turned).all():
+                break
+            turned = following
+    if best is None:
+        raise CalibrationError("chessboard cannot be read the same way round in all views", remedy="use a board with an odd number "
+                               "of squares one way and an even number the other")  # fmt: skip
+    observations = tuple(
+        replace(o, ids=len(session.board.points) - 1 - o.ids, points=session.board.points[len(session.board.points) - 1 - o.ids])
+        if t else o for o, t in zip(session.observations, best, strict=True)
+    )  # fmt: skip
+    return replace(session, observations=observations), both[best, views]
+
+
+def half_turn(session: TargetSession) -> Array:
+    """(4, 4) board_from_turned_board: half a turn about the board's middle."""
+    x, y, _ = session.board.points.min(0) + session.board.points.max(0)
+    return pose.from_rotation_vector([0, 0, np.pi], [x, y, 0])
+
+
+def _by_angle(mount_poses: Array, both: Array, reference: int) -> NDArray[np.int64]:
+    """(views,) 1 where the other reading turns by the angle that the arm turned by since the reference view."""
+    arm = pose.rotation_angle(pose.inverse(mount_poses[reference]) @ mount_poses)
+    seen = pose.rotation_angle(both @ pose.inverse(both[0, reference]))
+    return np.abs(seen - arm).argmin(0)
+
+
+def _by_place(mount_poses: Array, both: Array, answer: closed_forms.HandEye) -> NDArray[np.int64]:
+    """(views,) 1 where the other reading puts the board nearer to where the answer has it."""
+    places = mount_poses @ answer.flange_from_camera @ both
+    distance, angle = pose.difference(places, answer.base_from_board)
+    return np.hypot(distance, 0.5 * angle).argmin(0)

@@ -1,0 +1,61 @@
+"""Angles by which an arm's joints stand further than it knows: whether they can be estimated, and what came out.
+
+An offset moves the flange differently in every view, but by the same law; `calib.handeye.model` estimates those of `OFFSET_JOINTS` beside all
+else, with the stated accuracy of a joint's zero as their prior. What the views do not show stays at the prior, and is said.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import verify
+from calib.errors import CalibrationError
+from calib.handeye import refine
+from calib.handeye.model import OFFSET_JOINTS, Accuracy, Session
+from calib.handeye.refine import Refined
+from calib.session import TargetSession
+from datasets import kinematics, pose
+from datasets.calibration import JointOffsets
+
+MAX_BUILT_M, MAX_BUILT_RAD = 0.05, float(np.deg2rad(3))
+"""How far an arm as built may be from the nominal one; what is further away is another arm, or another pose."""
+SHOWN = 0.7
+"""An offset whose standard deviation is more than this share of the prior's is not shown by the views."""
+
+
+def check(session: TargetSession, accuracy: Accuracy) -> None:
+    """Raise CalibrationError where joint offsets are asked for and the session's joint angles are missing or not those of its poses."""
+    if accuracy.joint_rad == 0:
+        return
+    if session.joints is None:
+        raise CalibrationError("joint offsets cannot be estimated", why="the session holds no joint angles",
+                               remedy="leave --joint-deg away, or record with 'capture run'")  # fmt: skip
+    distance, angle = pose.difference(kinematics.forward(session.joints), session.base_from_flange)
+    if np.median(distance) > MAX_BUILT_M or np.median(angle) > MAX_BUILT_RAD:
+        raise CalibrationError(
+            "joint angles are not those of the poses", why=f"by a UR5e's kinematics the flange is {1e3 * np.median(distance):.0f} mm and "
+            f"{np.rad2deg(np.median(angle)):.1f} deg elsewhere", remedy="leave --joint-deg away: another arm has other kinematics",
+        )  # fmt: skip
+
+
+def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -> JointOffsets | None:
+    """The offsets out of a refinement and the (p, p) covariance of its global parameters; None where none were asked for."""
+    if not session.turning:
+        return None
+    std, first = np.zeros(6), len(session.free)
+    std[session.turning] = np.sqrt(np.diag(covariance)[first : first + len(session.turning)])
+    return JointOffsets(refined.state.offsets, std)
+
+
+def facts(session: Session, refined: Refined, offsets: JointOffsets) -> dict[str, Any]:
+    """For the calibration file: joints of whose offsets the views say nothing, and the error on unseen views without any offsets."""
+    stated = session.accuracy.joint_rad
+    plain = replace(session, joints=None)
+    start = replace(refined.state, offsets=np.zeros(6), corrections=0 * refined.state.corrections)
+    without = verify.held_out(plain, refine.refine(plain, start, sigma_px=refined.sigmas.pixel))
+    return {
+        "joints_not_shown": [joint + 1 for joint in OFFSET_JOINTS if offsets.std[joint] > SHOWN * stated],
+        **{f"{name}_without_joint_offsets": value for name, value in without.items()},
+    }

@@ -1,0 +1,214 @@
+"""The rig as equations: where each corner of each view should be seen, and how that changes with every unknown.
+
+The flange of view i is truly at
+
+    flange[i] = base_from_flange[i] @ D(q[i], offsets) @ C[i],
+
+where D is what the arm's joints do to the flange when they stand further by `offsets` than it knows, and C[i] is what its report missed
+beside, a small motion of the flange about its own origin. Corner k of that view is predicted at
+
+    project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
+    project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
+
+Both are project(inverse(camera_pose) @ A[i] @ board_pose @ point[k]) with A[i] the pose of what carries the board in the frame of what
+carries the camera: inverse(flange[i]), or flange[i]. A small motion of the flange is then one of what is mounted on it.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibrationError
+from calib.intrinsics import projection
+from calib.solver.geometry import by_motion, exponential, rotate
+from datasets import kinematics, pose
+
+Array = NDArray[np.float64]
+OFFSET_JOINTS = [1, 2, 3, 4]
+"""The joints between the first and the last. An offset of the first turns the whole base, one of the last the flange about its own axis:
+the two unknown poses take them up exactly, so that they are zero by convention."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How far the arm's reported flange pose is from the true one: standard deviations per axis, and those of its joints."""
+
+    translation_m: float = 5e-5
+    rotation_rad: float = float(np.deg2rad(0.01))
+    joint_rad: float = 0.0
+    """Of the angle at which a joint says that it stands at zero, which is the same in all views; 0: the joints are right."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """Intrinsics as measured elsewhere."""
+
+    names: tuple[str, ...]
+    values: Array
+    """(k,) in the order of `names`."""
+    covariance: Array
+    """(k, k)."""
+
+    def off(self, intrinsics: Array) -> Array:
+        """(k,) deviations of (12,) intrinsics from what is known, whitened: independent and of unit variance."""
+        columns = [projection.NAMES.index(name) for name in self.names]
+        return self.whitening @ (self.values - intrinsics[columns])
+
+    @property
+    def whitening(self) -> Array:
+        """(k, k) matrix that makes deviations independent and of unit variance."""
+        scale = np.sqrt(np.diag(self.covariance))  # between 1e-6 for k3 and pixels: scaled before it is inverted
+        return np.linalg.inv(np.linalg.cholesky(self.covariance / np.outer(scale, scale))) / scale
+
+
+@dataclass(frozen=True)
+class Session:
+    """What was measured: corners of all views in one list, and the arm's word for each view."""
+
+    base_from_flange: Array
+    """(views, 4, 4) as reported."""
+    view: NDArray[np.int64]
+    """(n,) view of each corner, ascending."""
+    pixels: Array
+    """(n, 2) [px]."""
+    points: Array
+    """(n, 3) on the board [m]."""
+    free: tuple[str, ...] = ("fx", "fy", "cx", "cy")
+    """Intrinsics that are estimated; the others stay."""
+    known: Known | None = None
+    """Of `free` intrinsics, from elsewhere."""
+    accuracy: Accuracy = Accuracy()
+    """The arm's, as stated."""
+    fisheye: bool = False
+    """Whether the lens is a fisheye."""
+    eye_to_hand: bool = False
+    """Whether the camera stands beside the arm and the board is on the flange."""
+    joints: Array | None = None
+    """(views, 6) joint angles as reported [rad], where they are known."""
+
+    @property
+    def turning(self) -> list[int]:
+        """Joints whose offsets are estimated: `OFFSET_JOINTS` where the arm is stated to have any, else none."""
+        return OFFSET_JOINTS if self.accuracy.joint_rad > 0 and self.joints is not None else []
+
+    @property
+    def pose_names(self) -> tuple[str, str]:
+        """What camera_pose and board_pose are called here."""
+        return ("base_from_camera", "flange_from_board") if self.eye_to_hand else ("flange_from_camera", "base_from_board")
+
+    @property
+    def columns(self) -> list[int]:
+        """Indices of `free` in the intrinsics vector."""
+        return [projection.NAMES.index(name) for name in self.free]
+
+    def some(self, chosen: NDArray[np.bool_]) -> "Session":
+        """The same with the corners of `chosen` (n,) alone; views keep their numbers."""
+        return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
+
+
+@dataclass(frozen=True)
+class State:
+    """The unknowns. Global parameters are ordered: free intrinsics, joint offsets, camera_pose (6), board_pose (6).
+
+    With the camera beside the arm, `flange_from_camera` holds base_from_camera and `base_from_board` holds flange_from_board.
+    """
+
+    intrinsics: Array
+    """(12,) in the order of `projection.NAMES`."""
+    flange_from_camera: Array
+    """(4, 4); perturbed from the left, translation first."""
+    base_from_board: Array
+    """(4, 4); perturbed from the left, translation first."""
+    corrections: Array
+    """(views, 6): translation [m] and rotation vector [rad] of C[i]."""
+    offsets: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) of the joints: true angle minus reported angle [rad]."""
+
+    def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
+        """The state after a step of the global parameters and of the (views, 6) corrections; `columns` are the free intrinsics."""
+        intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
+        intrinsics[columns] += step[: len(columns)]
+        offsets[OFFSET_JOINTS[: len(turns)]] += turns
+        return replace(
+            self, intrinsics=intrinsics, flange_from_camera=perturbed(self.flange_from_camera, step[-12:-6]),
+            base_from_board=perturbed(self.base_from_board, step[-6:]), corrections=self.corrections + view_steps, offsets=offsets,
+        )  # fmt: skip
+
+
+def perturbed(a_from_b: Array, twist: Array) -> Array:
+    """`a_from_b` after a small motion of b's frame in a: translation by twist[:3] and rotation by twist[3:], about a's origin."""
+    return pose.from_rotation_vector(twist[3:], twist[:3]) @ a_from_b
+
+
+def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
+    """Predicted corners and their derivatives.
+
+    Returns:
+        (n, 2) pixels; (n, 2, p) by the global parameters; (n, 2, 6) by the correction of the corner's own view.
+    """
+    chain, view = _chain(session, state), session.view
+    if not chain.in_camera[:, 2].min() > 1e-6:
+        raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
+    pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.fisheye)
+    by_camera_mount = by_camera @ chain.camera_from_mount
+    by_board_mount = by_camera_mount @ chain.mount_from_mount[view]
+    by_camera_pose = -by_motion(by_camera_mount, chain.on_camera_mount)
+    by_board_pose = by_motion(by_board_mount, chain.on_board_mount)
+    by_flange = by_board_pose if session.eye_to_hand else by_camera_pose
+    rotation, right_jacobian = exponential(state.corrections[:, 3:])
+    own = np.concatenate([by_flange[..., :3] @ np.swapaxes(rotation, 1, 2)[view], by_flange[..., 3:] @ right_jacobian[view]], -1)
+    by_offsets = by_flange @ _joint_motions(session, state, rotation)[view]
+    by_global = [by_intrinsics[..., session.columns], by_offsets, by_camera_pose, by_board_pose]
+    return pixels, np.concatenate(by_global, -1), own
+
+
+def camera_points(session: Session, state: State) -> Array:
+    """(n, 3) corners in the camera frame of their view [m]."""
+    return _chain(session, state).in_camera
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Corners (n, 3) in the frames from board to camera [m], and the rotations between what carries the two."""
+
+    on_board_mount: Array
+    on_camera_mount: Array
+    in_camera: Array
+    mount_from_mount: Array
+    """(views, 3, 3) of A: camera's mount from board's mount."""
+    camera_from_mount: Array
+    """(3, 3)."""
+
+
+def _chain(session: Session, state: State) -> _Chain:
+    rotation, _ = exponential(state.corrections[:, 3:])
+    flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
+    mounts = flange if session.eye_to_hand else pose.inverse(flange)
+    camera_from_mount = pose.inverse(state.flange_from_camera)
+    on_board_mount = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
+    on_camera_mount = rotate(mounts[session.view, :3, :3], on_board_mount) + mounts[session.view, :3, 3]
+    in_camera = on_camera_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
+    return _Chain(on_board_mount, on_camera_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
+
+
+def _reported(session: Session, state: State) -> Array:
+    """(views, 4, 4) base_from_flange @ D: what the arm would have reported, had it known its joints."""
+    if session.joints is None or not state.offsets.any():
+        return session.base_from_flange
+    return kinematics.turned(session.base_from_flange, session.joints, state.offsets)
+
+
+def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
+    """(views, 6, k) motion of the true flange, in its own frame, for a small turn of each joint of `session.turning`.
+
+    The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of its
+    correction lead to, it is turned back, and turning moves what is not at the origin.
+    """
+    if session.joints is None or not session.turning:
+        return np.zeros((len(session.base_from_flange), 6, 0))
+    motions = kinematics.flange_jacobian(session.joints + state.offsets)[..., session.turning]
+    moved = motions[:, :3] + np.cross(motions[:, 3:], state.corrections[:, :3, None], axis=1)
+    back = np.swapaxes(rotation, 1, 2)
+    return np.concatenate([back @ moved, back @ motions[:, 3:]], axis=1)

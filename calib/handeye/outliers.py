@@ -1,0 +1,68 @@
+"""Views in which the arm's report and the picture disagree by more than chance: found by the refinement, named and left out.
+
+The refinement gives every view a correction of the arm's report. Among honest views these scatter alike; a view taken before the arm
+had settled, or after somebody touched the board, needs a correction many times as large as the usual one.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.handeye import refine, uncertainty
+from calib.handeye.model import Accuracy, Known, Session, State
+from calib.handeye.refine import Refined
+from calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
+from calib.session import TargetSession
+
+LIMIT = 6.0
+"""Correction in usual sizes from which on a view is left out; an honest one gets there once in ten million times."""
+MAX_SHARE = 0.4
+"""At most this share of the views is left out: where more disagree, it is the arm that is worse than stated."""
+MEDIAN_LENGTH = 1.538
+"""Median length of a Gaussian vector in three dimensions, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A refinement and what took part in it."""
+
+    session: TargetSession
+    measured: Session
+    refined: Refined
+    left_out: dict[str, str]
+    """Views that did not take part, and why."""
+
+
+def refine_without(
+    session: TargetSession, start: State, free: tuple[str, ...], known: Known | None, accuracy: Accuracy, *, sigma_px: float,
+    fisheye: bool = False,
+) -> Fit:  # fmt: skip
+    """Refine from `start`, leaving out views that disagree, one round after another.
+
+    Raises:
+        TargetError, Unobservable, CalibrationError: too little is left, or nothing fits.
+    """
+    allowed, left_out = int(MAX_SHARE * len(session.observations)), {}
+    while True:
+        check_enough(session.observations, 0 if not free else MIN_TOTAL_CORNERS)
+        uncertainty.check_motion(session.base_from_flange)
+        measured = session.measured(free, known, accuracy, fisheye)
+        refined = refine.refine(measured, start, sigma_px=sigma_px)
+        bad = disagreeing(refined, accuracy)
+        if not bad.any() or len(left_out) + bad.sum() > allowed:
+            return Fit(session, measured, refined, left_out)
+        sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)
+        for i in np.flatnonzero(bad):
+            left_out[session.observations[i].name] = (
+                f"arm and picture disagree by {1e3 * sizes[i, 0]:.2g} mm and {np.rad2deg(sizes[i, 1]):.2g} deg"
+            )
+        session = session.chosen(~bad)
+        start = replace(refined.state, corrections=np.zeros((len(session.observations), 6)))
+
+
+def disagreeing(refined: Refined, accuracy: Accuracy) -> NDArray[np.bool_]:
+    """(views,) whose correction is larger than `LIMIT` times the usual one, and than what the arm is stated to do."""
+    sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)  # (views, 2): translation, rotation
+    usual = np.maximum(np.median(sizes, axis=0) / MEDIAN_LENGTH, 0.5 * np.array([accuracy.translation_m, accuracy.rotation_rad]))
+    return (sizes > LIMIT * usual).any(1)

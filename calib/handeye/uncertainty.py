@@ -1,0 +1,110 @@
+"""How well the rig is known, and what a session cannot know at all.
+
+Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are
+the inverse of the information that corners, the arm's accuracy and known intrinsics give together.
+"""
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import Unobservable
+from calib.handeye.model import Session
+from calib.handeye.refine import Refined
+from calib.intrinsics import estimate, projection
+from datasets import pose
+from datasets.calibration import UncertainPose
+
+Array = NDArray[np.float64]
+MIN_TURN_RAD = float(np.deg2rad(3))
+"""Rms angle about an axis below which the flange counts as not having turned about it."""
+MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
+"""A pose less certain than this is refused: no reconstruction could use it."""
+
+
+def check_motion(base_from_flange: Array) -> None:
+    """Raise Unobservable where the arm's motion cannot determine the hand-eye pose, whatever the pictures show.
+
+    Args:
+        base_from_flange: (views, 4, 4).
+
+    With rotations about one axis only, camera and board may slide along that axis together; without rotation, by any
+    vector (Tsai 1989, section II-C; Park 1994, section III: two axes that are not parallel are needed).
+    """
+    if len(base_from_flange) < 3:
+        raise Unobservable(
+            "hand-eye pose is not observable", why=f"{len(base_from_flange)} views", remedy="record at least 10 views"
+        )
+    turns = [pose.rotation_vector(a[:3, :3] @ b[:3, :3].T) for a, b in combinations(base_from_flange, 2)]
+    _, spread, axes = np.linalg.svd(np.array(turns) / np.sqrt(len(turns)))
+    if spread[0] < MIN_TURN_RAD:
+        raise Unobservable(
+            "translation of the hand-eye pose is not observable", why=f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only",
+            remedy="tilt the camera by 20 degrees and more about two different axes between views",
+        )  # fmt: skip
+    if spread[1] < MIN_TURN_RAD:
+        axis = ", ".join(f"{x:.2f}" for x in axes[0] * np.sign(axes[0][np.abs(axes[0]).argmax()]))
+        raise Unobservable(
+            "translation of the hand-eye pose along the axis of rotation is not observable",
+            why=f"the flange turned about one axis only, ({axis}) in the base, and by {np.rad2deg(spread[1]):.2g} deg about others",
+            remedy="add views that are tilted about a second axis by 20 degrees and more",
+        )  # fmt: skip
+
+
+def parameter_names(session: Session) -> list[str]:
+    """Names of the global parameters, with units, in the order of `Refined.information`."""
+    axes = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
+    offsets = (f"offset of joint {number + 1}" for number in session.turning)
+    return [*session.free, *offsets, *(f"{p} {a}" for p in session.pose_names for a in axes)]
+
+
+def covariance(session: Session, refined: Refined) -> Array:
+    """(p, p) covariance of the global parameters.
+
+    Raises:
+        Unobservable: a combination of them is left undetermined by the session; the message names the largest part.
+    """
+    information = refined.information
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    if not np.isfinite(values).all() or values[0] < 1e-14 * values[-1]:
+        weakest = np.abs(vectors[:, 0] / scale) / _units(session)
+        _refuse(session, int(weakest.argmax()), "no view shows it")
+    result = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    _check(session, refined, result)
+    return result
+
+
+def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPose, UncertainPose]:
+    """(flange_from_camera, base_from_board) with their (6, 6) covariances out of the `joint` (p, p) one."""
+    state = refined.state
+    return UncertainPose(state.flange_from_camera, joint[-12:-6, -12:-6]), UncertainPose(state.base_from_board, joint[-6:, -6:])
+
+
+def _units(session: Session) -> Array:
+    """(p,) sizes that make parameters comparable: what an error would have to be to matter."""
+    of_camera, of_joints = np.where(np.array(session.columns) < 4, 10.0, 0.1), np.full(len(session.turning), MAX_STD_RAD)
+    return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
+
+
+def _check(session: Session, refined: Refined, joint: Array) -> None:
+    """Raise Unobservable where a pose or the focal length is too uncertain to be of use."""
+    std = np.sqrt(np.diag(joint))
+    for name in ("fx", "fy"):
+        if name in session.free:
+            relative = std[session.free.index(name)] / refined.state.intrinsics[projection.NAMES.index(name)]
+            if not relative <= estimate.MAX_FOCAL_STD:
+                _refuse(session, session.free.index(name), f"its standard deviation is {relative:.1%} of it")
+    for uncertain, first in zip(poses(session, refined, joint), (-12, -6), strict=True):
+        millimetres = uncertain.translation_std_mm
+        if not millimetres.max() <= 1e3 * MAX_STD_M:
+            _refuse(session, first + int(millimetres.argmax()), f"its standard deviation is {millimetres.max():.3g} mm")
+        if not std[first + 3 :][:3].max() <= MAX_STD_RAD:
+            worst = first + 3 + int(std[first + 3 :][:3].argmax())
+            _refuse(session, worst, f"its standard deviation is {np.rad2deg(std[worst]):.3g} deg")
+
+
+def _refuse(session: Session, parameter: int, why: str) -> None:
+    raise Unobservable(f"{parameter_names(session)[parameter]} is not observable", why=why,
+                       remedy="add views that are tilted by 20 degrees and more about two axes, at two distances")  # fmt: skip

@@ -1,0 +1,1 @@
+"""Intrinsics: projection with derivatives, estimation from views of a flat target, cross-validation."""

@@ -1,0 +1,73 @@
+"""Two cameras from two halves of a session: where in the image they disagree is where the calibration is not to be trusted.
+
+Both halves see the same lens; what differs is noise, and what the lens model cannot follow. A camera turned by a little looks like one
+whose centre has moved by a little, so that the best rotation is taken out first (as mrcal's projection difference does).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.intrinsics import estimate
+from calib.intrinsics.estimate import Lens
+from calib.targets.target import Observation
+from datasets import pose
+from datasets.camera_model import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A map of how far two cameras put the same direction apart."""
+
+    columns: Array
+    """(w,) where in the image [px]."""
+    rows: Array
+    """(h,) where in the image [px]."""
+    distance_px: Array
+    """(h, w) [px]."""
+
+    @property
+    def rms_px(self) -> float:
+        """Over the image [px]."""
+        return float(np.sqrt(np.mean(self.distance_px**2)))
+
+
+def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Difference:
+    """Fit every other view, and the rest, with one lens, and compare.
+
+    Args:
+        camera: to start from.
+        lens: what is estimated.
+        observations: the views.
+        camera_from_board: (views, 4, 4) to start from.
+
+    Raises:
+        CalibrationError: a half cannot be fitted.
+    """
+    halves = [estimate.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
+    return difference(halves[0], halves[1])
+
+
+def difference(first: Camera, second: Camera, cells: int = 24) -> Difference:
+    """Distance between where `first` and `second` see the same directions, on a grid over the image."""
+    columns = (np.arange(cells) + 0.5) * first.width / cells
+    rows = (np.arange(cells) + 0.5) * first.height / cells
+    pixels = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
+    directions = first.directions(pixels)
+    turn = np.eye(3)
+    for _ in range(5):  # Gauss-Newton for the rotation that brings the two closest
+        turned = directions @ turn.T
+        off = pixels - second.project(turned)
+        jacobian = np.empty((len(pixels), 2, 3))
+        for axis in range(3):
+            step = 1e-6 * np.eye(3)[axis]
+            moved = turned @ pose.from_rotation_vector(step)[:3, :3].T
+            jacobian[..., axis] = (second.project(moved) - second.project(turned)) / 1e-6
+        step = np.linalg.lstsq(jacobian.reshape(-1, 3), off.ravel(), rcond=None)[0]
+        turn = pose.from_rotation_vector(step)[:3, :3] @ turn
+    distance = np.linalg.norm(pixels - second.project(directions @ turn.T), axis=-1)
+    return Difference(columns, rows, distance.reshape(cells, cells))

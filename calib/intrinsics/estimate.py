@@ -1,0 +1,325 @@
+"""Intrinsics from views of a flat target (Zhang 2000), with as many coefficients as the views support.
+
+OpenCV finds a start; then each candidate lens is fitted on some views by least squares, and the others are judged with their pose
+alone left free. Usual are k1 k2 p1 p2: more or fewer have to lower that held-out error. (With fewer as the rule, one session in
+twenty would leave out what it had too few views to prove, and state a centre several deviations off.) Corners and views that
+disagree grossly are left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibrationError, TargetError, Unobservable
+from calib.intrinsics import bundle, projection
+from calib.targets import screening
+from calib.targets.target import Observation
+from datasets import conventions, pose
+from datasets.camera_model import Camera
+
+Array = NDArray[np.float64]
+MIN_VIEWS = 5
+MIN_TOTAL_CORNERS = 100
+GAIN = 0.002
+"""Share by which another model must lower the held-out error to be taken: less is the luck of the draw."""
+MAX_FOCAL_STD = 0.03
+"""Relative standard deviation of the focal length from which on it counts as not observed."""
+MIN_TILT_RAD = float(np.deg2rad(6))
+"""Rms angle between the target's normals and their mean below which the views count as one direction."""
+OUTLIER = 6.0
+"""Distance of a corner from where it should be, in robust standard deviations, from which on it is left out."""
+_TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A distortion model: which coefficients are estimated."""
+
+    coefficients: tuple[str, ...]
+    fisheye: bool = False
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """All intrinsics that are estimated."""
+        return ("fx", "fy", "cx", "cy", *self.coefficients)
+
+
+BROWN = tuple(Lens(names) for names in ((), ("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3")))
+USUAL = BROWN[3]
+RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
+LENSES: dict[str, tuple[Lens, ...]] = {
+    "auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE,
+}  # fmt: skip
+"""Candidates by the name that a person asks for; each next one is kept where it predicts unseen views better."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A camera estimated from views of a target."""
+
+    camera: Camera
+    lens: Lens
+    covariance: Array
+    """(k, k) of the estimated values, in the order of `lens.free`."""
+    rms_px: float
+    """Root mean square distance between seen and predicted corner [px]."""
+    held_out_px: float
+    """The same for views that the fit had not seen [px]."""
+    view_rms_px: dict[str, float]
+    """By name of the view [px]."""
+    coverage: float
+    """Share of the image, in cells of an 8 x 8 grid, in which a corner was seen."""
+    camera_from_board: Array
+    """(views, 4, 4), in the order of `observations`."""
+    observations: tuple[Observation, ...]
+    """What took part."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Views that did not, and why."""
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each estimated value [px for fx fy cx cy, else 1]."""
+        return dict(zip(self.lens.free, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of a corner per axis [px]."""
+        return max(self.rms_px / np.sqrt(2), 1e-4)
+
+
+def calibrate(
+    observations: Sequence[Observation], width: int, height: int, *, lenses: Sequence[Lens] = LENSES["auto"]
+) -> Intrinsics:
+    """Estimate a camera from `observations` in images of `width` x `height` [px].
+
+    Raises:
+        TargetError: too few views or corners.
+        Unobservable: the views do not determine the focal length (all look straight at the target).
+        CalibrationError: no fit was found.
+    """
+    check_enough(observations)
+    observations, left_out = screening.agreeing_with_plane(observations)
+    check_enough(observations)
+    first, poses = _start(observations, width, height, lenses[0].fisheye)
+    observations, poses, more = _without_outliers(observations, first, poses, lenses)
+    check_enough(observations)
+    chosen, held_out_px = _choice(observations, first, poses, lenses)
+    return _finished(observations, first, poses, chosen, held_out_px, {**left_out, **more})
+
+
+def _finished(
+    observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens, held_out_px: float, left_out: dict[str, str]
+) -> Intrinsics:
+    """The last fit, and the checks that it means something."""
+    camera, fitted = fit(observations, first, poses, lens)
+    _check_directions(fitted.camera_from_board)
+    freedom = fitted.residuals.size - 6 * len(observations) - len(lens.free)
+    variance = max(float((fitted.residuals**2).sum()) / max(freedom, 1), 1e-12)
+    scale = np.sqrt(np.maximum(np.diag(fitted.information), 1e-300))
+    covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
+    if not relative.max() <= MAX_FOCAL_STD:
+        raise Unobservable("focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it",
+                           remedy=_TILT)  # fmt: skip
+    view = flat(observations)[0]
+    by_view = {o.name: _rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
+    return Intrinsics(camera, lens, covariance, _rms(fitted.residuals), held_out_px, by_view,
+                      coverage(observations, camera.width, camera.height), fitted.camera_from_board, tuple(observations),
+                      left_out)  # fmt: skip
+
+
+def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
+    """The lens that predicts unseen views best, and its error [px]: from the usual one to more and to fewer coefficients, while it helps."""
+    chosen = USUAL if USUAL in lenses else lenses[0]
+    best = _held_out(observations, first, poses, chosen)
+    usual = lenses.index(chosen)
+    straight = [[lens for lens in part if not lens.fisheye] for part in (lenses[usual + 1 :], lenses[:usual][::-1])]
+    for ladder in (*straight, [lens for lens in lenses if lens.fisheye and lens != chosen]):
+        for lens in ladder:
+            if not _worth_a_try(lens, first, lenses):
+                break
+            error = _held_out(observations, first, poses, lens)
+            if error < (1 - GAIN) * best:
+                chosen, best = lens, error
+            elif not lens.fisheye:
+                break
+    return chosen, best
+
+
+def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
+    """A fisheye is tried where it was asked for, or where the image reaches 35 degrees and more off the axis."""
+    reach = np.hypot(first.width, first.height) / 2 / min(first.fx, first.fy)
+    return not lens.fisheye or all(other.fisheye for other in lenses) or reach > np.tan(np.deg2rad(35))
+
+
+def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_CORNERS) -> None:
+    """Raise TargetError where there are fewer views or corners than a calibration needs."""
+    corners = sum(len(o.ids) for o in observations)
+    if len(observations) < MIN_VIEWS or corners < least:
+        raise TargetError(
+            "target is seen too little", why=f"{corners} corners in {len(observations)} views, at least {least} "
+            f"in {MIN_VIEWS} are needed", remedy="record more views with the whole target in the picture, sharp and evenly lit",
+        )  # fmt: skip
+
+
+def _check_directions(camera_from_board: Array) -> None:
+    """Raise Unobservable where all of the (views, 4, 4) poses look at the target from one direction.
+
+    Focal length and distance then trade freely, the fit goes astray and states a small deviation all the same.
+    """
+    normals = camera_from_board[:, :3, 2]
+    mean = normals.mean(0) / np.linalg.norm(normals.mean(0))
+    spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
+    if spread < MIN_TILT_RAD:
+        raise Unobservable(
+            "focal length is not observable", why=f"the target is tilted by {np.rad2deg(spread):.2g} deg only", remedy=_TILT
+        )
+
+
+def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> Array:
+    """(views, 4, 4) poses of a target: in each view the better of the two planar solutions, then least squares in pixels.
+
+    Raises:
+        CalibrationError: a view allows no pose in front of the camera; the message names it.
+    """
+    found = [_planar_poses(camera, observation) for observation in observations]
+    fits = []
+    for choice in (0, -1):
+        starts = np.stack([poses[choice] for poses in found])
+        fits.append(bundle.fit(*flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
+    view = flat(observations)[0]
+    squares = [np.bincount(view, (f.residuals**2).sum(-1), len(observations)) for f in fits]
+    return np.where((squares[0] <= squares[1])[:, None, None], fits[0].camera_from_board, fits[1].camera_from_board)
+
+
+def camera_from_board(camera: Camera, observation: Observation) -> Array:
+    """(4, 4) pose of a target in one view; see `camera_from_boards`."""
+    return camera_from_boards(camera, [observation])[0]
+
+
+def _planar_poses(camera: Camera, observation: Observation) -> list[Array]:
+    """The one or two (4, 4) poses that a flat target can have (Collins & Bartoli 2014), in front of the camera, best first."""
+    points, ideal = (np.ascontiguousarray(a) for a in (observation.points, camera.directions(observation.pixels)[:, :2]))
+    try:
+        _, rotations, translations, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    except cv2.error:
+        rotations, translations = (), ()
+    poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
+    poses = [p for p in poses if np.isfinite(p).all() and (points @ p[2, :3] + p[2, 3]).min() > 0]
+    if not poses:
+        raise CalibrationError(
+            "pose of the target cannot be found", where=f"view {observation.name}", remedy="leave this view out"
+        )
+    return poses
+
+
+def reproject(camera: Camera, camera_from_board: Array, observation: Observation) -> Array:
+    """(n, 2) pixels where the corners of `observation` should be."""
+    return camera.project(observation.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
+
+
+def coverage(observations: Sequence[Observation], width: int, height: int) -> float:
+    """Share of the cells of an 8 x 8 grid over the image that hold a corner."""
+    pixels = np.concatenate([o.pixels for o in observations])
+    cells = np.clip((pixels / [width, height] * 8).astype(int), 0, 7)
+    return len(np.unique(cells, axis=0)) / 64
+
+
+def flat(observations: Sequence[Observation]) -> tuple[NDArray[np.int64], Array, Array]:
+    """(n,) view, (n, 2) pixels and (n, 3) points of all corners in one list."""
+    view = np.repeat(np.arange(len(observations)), [len(o.ids) for o in observations])
+    return view, np.concatenate([o.pixels for o in observations]), np.concatenate([o.points for o in observations])
+
+
+def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> tuple[Camera, bundle.Bundle]:
+    """Camera with the coefficients of `lens` and the poses of all views, from a start. Raises CalibrationError, Unobservable."""
+    start = projection.vector(first)
+    if first.fisheye != lens.fisheye or set(lens.coefficients) < {"k1", "k2", "p1", "p2"}:
+        start[4:] = 0.0
+        start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
+    fitted = bundle.fit(*flat(observations), start, poses, lens.free, lens.fisheye)
+    if not np.isfinite(fitted.residuals).all():
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+    if not fitted.intrinsics[:2].min() > 0:
+        raise Unobservable("focal length is not observable", why=f"the fit gives {fitted.intrinsics[0]:.3g} px", remedy=_TILT)
+    base = Camera(first.width, first.height, 1, 1, 0, 0, fisheye=lens.fisheye)
+    return projection.with_vector(base, fitted.intrinsics).checked(where="estimated camera"), fitted
+
+
+def _start(observations: Sequence[Observation], width: int, height: int, fisheye: bool) -> tuple[Camera, Array]:
+    """A camera with k1 k2 (of a fisheye, with none), and (views, 4, 4) poses of the target, by OpenCV."""
+    points = [o.points.astype(np.float32) for o in observations]
+    pixels = [conventions.opencv_from_pixels(o.pixels).astype(np.float32) for o in observations]
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    try:
+        rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+            points, pixels, (width, height), None, None, flags=flags, criteria=_STOP
+        )
+    except cv2.error as error:
+        raise CalibrationError(
+            "intrinsics cannot be fitted", why=str(error.err), remedy="record views from more directions"
+        ) from None
+    if not np.isfinite(rms):
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+    focal, centre = matrix[[0, 1], [0, 1]], conventions.pixels_from_opencv(matrix[:2, 2])
+    if not focal.min() > 0:
+        raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=_TILT)
+    k1, k2 = (0.0, 0.0) if fisheye else map(float, distortion.ravel()[:2])
+    (fx, fy), (cx, cy) = map(float, focal), map(float, centre)
+    camera = Camera(width, height, fx, fy, cx, cy, k1, k2, fisheye=fisheye)
+    poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
+    return camera, np.stack(poses)
+
+
+def _without_outliers(
+    observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]
+) -> tuple[list[Observation], Array, dict[str, str]]:
+    """Observations without corners, and without views, that a first fit cannot explain; the poses of the rest; who went and why.
+
+    Corners go first, by what is usual in their own view: a few wrong ones bend the whole view's fit, and the view is good without them.
+    """
+    middle = FISHEYE[0] if first.fisheye else USUAL
+    left_out: dict[str, str] = {}
+    observations = list(observations)
+    for _ in range(12):
+        _, fitted = fit(observations, first, poses, middle)
+        distance, view = np.linalg.norm(fitted.residuals, axis=1), flat(observations)[0]
+        by_view = np.array([np.median(distance[view == i]) for i in range(len(observations))])
+        typical = max(float(np.median(by_view)), 1e-3)
+        limits = OUTLIER * np.maximum(by_view, typical) / 1.1774  # the median length of a Gaussian in two dimensions, in sigmas
+        kept = [screening.some(o, distance[view == i] <= limits[i]) for i, o in enumerate(observations)]
+        kept = [new if len(new.ids) >= screening.MIN_CORNERS else old for new, old in zip(kept, observations, strict=True)]
+        survivors = np.arange(len(kept))
+        if all(len(new.ids) == len(old.ids) for new, old in zip(kept, observations, strict=True)):
+            survivors = np.flatnonzero(by_view <= max(5 * typical, 0.02))
+            if len(survivors) in (len(kept), *range(MIN_VIEWS)):
+                break
+            for i in np.setdiff1d(np.arange(len(kept)), survivors):
+                left_out[observations[i].name] = f"corners are {by_view[i]:.2g} px off, {typical:.2g} px elsewhere"
+        observations, poses = [kept[i] for i in survivors], fitted.camera_from_board[survivors]
+    return observations, poses, left_out
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=-1))))
+
+
+def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> float:
+    """Rms [px] over views that the fit has not seen, in up to four folds; infinite where a fit fails."""
+    folds = min(4, len(observations) // 2)
+    residuals, fold_of = [], np.arange(len(observations)) % folds
+    try:
+        for fold in range(folds):
+            rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
+            camera, _ = fit(rest, first, poses[fold_of != fold], lens)
+            start = projection.vector(camera)
+            residuals.append(bundle.fit(*flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
+    except (CalibrationError, ArithmeticError):
+        return np.inf
+    found = _rms(np.concatenate(residuals))
+    return found if np.isfinite(found) else np.inf

@@ -1,0 +1,251 @@
+"""The page of a calibration: target and cameras in space, what the refinement changed, residuals over the image, and certainty.
+
+What the file holds is there at once; the recording is searched for the target again in the background.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from calib.errors import CalibrationError
+from calib.page import figures
+from calib.page.evidence import AFTER, Evidence, Sighting, gather, recording_of
+from calib.page.words import describe_calibration
+from calib.targets.target import Board
+from datasets.calibration import Calibration
+from datasets.core.errors import KoalaError
+from datasets.imaging import images
+from datasets.page import Page, PicturePanel, shapes
+from datasets.page.panel import WIDTH, bytes_of
+
+Array = NDArray[np.float64]
+
+THUMBNAIL = 96
+"""Width of the pictures on the cameras [px]."""
+ARROW = 0.03
+"""Length of the arrow of a large residual, as a share of the picture's width."""
+WORST_PX = 0.5
+"""Residual that is drawn fully red [px]."""
+ENLARGED = 100.0
+"""How much longer than they are differences between arm and picture are drawn."""
+POSES = ("flange_from_camera", "base_from_camera", "base_from_board", "flange_from_board")
+
+
+class CalibrationView:
+    """What is on the page of one calibration."""
+
+    def __init__(self, page: Page, calibration: Calibration) -> None:
+        self.page, self.calibration = page, calibration
+        self.beside = calibration.base_from_camera is not None
+        """Whether the camera stands beside the arm."""
+        self.evidence: Evidence | None = None
+        self._state = page.gui.add_markdown("*reading the recording*")
+        self._stage: viser.GuiDropdownHandle[Any] = page.gui.add_dropdown("residuals", (AFTER,))
+        self._stage.on_update(lambda event: self._colour())
+        self.panel = PicturePanel(
+            page, "View", "click a camera: arrows lead from where a corner is predicted to where it was seen"
+        )
+        self._figures: dict[str, NDArray[np.uint8]] = {}
+        self._add_figures({f"certainty of {name}": figures.ellipses(name, value)
+                           for name in POSES if (value := getattr(calibration, name)) is not None})  # fmt: skip
+        with page.gui.add_folder("Result"):
+            page.gui.add_markdown(in_markdown(describe_calibration(calibration)))
+        self._target()
+
+    def _target(self) -> None:
+        """The target where it stands, the base, and where browsers look from."""
+        self.page.scene.add_frame("/base", axes_length=0.1, axes_radius=0.003)
+        place = np.eye(4) if self.calibration.base_from_board is None else self.calibration.base_from_board.matrix
+        content = self.calibration.provenance.get("board")
+        if content is not None and not self.beside:
+            add_board(self.page, "/target", Board.from_json(content, where="calibration file, board"), place)
+        if self.calibration.base_from_camera is not None:
+            place = self.calibration.base_from_camera.matrix
+            shapes.add_camera(self.page, "/camera", place, self.calibration.camera, colour=shapes.colour_of("train"), length=0.1)
+        self.page.look(place[:3, 3] + [0.7, -0.9, 0.7], place[:3, 3], size=1.0)
+
+    def _add_figures(self, pictures: dict[str, bytes]) -> None:
+        """Put figures (PNG files by title) into the list; the first that ever comes is shown."""
+        first = not self._figures
+        self._figures |= {title: decoded(png) for title, png in pictures.items()}
+        if not self._figures:
+            return
+        if first:
+            with self.page.gui.add_folder("Figures"):
+                self._figure = self.page.gui.add_dropdown("figure", tuple(self._figures))
+                self._drawn = self.page.gui.add_image(next(iter(self._figures.values())))
+            self._figure.on_update(lambda event: self._draw_figure())
+        self._figure.options = tuple(self._figures)
+
+    def _draw_figure(self) -> None:
+        self._drawn.image = self._figures[self._figure.value]
+
+    def read(self, recording: Path | None) -> None:
+        """Add what the recording holds; where that is missing or cannot be used, say so."""
+        try:
+            path = recording_of(self.calibration, recording)
+            self.evidence = gather(self.calibration, path, seen=self._seen)
+        except KoalaError as error:
+            self._state.content = f"*{error}*"
+            return
+        except _Stopped:
+            return
+        self._stage.options = self.evidence.stages
+        self._add_figures(self.evidence.pictures)
+        rows = "".join(f"  \n{stage}: {overall(self.evidence, stage):.3f} px rms" for stage in self.evidence.stages)
+        notes = "".join(f"  \n**{note}**" for note in self.evidence.notes)
+        self._state.content = f"`{path}`, {len(self.evidence.sightings)} views{rows}{notes}"
+        self._draw()
+
+    def _seen(self, words: str) -> None:
+        if self.page.stopping.is_set():
+            raise _Stopped
+        self._state.content = f"*finding the target: {words}*"
+
+    def _draw(self) -> None:
+        """Every view in space, and how far arm and picture disagree."""
+        assert self.evidence is not None  # `read` has put it there
+        differences = []
+        self._handles: dict[str, viser.CameraFrustumHandle] = {}
+        camera = self.calibration.camera
+        for sighting in self.evidence.sightings:
+            start, end = sighting.by_arm[:3, 3], sighting.by_picture[:3, 3]
+            differences.append((start, start + ENLARGED * (end - start)))
+            handle = shapes.add_camera(self.page, f"/views/{sighting.name}", sighting.by_arm, camera, length=0.05,
+                                       colour=shapes.colour_of("calibration"))  # fmt: skip
+            handle.on_click(lambda event, sighting=sighting: self._chosen(event.client, sighting))
+            self._handles[sighting.name] = handle
+        shapes.add_lines(
+            self.page, f"/arm against picture, {ENLARGED:.0f} times", differences, colour=(214, 39, 40), thickness=2.5
+        )
+        self._colour()
+        for sighting in self.evidence.sightings:
+            if not self.page.stopping.is_set():
+                self._handles[sighting.name].image = bytes_of(images.read(sighting.image), THUMBNAIL)
+
+    def _colour(self) -> None:
+        """Colour the views by their residual: green for none, red from WORST_PX on; grey where they took no part."""
+        if self.evidence is None:
+            return
+        for sighting in self.evidence.sightings:
+            share = min(sighting.rms(self._stage.value) / WORST_PX, 1.0) if self._stage.value in sighting.residuals else None
+            self._handles[sighting.name].color = shapes.COLOURS["blocked"] if share is None else between_green_and_red(share)
+
+    def _chosen(self, client: viser.ClientHandle | None, sighting: Sighting) -> None:
+        if client is None:
+            return
+        stage = self._stage.value
+        distance = 1e3 * float(np.linalg.norm(sighting.by_arm[:3, 3] - sighting.by_picture[:3, 3]))
+        words = [f"**view {sighting.name}**", f"arm and picture {distance:.2f} mm apart"]
+        words += [f"{name}: {sighting.rms(name):.3f} px rms" for name in sighting.residuals]
+        if sighting.left_out:
+            words.append(f"took no part: {sighting.left_out}")
+        picture, enlarged = with_arrows(images.read(sighting.image), sighting.pixels, sighting.residuals.get(stage))
+        if enlarged:
+            words.append(f"arrows: {stage}, {enlarged:.0f} times enlarged")
+        self.panel.show(client, "  \n".join(words), picture)
+
+
+class _Stopped(Exception):
+    """The page has ended while the recording was being read."""
+
+
+def in_markdown(words: str) -> str:
+    """Lines of `describe_calibration`, a name and a value each, as Markdown that a narrow panel can break; indented ones as a list."""
+    shown = []
+    for line in words.splitlines():
+        name, _, value = line.strip().partition("  ")
+        item = f"- {name}: {value.strip()}" if line.startswith(" ") else f"\n**{name}** {value.strip()}\n"
+        shown.append(item.replace("_", r"\_"))
+    return "\n".join(shown)
+
+
+def overall(evidence: Evidence, stage: str) -> float:
+    """Root mean square residual of a stage over all views [px]."""
+    parts = [sighting.residuals[stage] for sighting in evidence.sightings if stage in sighting.residuals]
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(parts) ** 2, axis=-1)))) if parts else float("nan")
+
+
+def between_green_and_red(share: float) -> shapes.Colour:
+    """sRGB bytes: green for 0, yellow for a half, red for 1."""
+    return int(220 * min(1.0, 2 * share)), int(180 * min(1.0, 2 - 2 * share)), 40
+
+
+def with_arrows(picture: NDArray[np.float32], pixels: Array, residuals: Array | None) -> tuple[NDArray[np.uint8], float]:
+    """A picture with a ring at each corner and an arrow for each residual, and how many times these are enlarged.
+
+    Args:
+        picture: (height, width, 1 to 4) sRGB.
+        pixels: (n, 2) corners that were seen [px].
+        residuals: (n, 2) seen minus predicted [px]; None for rings alone.
+    """
+    scale = WIDTH / picture.shape[1]
+    small = bytes_of(picture, WIDTH)
+    drawn = np.asarray(small if scale < 1 else cv2.resize(small, None, fx=scale, fy=scale), np.uint8).copy()
+    enlarged = 0.0
+    if residuals is not None and len(residuals):
+        enlarged = ARROW * picture.shape[1] / max(float(np.percentile(np.linalg.norm(residuals, axis=1), 95)), 1e-6)
+    for index, seen in enumerate(pixels):
+        place = _point(scale * seen)
+        cv2.circle(drawn, place, 3, (40, 120, 255), 1, cv2.LINE_AA)
+        if residuals is not None:
+            tip = _point(scale * (seen + enlarged * residuals[index]))
+            cv2.arrowedLine(drawn, place, tip, (255, 40, 40), 1, cv2.LINE_AA, tipLength=0.25)
+    return drawn, enlarged
+
+
+def _point(place: Array) -> tuple[int, int]:
+    x, y = np.clip(np.round(place), -10_000, 10_000)
+    return int(x), int(y)
+
+
+def add_board(page: Page, name: str, board: Board, base_from_board: Array) -> None:
+    """A target as a light plate with its dark squares, at a (4, 4) pose."""
+    side = board.square_length_m
+    columns, rows = np.meshgrid(np.arange(board.squares_x), np.arange(board.squares_y))
+    dark = (columns + rows) % 2 == 0
+    vertices, faces = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
+    plate, corners = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
+    rotation, place = shapes.placed(base_from_board)
+    page.scene.add_mesh_simple(
+        f"{name}/squares", vertices, faces, color=(30, 30, 30), side="double", wxyz=rotation, position=place
+    )
+    page.scene.add_mesh_simple(
+        f"{name}/plate", plate, corners, color=(235, 235, 235), side="double", wxyz=rotation, position=place
+    )
+
+
+def _squares(origins: Array, side: float | Array, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Vertices and faces of rectangles with a corner at each of (n, 2) `origins`, in the plane z = `height`."""
+    steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * side
+    flat = (origins[:, None] + steps[None]).reshape(-1, 2)
+    vertices = np.concatenate([flat, np.full((len(flat), 1), height)], axis=1)
+    first = 4 * np.arange(len(origins))[:, None]
+    return vertices.astype(np.float32), np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))]).astype(
+        np.uint32
+    )
+
+
+def decoded(png: bytes) -> NDArray[np.uint8]:
+    """(height, width, 3) sRGB of a PNG file's bytes."""
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise CalibrationError("figure cannot be read")
+    return np.ascontiguousarray(picture[..., ::-1], np.uint8)
+
+
+def show(page: Page, calibration: Calibration, *, recording: Path | None = None) -> CalibrationView:
+    """Put a calibration on a page; what its recording holds follows in the background.
+
+    Args:
+        page: to draw on.
+        calibration: as loaded.
+        recording: where its recording is now, if not where it was.
+    """
+    shown = CalibrationView(page, calibration)
+    page.in_background(lambda: shown.read(recording))
+    return shown

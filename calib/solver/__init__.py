@@ -1,0 +1,1 @@
+"""Least squares with six unknowns per view beside the global ones."""

@@ -1,0 +1,1 @@
+"""Studies on simulated sessions: benchmark, comparison of methods, which views help."""

@@ -1,0 +1,121 @@
+"""All methods on one session, judged by views that they have not seen.
+
+For each of five folds a method sees the other views; the board is then where that method puts it, the arm's poses are taken as
+reported, and the corners of the views left out are predicted. That is the error that a reconstruction meets.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib import calibrate, verify
+from calib.calibrate import STATED
+from calib.handeye import closed_forms, refine
+from calib.handeye.model import Accuracy, Session, State
+from calib.handeye.refine import Refined
+from calib.intrinsics import projection
+from calib.session import TargetSession
+from datasets import pose
+from datasets.calibration import Calibration
+from datasets.core.errors import KoalaError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One method."""
+
+    name: str
+    camera_pose: Array | None
+    """(4, 4) from all views; None where it found no answer."""
+    residual_mm: float
+    """Rms disagreement of the board's place by view [mm]; the figure that others publish."""
+    residual_deg: float
+    held_out_px: float
+    held_out_mm: float
+    views: int
+    """That took part."""
+
+
+def compare(
+    session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
+) -> list[Judged]:
+    """Closed forms and refinement, on all views and without those that disagree.
+
+    Raises what `calibrate.calibrate_handeye` raises.
+    """
+    solution = calibrate.solve(session, given, accuracy, lens)
+    first, fit = solution.first, solution.fit
+    session, boards, camera = first.session, solution.boards, first.camera
+    measured = session.measured(first.free, first.known, accuracy, camera.fisheye)
+    rows = [_closed_form(name, session, boards, measured, projection.vector(camera)) for name in closed_forms.METHODS]
+    start = replace(solution.start(), corrections=np.zeros((len(boards), 6)))
+    rows.append(
+        _refined("refinement, all views", session, boards, measured, refine.refine(measured, start, sigma_px=first.sigma_px))
+    )
+    if len(fit.session.observations) < len(boards):
+        used = {o.name for o in fit.session.observations}
+        kept = boards[[o.name in used for o in session.observations]]
+        rows.append(_refined("refinement, outliers left out", fit.session, kept, fit.measured, fit.refined))
+    return rows
+
+
+def _refined(name: str, session: TargetSession, boards: Array, measured: Session, refined: Refined) -> Judged:
+    pose_found = refined.state.flange_from_camera
+    residual = _residual(session.mount_poses, boards, pose_found)
+    held_out = verify.held_out(measured, refined)
+    pixels, millimetres = (np.nan if value is None else value for value in (held_out["held_out_px"], held_out["held_out_mm"]))
+    return Judged(name, pose_found, *residual, pixels, millimetres, len(boards))
+
+
+def _closed_form(name: str, session: TargetSession, boards: Array, measured: Session, camera: Array) -> Judged:
+    """A closed form on all views, and fold by fold on those that it has not seen."""
+    mount, views = session.mount_poses, len(boards)
+    try:
+        answer = closed_forms.solve(mount, boards, name)
+        errors = []
+        for fold in range(verify.FOLDS):
+            seen = np.arange(views) % min(verify.FOLDS, views) != fold
+            part = closed_forms.solve(mount[seen], boards[seen], name)
+            state = State(camera, part.flange_from_camera, part.base_from_board, np.zeros((views, 6)))
+            rest = measured.some(~seen[measured.view])
+            if len(rest.view):
+                errors.append(verify.errors(rest, state))
+    except KoalaError:
+        return Judged(name, None, np.nan, np.nan, np.nan, np.nan, views)
+    pixels, millimetres = (np.concatenate([e[i] for e in errors]) for i in (0, 1))
+    return Judged(
+        name,
+        answer.flange_from_camera,
+        *_residual(mount, boards, answer.flange_from_camera),
+        verify.rms(pixels),
+        verify.rms(millimetres),
+        views,
+    )
+
+
+def _residual(mount: Array, boards: Array, camera_pose: Array) -> tuple[float, float]:
+    """Rms disagreement of the board's place by view about its mean ([mm], [deg]), as it is usually published."""
+    places = mount @ camera_pose @ boards
+    rotations = Rotation.from_matrix(places[:, :3, :3])
+    angles = (rotations.mean().inv() * rotations).magnitude()
+    distances = np.linalg.norm(places[:, :3, 3] - places[:, :3, 3].mean(0), axis=1)
+    return 1e3 * float(np.sqrt(np.mean(distances**2))), float(np.rad2deg(np.sqrt(np.mean(angles**2))))
+
+
+def markdown(rows: Sequence[Judged]) -> str:
+    """A table with one row per method."""
+    lines = ["| method | views | x, y, z [mm] | rotation vector [°] | residual | on unseen views |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        if row.camera_pose is None:
+            lines.append(f"| {row.name} | {row.views} | no answer | | | |")
+            continue
+        place = ", ".join(f"{v:.2f}" for v in 1e3 * row.camera_pose[:3, 3])
+        turn = ", ".join(f"{v:.2f}" for v in np.rad2deg(pose.rotation_vector(row.camera_pose)))
+        lines.append(f"| {row.name} | {row.views} | {place} | {turn} | {row.residual_mm:.2f} mm, {row.residual_deg:.3f}° "
+                     f"| {row.held_out_px:.2f} px = {row.held_out_mm:.2f} mm |")  # fmt: skip
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Calibration targets: their geometry, detection of their corners, printing."""

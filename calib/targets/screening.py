@@ -1,0 +1,58 @@
+"""Corners that cannot be right, whatever the camera: found before anything is fitted to them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.targets.target import MIN_CORNERS, Observation
+
+TOLERANCE = 1.0
+"""How far, in lengths between neighbouring corners, a lens may bend a flat target's picture away from a homography."""
+BENT_SHARE = 0.1
+"""Where more than half of the views would lose more than this share of their corners, it is the lens that bends so much."""
+MIN_SHARE = 0.5
+"""A view of whose corners fewer than this agree with any homography shows something else."""
+
+
+def some(observation: Observation, chosen: NDArray[np.bool_]) -> Observation:
+    """The corners of `chosen` (n,) alone."""
+    return replace(observation, ids=observation.ids[chosen], pixels=observation.pixels[chosen], points=observation.points[chosen])
+
+
+def agreeing_with_plane(observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
+    """Observations without corners far from where a flat target could show them, and the views left out, with the reason.
+
+    A homography is found from the majority of a view's corners (RANSAC); the lens bends its picture by much less than the
+    distance between two corners, a wrong detection is off by about that and more.
+    """
+    agree = [_on_plane(observation) for observation in observations]
+    if np.mean([good.mean() < 1 - BENT_SHARE for good in agree]) > 0.5:
+        return list(observations), {}
+    kept, left_out = [], {}
+    for observation, good in zip(observations, agree, strict=True):
+        if good.sum() < max(min(MIN_CORNERS, len(good)), MIN_SHARE * len(good)):
+            left_out[observation.name] = f"{(~good).sum()} of {len(good)} corners do not lie on a flat target"
+        else:
+            kept.append(some(observation, good))
+    return kept, left_out
+
+
+def _on_plane(observation: Observation) -> NDArray[np.bool_]:
+    """(n,) corners that the best homography explains."""
+    limit = max(TOLERANCE * _spacing(observation), 1.0)
+    cv2.setRNGSeed(0)  # RANSAC draws from OpenCV's own generator: the same views give the same answer
+    try:
+        _, mask = cv2.findHomography(observation.points[:, :2], observation.pixels, cv2.RANSAC, limit, maxIters=500)
+    except cv2.error:
+        mask = None
+    return np.zeros(len(observation.ids), bool) if mask is None else mask.ravel().astype(bool)
+
+
+def _spacing(observation: Observation) -> float:
+    """Typical distance between neighbouring corners [px]."""
+    difference = observation.pixels[:, None] - observation.pixels
+    distance = np.linalg.norm(difference, axis=-1) + np.diag(np.full(len(difference), np.inf))
+    return float(np.median(distance.min(1)))

@@ -1,0 +1,1 @@
+"""Recording along a trajectory, checking the recording, replaying it."""

@@ -1,0 +1,165 @@
+"""What the capture itself costs and gains on the simulated rig: sharpness against settling, loop overhead, rate of states.
+
+All of it with the vendors' own clients, against a simulated controller in real time.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files as package_files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.cameras.basler import Basler
+from capture.planning import plan
+from capture.recording.focus import sharpness
+from capture.recording.recorder import record
+from capture.rig.description import RigDescription
+from capture.rig.opening import Rig
+from capture.robots.timing import Deadlines, Settling
+from capture.robots.ur import UR5e
+from capture.sim.camera import SimulatedCamera
+from capture.sim.controller.process import SimulatedController
+from capture.sim.truth import RigTruth
+from capture.trajectory import Trajectory, load_trajectory
+from datasets import pose
+from datasets.recording import Frame
+
+DELAYS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5)
+"""Waits between the end of a motion and the exposure."""
+PATIENT = Deadlines(stale_s=1.0, watchdog_hz=1.0)
+"""A busy computer is no fault of the rig's."""
+Advance = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SettlePoint:
+    """What one wait after a motion gives, the mean over several motions."""
+
+    delay_s: float
+    """From the end of the motion to the exposure, as measured."""
+    sharpness: float
+    """Of the picture, as a share of that of the arm at rest."""
+    off_mm: float
+    """How far the camera is from where it comes to rest."""
+
+
+def _trajectory(name: str, *overrides: str) -> Trajectory:
+    return load_trajectory(Path(str(package_files("configs") / "trajectories" / f"{name}.yaml")), overrides=list(overrides))
+
+
+def state_rate(seconds: float = 2.0, *, frequency: float = 500.0) -> float:
+    """States a second, each with a time stamp of its own, that reach the driver from an arm in motion [Hz]."""
+    with SimulatedController.start(time_scale=1.0) as controller:
+        with UR5e(controller.host, deadlines=PATIENT, frequency=frequency, settling=Settling(time_s=0.0)) as robot:
+            start = robot.state().joints
+            speed, acceleration = 0.5, 1.4
+            turn = speed * (seconds - speed / acceleration)
+            begun, first = controller.ask("truth")["robot_time_s"], robot.states_received
+            robot.move_to(start + np.eye(6)[0] * turn, speed=speed, acceleration=acceleration)
+            return (robot.states_received - first) / (controller.ask("truth")["robot_time_s"] - begun)
+
+
+def loop_overhead(count: int = 12, *, advance: Advance = lambda name: None) -> NDArray[np.float64]:
+    """(count - 1,) seconds from frame to frame beyond motion, swing, settling and exposure, at the sensor's full resolution."""
+    trajectory = _trajectory("koala", "motion.settle_time_s=0.2")
+    description = RigDescription()
+    planned = plan(trajectory, description.flange_from_camera.matrix())[:count]
+    motion = trajectory.motion
+    settling = Settling(motion.settle_speed, motion.settle_time_s, 20.0)
+    with TemporaryDirectory(prefix="koala-bench-") as folder, SimulatedController.start(time_scale=1.0) as controller:
+        with Basler(trajectory.camera, emulated=True) as camera:
+            with UR5e(controller.host, deadlines=PATIENT, settling=settling) as robot:
+                rig = Rig(robot, camera, description, "bench")
+                frames = record(trajectory, rig, Path(folder) / "recording", planned=planned, advance=advance).frames
+                motions = controller.ask("motions", settle_speed=motion.settle_speed)["motions"]
+    return _overheads(frames, np.array(motions), motion.settle_time_s)
+
+
+def _overheads(frames: list[Frame], motions: NDArray[np.float64], settle_time_s: float) -> NDArray[np.float64]:
+    """See `loop_overhead`; `motions` are (n, 3): start, duration, swing [s of the controller's clock]."""
+    overheads = []
+    for before, frame in itertools.pairwise(frames):
+        between = (motions[:, 0] > before.robot_time_s) & (motions[:, 0] < frame.robot_time_s)
+        needed = motions[between, 1:].sum() + between.sum() * settle_time_s + frame.exposure_us * 1e-6
+        overheads.append((frame.host_time_ns - before.host_time_ns) * 1e-9 - needed)
+    return np.array(overheads)
+
+
+def settle_curve(
+    delays_s: tuple[float, ...] = DELAYS_S,
+    *,
+    exposure_us: float = 20_000.0,
+    repeats: int = 2,
+    advance: Advance = lambda name: None,
+) -> list[SettlePoint]:
+    """Sharpness of a board's picture, and error of the camera's place, against the wait after a motion."""
+    small = ("camera.binning=1", "camera.width=320", "camera.height=240", f"camera.exposure_us={exposure_us}")
+    trajectory = _trajectory("calibration_demo", *small)
+    description = RigDescription()
+    mount = description.flange_from_camera.matrix()
+    target, motion = plan(trajectory, mount)[0].joints, trajectory.motion
+    starts = [target + 0.25 * np.where(np.arange(6) % 2, 1, -1) * (-1) ** turn for turn in range(repeats)]
+    points = []
+    with SimulatedController.start(time_scale=1.0) as controller:
+        camera = SimulatedCamera(trajectory, "charuco_board", RigTruth.draw(mount, 0), controller, 0)
+        with camera, UR5e(controller.host, deadlines=PATIENT) as robot:
+
+            def look(start: NDArray[np.float64], delay_s: float) -> tuple[float, float, NDArray[np.float64]]:
+                for joints, wait_s in ((start, 0.0), (target, delay_s)):
+                    robot.settling = Settling(10.0, wait_s)  # any speed counts as still: only the wait matters
+                    robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+                truth = controller.ask("truth")
+                image = camera.grab()
+                return truth["phase_s"] - truth["motion_s"], sharpness(image.pixels), camera.base_from_camera
+
+            still = [look(start, 1.0) for start in starts]
+            for delay_s in delays_s:
+                seen = []
+                for start, (_, sharp, rest) in zip(starts, still, strict=True):
+                    since, moving, place = look(start, delay_s)
+                    seen.append((since, moving / sharp, 1e3 * float(pose.difference(place, rest)[0])))
+                points.append(SettlePoint(*map(float, np.mean(seen, axis=0))))
+                advance(f"{delay_s:g} s")
+    return points
+
+
+def plot_settling(points: list[SettlePoint], path: Path) -> None:
+    """Draw `settle_curve`'s result."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    from datasets.core.files import atomic_path
+
+    delays = [1e3 * point.delay_s for point in points]
+    figure, left = pyplot.subplots(figsize=(7, 4), layout="constrained")
+    left.plot(delays, [100 * point.sharpness for point in points], "o-", color="tab:blue")
+    left.set(xlabel="wait after the motion [ms]", ylabel="sharpness [% of that at rest]", ylim=(0, 110))
+    left.yaxis.label.set_color("tab:blue")
+    right = left.twinx()
+    right.plot(delays, [point.off_mm for point in points], "s--", color="tab:red")
+    right.set(ylabel="camera off its resting place [mm]", ylim=(0, None))
+    right.yaxis.label.set_color("tab:red")
+    left.grid(alpha=0.3)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+    pyplot.close(figure)
+
+
+def summary(points: list[SettlePoint], overheads: NDArray[np.float64], rate_hz: float) -> dict[str, Any]:
+    """Everything measured, as one plain dictionary."""
+    return {
+        "state_rate_hz": round(rate_hz, 1),
+        "overhead_ms": {
+            "median": 1e3 * float(np.median(overheads)),
+            "worst": 1e3 * float(overheads.max()),
+            "frames": len(overheads) + 1,
+        },
+        "settling": [vars(point) for point in points],
+    }

@@ -1,0 +1,106 @@
+"""Drives the joint path of a recording again and says how far each frame's pose is from the one recorded."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capture.errors import CaptureError
+from capture.planning import Obstacles, connect
+from capture.rig.description import RigDescription
+from capture.rig.protocols import Robot
+from capture.trajectory import Trajectory
+from datasets import pose
+from datasets.core import files
+from datasets.recording import TRUTH, Recording
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far the arm came from one frame's recorded state."""
+
+    frame: str
+    joints_deg: float
+    """Largest difference of a measured joint angle."""
+    translation_mm: float
+    """Of the flange as the controller reports it."""
+    rotation_deg: float
+    """The same of its orientation."""
+    true_mm: float | None = None
+    """Simulation: of where the flange really was; the arm's repeatability shows only here."""
+
+    @property
+    def line(self) -> str:
+        """For a person."""
+        true = "" if self.true_mm is None else f", truly {self.true_mm:.3f} mm"
+        return f"{self.translation_mm:.3f} mm, {self.rotation_deg:.4f} degrees, joints {self.joints_deg:.4f} degrees{true}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary of the fields."""
+        return asdict(self)
+
+
+def replay(
+    recording: Recording,
+    robot: Robot,
+    *,
+    truth: Callable[[], Any] | None = None,
+    advance: Callable[[Deviation], None] = lambda one: None,
+) -> list[Deviation]:
+    """Go to the recorded joint angles of every frame, in the order taken, by ways clear of all obstacles.
+
+    Args:
+        recording: of any rig; its trajectory says speed, settling and obstacles.
+        robot: connected.
+        truth: simulation: (4, 4) where the flange really is now [m].
+        advance: called with each frame's deviation.
+
+    Raises:
+        CaptureError: the recording has no frames, or an error of the arm, which stands still then.
+    """
+    if not recording.frames:
+        raise CaptureError("the recording holds no frames", where=recording.path, remedy="record something first")
+    trajectory = Trajectory.model_validate(recording.trajectory)
+    described = RigDescription.model_validate({key: value for key, value in recording.manifest["rig"].items() if key != "name"})
+    obstacles = Obstacles.of(trajectory, described.flange_from_camera.matrix())
+    true_poses = _true_poses(recording) if truth is not None else {}
+    motion, deviations = trajectory.motion, []
+    for frame in recording.frames:
+        for joints in connect(robot.state().joints, frame.joints, obstacles, where=f"view {frame.name}"):
+            robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+        state = robot.state()
+        distance, angle = pose.difference(state.base_from_flange, frame.base_from_flange)
+        true_mm = None
+        if truth is not None and frame.name in true_poses:
+            true_mm = 1e3 * float(pose.difference(truth(), true_poses[frame.name])[0])
+        turned = float(np.degrees(np.abs(state.joints - frame.joints).max()))
+        deviations.append(Deviation(frame.name, turned, 1e3 * float(distance), float(np.degrees(angle)), true_mm))
+        advance(deviations[-1])
+    return deviations
+
+
+def _true_poses(recording: Recording) -> dict[str, Any]:
+    """Name to (4, 4) `base_from_flange` as it truly was; empty for a recording of a real rig."""
+    path: Path = recording.path / TRUTH / "poses.json"
+    if not path.exists():
+        return {}
+    content = files.read_json(path)
+    camera_from_flange = pose.inverse(content["flange_from_camera"])
+    return {name: np.asarray(matrix) @ camera_from_flange for name, matrix in content["base_from_camera"].items()}
+
+
+def summary(deviations: list[Deviation]) -> dict[str, Any]:
+    """Worst and root mean square of all frames; `worst` in words."""
+
+    def over(values: list[float]) -> dict[str, float]:
+        return {"worst": max(values), "rms": float(np.sqrt(np.mean(np.square(values))))}
+
+    found = {name: over([getattr(one, name) for one in deviations]) for name in ("joints_deg", "translation_mm", "rotation_deg")}
+    true = [one.true_mm for one in deviations if one.true_mm is not None]
+    words = f"{found['translation_mm']['worst']:.3f} mm, {found['rotation_deg']['worst']:.4f} degrees"
+    if true:
+        found["true_mm"] = over(true)
+        words += f", truly {found['true_mm']['worst']:.3f} mm"
+    return {**found, "worst": words}

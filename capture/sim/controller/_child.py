@@ -1,0 +1,76 @@
+"""The process that is the simulated controller: `python -m capture.sim.controller._child '{"seed": 0, ...}'`.
+
+Says {"host": ..., "side_port": ...} on standard output once all ports accept; ends when standard input closes, so that it
+never outlives who started it.
+"""
+
+import asyncio
+import errno
+import json
+import os
+import random
+import sys
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from capture.kinematics import UR5E
+from capture.sim.controller import side_channel
+from capture.sim.controller.arm import Arm
+from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
+from capture.sim.controller.session import CYCLE_HZ
+
+
+async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
+    """Open all ports on the address `wanted`, or on a loopback address that nobody uses; returns it and the side channel's port."""
+    handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
+    ports = ", ".join(map(str, handlers))
+    for _ in range(1 if wanted else 50):
+        host = wanted or f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
+        opened = []
+        try:
+            for port, handler in handlers.items():
+                opened.append(await asyncio.start_server(handler, host, port))
+        except OSError as error:
+            for listener in opened:
+                listener.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
+            continue
+        side = await asyncio.start_server(partial(side_channel.serve, server), "127.0.0.1", 0)
+        return host, side.sockets[0].getsockname()[1]
+    raise OSError(f"ports {ports} are not free {'there: another controller runs' if wanted else 'on any loopback address'}")
+
+
+async def _run(options: dict[str, Any]) -> None:
+    seed = int(options["seed"])
+    length_m, angle_rad = options["length_error_m"], options["angle_error_rad"]
+    links = (
+        UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
+        if length_m or angle_rad
+        else UR5E
+    )
+    arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
+    server = ControllerServer(arm, options["time_scale"])
+    host, side_port = await _listen(server, options["host"])
+    loop = asyncio.get_running_loop()
+    orphaned = asyncio.Event()
+    loop.add_reader(sys.stdin.fileno(), lambda: None if os.read(sys.stdin.fileno(), 1024) else orphaned.set())
+    sys.stdout.write(json.dumps({"host": host, "side_port": side_port}) + "\n")
+    sys.stdout.flush()
+    due = loop.time()
+    while not orphaned.is_set():
+        server.step()
+        fastest = min((s.period_s for s in server.sessions if s.streaming), default=0.02)
+        due = max(due + max(fastest, 1 / CYCLE_HZ), loop.time())
+        await asyncio.sleep(due - loop.time())
+
+
+def main() -> None:
+    """Run until standard input closes."""
+    asyncio.run(_run(json.loads(sys.argv[1])))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""The simulated arm: what its encoders say, where its flange really is, and whether it may move.
+
+Time is the controller's own [s]; whoever steps the simulation says how late it is. Nothing here knows of sockets.
+"""
+
+import zlib
+from collections import deque
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.kinematics import JOINT_LIMIT, UR5E, Links, forward
+from capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
+from capture.sim.controller.tempo import Tempo
+from datasets import pose
+
+SAFETY_DECELERATION = 10.0
+"""Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
+PAUSE_S = 0.3
+"""A motion that is paused slows down on its way for so long, and gathers speed as long when it goes on [s]."""
+RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
+"""The joints swing after a stop, and the encoders see it: frequency, decay time, and amplitude [rad per rad/s^2]."""
+FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
+"""Tubes, gears and bracket bend besides, which no encoder sees; as above."""
+QUIET_S = 0.36
+"""Both have died away this long after a stop [s]: less than a hundredth is left, and taken as nothing."""
+
+
+class RobotMode(IntEnum):
+    """The controller's robot modes."""
+
+    POWER_OFF = 3
+    IDLE = 5
+    RUNNING = 7
+
+
+class Safety(IntEnum):
+    """The controller's safety modes."""
+
+    NORMAL = 1
+    PROTECTIVE_STOP = 3
+    ROBOT_EMERGENCY_STOP = 7
+
+
+class Arm:
+    """One UR5e with errors of its own.
+
+    Args:
+        seed: of everything random.
+        home: (6,) angles at the start [rad].
+        repeatability_m: standard deviation per axis of where the flange really stops [m].
+        repeatability_rad: the same of its orientation [rad].
+        links: the true links. The controller knows them, as it is calibrated; the nominal kinematics do not.
+    """
+
+    def __init__(self, seed: int, home: Joints, repeatability_m: float, repeatability_rad: float, links: Links = UR5E) -> None:
+        self.seed, self.links = seed, links
+        self.deviation = repeatability_m, repeatability_rad
+        self.flange_from_tcp = np.eye(4)
+        self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
+        self.profile: Profile = Stop(np.asarray(home, np.float64), np.zeros(6), 1.0)
+        self.speed_fraction = 1.0
+        self.joint_limits = np.array([[-JOINT_LIMIT], [JOINT_LIMIT]]) * np.ones(6)
+        self.reach_m = np.inf
+        self._tempo = Tempo(0.0, 0.0, 1.0, 1.0)
+        self.motions: deque[tuple[float, Profile]] = deque(maxlen=1000)
+        self._visits: dict[int, int] = {}
+        self._error: NDArray[np.float64] | None = None
+
+    @property
+    def may_move(self) -> bool:
+        """Powered, brakes released and not stopped for safety."""
+        return self.mode is RobotMode.RUNNING and self.safety is Safety.NORMAL
+
+    def phase(self, now: float) -> float:
+        """Time within the motion [s]: runs slower than the clock where the speed slider stands below 100 %."""
+        return self._tempo.phase(now)
+
+    def moving(self, now: float) -> bool:
+        """Whether a motion is under way; one that is paused is not."""
+        return self._unfinished(now) and not self._tempo.stands(now)
+
+    def _unfinished(self, now: float) -> bool:
+        return bool(self.phase(now) < self.profile.duration)
+
+    def target(self, now: float) -> tuple[Joints, Joints, Joints]:
+        """(6,) angles, speeds, accelerations that the controller asks for."""
+        angles, speeds, accelerations = self.profile.at(self.phase(now))
+        rate = self._tempo.rate(now)
+        return angles, speeds * rate, accelerations * rate**2
+
+    def actual(self, now: float) -> tuple[Joints, Joints]:
+        """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
+        angles, speeds, _ = self.target(now)
+        swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION)
+        return angles - swing, speeds - swing_speed
+
+    def _swing(self, now: float, frequency_hz: float, decay_s: float, amplitude: float) -> tuple[Joints | float, Joints | float]:
+        """(6,) damped oscillation after the end of a motion [rad], and its speed [rad/s]; 0 in motion and long after it."""
+        if self._unfinished(now) or self.profile.duration == 0:
+            return 0.0, 0.0
+        rate = self._tempo.rate(now)
+        since = (self.phase(now) - self.profile.duration) / rate
+        if since >= QUIET_S:
+            return 0.0, 0.0
+        slowing = self.profile.at(self.profile.duration * (1 - 1e-6))[2] * rate**2
+        omega = 2 * np.pi * frequency_hz
+        size = amplitude * slowing * np.exp(-since / decay_s)
+        sine, cosine = np.sin(omega * since), np.cos(omega * since)
+        return size * sine, size * (omega * cosine - sine / decay_s)
+
+    def swings_for(self, profile: Profile, speed: float) -> float:
+        """How long after the end of a motion at full speed a joint is still faster than `speed` [rad/s], in seconds."""
+        slowing = np.abs(profile.at(profile.duration * (1 - 1e-6))[2]).max()
+        omega = 2 * np.pi * RINGING_HZ
+        since = np.arange(0.0, QUIET_S, 1e-4)
+        swing = np.exp(-since / RINGING_DECAY_S) * (omega * np.cos(omega * since) - np.sin(omega * since) / RINGING_DECAY_S)
+        fast = np.flatnonzero(np.abs(RINGING_PER_ACCELERATION * slowing * swing) >= speed)
+        return float(since[fast[-1]]) if len(fast) else 0.0
+
+    def base_from_tcp(self, joints: Joints) -> NDArray[np.float64]:
+        """(4, 4) as the controller reports it: calibrated links, active tool offset [m]."""
+        return forward(joints, self.links) @ self.flange_from_tcp
+
+    def true_base_from_flange(self, now: float) -> NDArray[np.float64]:
+        """(4, 4) where the flange really is [m]: beside the encoders, bent after a stop, and a little off at every visit.
+
+        The error of a visit changes with every stop, and is the same for the same visit.
+        """
+        bent = self._swing(now, FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION)[0]
+        return forward(self.actual(now)[0] - bent, self.links) @ self._stopping_error()
+
+    def begin(self, profile: Profile, now: float) -> None:
+        """Start a motion from where the arm is."""
+        self.profile, self._error = profile, None
+        self._tempo = Tempo(0.0, now, self._full_rate, self._full_rate)
+        self.motions.append((now, profile))
+
+    @property
+    def _full_rate(self) -> float:
+        return 1.0 if isinstance(self.profile, Stop) else self.speed_fraction
+
+    def slide_speed(self, fraction: float, now: float) -> None:
+        """Set the speed slider to a share in 0..1 of the speed that is asked for; a motion under way goes on with it."""
+        self.speed_fraction = min(max(fraction, 0.01), 1.0)
+        if self._tempo.last > 0:
+            self._tempo = Tempo(self.phase(now), now, self._full_rate, self._full_rate)
+
+    def pause(self, now: float) -> None:
+        """Come to rest on the way of a motion, which `go_on` continues; does nothing to an arm that stops already."""
+        if self.moving(now) and not isinstance(self.profile, Stop):
+            self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), 0.0, PAUSE_S)
+
+    def go_on(self, now: float) -> None:
+        """Continue a motion that was paused."""
+        if self._unfinished(now):
+            self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), self._full_rate, PAUSE_S)
+
+    def keep_limits(self, now: float) -> None:
+        """Stop for safety where a joint has left its range."""
+        angles = self.target(now)[0]
+        if self.may_move and not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all():
+            self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
+
+    def reaches(self, joints: Joints) -> bool:
+        """Whether the controller lets the flange go there."""
+        return bool(np.linalg.norm(forward(joints, self.links)[:3, 3]) <= self.reach_m)
+
+    def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
+        """Start a movej; an arm that still moves slows down to rest first."""
+        if not np.isfinite(goal).all() or np.abs(goal).max() > JOINT_LIMIT:
+            self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
+            return
+        angles, speeds, _ = self.target(now)
+        acceleration = max(acceleration, 1e-3)
+        stop = Stop(angles, speeds, acceleration)
+        move = Move(stop.at(np.inf)[0], goal, min(max(speed, 1e-3), np.pi), acceleration)
+        self.begin(Chain(stop, move) if self.moving(now) else move, now)
+
+    def stop(self, deceleration: float, now: float) -> None:
+        """Slow down to rest and forget the motion; does nothing to an arm at rest."""
+        if self._unfinished(now):
+            angles, speeds, _ = self.target(now)
+            self.begin(Stop(angles, speeds, max(deceleration, 0.1)), now)
+
+    def stop_for_safety(self, safety: Safety, now: float) -> None:
+        """Protective or emergency stop: rest as fast as may be; an emergency stop also cuts the power."""
+        self.stop(SAFETY_DECELERATION, now)
+        self.safety = safety
+        if safety is Safety.ROBOT_EMERGENCY_STOP:
+            self.mode = RobotMode.POWER_OFF
+
+    def _stopping_error(self) -> NDArray[np.float64]:
+        if self._error is None:
+            place = zlib.crc32(np.round(self.profile.at(np.inf)[0], 6).tobytes())
+            visit = self._visits[place] = self._visits.get(place, 0) + 1
+            draw = np.random.default_rng([self.seed, place, visit]).normal(size=6)
+            self._error = pose.from_rotation_vector(draw[:3] * self.deviation[1], draw[3:] * self.deviation[0])
+        return self._error

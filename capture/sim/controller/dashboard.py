@@ -1,0 +1,90 @@
+"""The dashboard server's conversation: one line in, one line out."""
+
+from typing import Protocol
+
+from capture.sim.controller.arm import Arm, RobotMode, Safety
+
+GREETING = "Connected: Universal Robots Dashboard Server"
+SERIAL = "20235500001"
+_SAFETY_STATUS = {
+    Safety.NORMAL: "NORMAL",
+    Safety.PROTECTIVE_STOP: "PROTECTIVE_STOP",
+    Safety.ROBOT_EMERGENCY_STOP: "ROBOT_EMERGENCY_STOP",
+}
+
+
+class Controller(Protocol):
+    """What the dashboard can do with the controller that it belongs to."""
+
+    arm: Arm
+    version: tuple[int, int, int, int]
+
+    @property
+    def program_running(self) -> bool:
+        """Whether a program runs and is not paused."""
+        ...
+
+    @property
+    def program_paused(self) -> bool:
+        """Whether a program waits to be played on."""
+        ...
+
+    def stop_program(self) -> None:
+        """End the program; the arm slows down."""
+
+    def pause_program(self) -> bool:
+        """Pause the program; whether one ran."""
+        ...
+
+    def play_program(self) -> bool:
+        """Go on with a paused program; whether there was one."""
+        ...
+
+
+def reply(controller: Controller, line: str) -> str:
+    """Answer to one command."""
+    arm, word = controller.arm, line.strip().lower()
+    running = controller.program_running
+    state = "PLAYING" if running else "PAUSED" if controller.program_paused else "STOPPED"
+    answers = {
+        "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*controller.version),
+        "get serial number": SERIAL,
+        "get robot model": "UR5",
+        "is in remote control": "true",
+        "running": f"Program running: {str(running).lower()}",
+        "robotmode": f"Robotmode: {arm.mode.name}",
+        "safetystatus": f"Safetystatus: {_SAFETY_STATUS[arm.safety]}",
+        "safetymode": f"Safetymode: {_SAFETY_STATUS[arm.safety]}",
+        "programstate": f"{state} rtde_control.urp",
+        "get loaded program": "Loaded program: /programs/rtde_control.urp",
+    }
+    if word in answers:
+        return answers[word]
+    if word == "stop":
+        controller.stop_program()
+        return "Stopped"
+    if word == "pause":
+        return "Pausing program" if controller.pause_program() else "Failed to execute: pause"
+    if word == "play":  # programs are uploaded, so that none is loaded that could be started anew
+        return "Starting program" if controller.play_program() else "Failed to execute: play"
+    return _act(arm, word)
+
+
+def _act(arm: Arm, word: str) -> str:
+    if word == "unlock protective stop":
+        if arm.safety is Safety.PROTECTIVE_STOP:
+            arm.safety = Safety.NORMAL
+        return "Protective stop releasing"
+    if word == "power on":
+        arm.safety, arm.mode = Safety.NORMAL, RobotMode.IDLE
+        return "Powering on"
+    if word == "power off":
+        arm.mode = RobotMode.POWER_OFF
+        return "Powering off"
+    if word == "brake release":
+        if arm.mode is RobotMode.IDLE:
+            arm.mode = RobotMode.RUNNING
+        return "Brake releasing"
+    if word.startswith(("popup", "close")):
+        return {"close popup": "closing popup", "close safety popup": "closing safety popup"}.get(word, "showing popup")
+    return f"could not understand: '{word}'"

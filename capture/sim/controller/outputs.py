@@ -1,0 +1,117 @@
+"""What the simulated controller's output variables say at one moment. Each is computed when a connection's recipe asks for it, and once
+for all of them: a tool pose costs more than everything else of a cycle, and few recipes have one."""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.sim.controller import rtde_protocol
+from capture.sim.controller.arm import Arm, RobotMode, Safety
+from capture.sim.controller.profiles import Joints
+from capture.sim.controller.script import ControlProgram
+
+STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
+
+
+class Controller(Protocol):
+    """What outputs are read from."""
+
+    arm: Arm
+    program: ControlProgram | None
+    digital_outputs: int
+
+    @property
+    def program_running(self) -> bool:
+        """Whether a program runs and is not paused."""
+        ...
+
+    @property
+    def program_paused(self) -> bool:
+        """Whether a program waits to be played on."""
+        ...
+
+    def tcp_pose(self, joints: Joints) -> NDArray[np.float64]:
+        """(6,) position [m] and rotation vector [rad] of the tool at (6,) joint angles."""
+        ...
+
+
+class Outputs:
+    """The variables at the controller's time `now` [s], by name; those that nothing changes are zero."""
+
+    def __init__(self, controller: Controller, now: float) -> None:
+        self.controller, self.arm, self.now = controller, controller.arm, now
+
+    def __getitem__(self, name: str) -> Any:
+        if name in _CHANGING:
+            return _CHANGING[name](self)
+        register = rtde_protocol.register_of(name)
+        if register is not None:
+            kind, number = register
+            program = self.controller.program
+            if program is None or not name.startswith("output"):
+                return 0
+            return (program.output_ints if kind == "int" else program.output_doubles)[number]
+        kind = rtde_protocol.type_of(name)
+        return [0] * {"VECTOR3D": 3}.get(kind, 6) if kind.startswith("VECTOR") else 0
+
+    @cached_property
+    def target(self) -> tuple[Joints, Joints, Joints]:
+        """(6,) angles, speeds, accelerations that the controller asks for."""
+        return self.arm.target(self.now)
+
+    @cached_property
+    def actual(self) -> tuple[Joints, Joints]:
+        """(6,) angles and speeds that the encoders measure."""
+        return self.arm.actual(self.now)
+
+    @property
+    def runtime_state(self) -> int:
+        """Of the program."""
+        controller = self.controller
+        return RUNNING_STATE if controller.program_running else PAUSED_STATE if controller.program_paused else STOPPED_STATE
+
+    @property
+    def robot_status_bits(self) -> int:
+        """Power on, program running."""
+        return int(self.arm.mode is RobotMode.RUNNING) | int(self.controller.program_running) << 1
+
+    @property
+    def safety_status_bits(self) -> int:
+        """Normal, protective stop, emergency stop of the robot and of the system, stopped for safety."""
+        safety = self.arm.safety
+        emergency = safety is Safety.ROBOT_EMERGENCY_STOP
+        return (
+            int(safety is Safety.NORMAL)
+            | int(safety is Safety.PROTECTIVE_STOP) << 2
+            | int(emergency) << 6
+            | int(emergency) << 7
+            | int(safety is not Safety.NORMAL) << 10
+        )
+
+
+_CHANGING: dict[str, Callable[[Outputs], Any]] = {
+    "timestamp": lambda at: at.now,
+    "target_q": lambda at: at.target[0],
+    "target_qd": lambda at: at.target[1],
+    "target_qdd": lambda at: at.target[2],
+    "actual_q": lambda at: at.actual[0],
+    "actual_qd": lambda at: at.actual[1],
+    "actual_TCP_pose": lambda at: at.controller.tcp_pose(at.actual[0]),
+    "target_TCP_pose": lambda at: at.controller.tcp_pose(at.target[0]),
+    "robot_mode": lambda at: int(at.arm.mode),
+    "safety_mode": lambda at: int(at.arm.safety),
+    "joint_mode": lambda at: [253] * 6,
+    "runtime_state": lambda at: at.runtime_state,
+    "robot_status_bits": lambda at: at.robot_status_bits,
+    "safety_status_bits": lambda at: at.safety_status_bits,
+    "speed_scaling": lambda at: at.arm.speed_fraction,
+    "target_speed_fraction": lambda at: at.arm.speed_fraction,
+    "actual_main_voltage": lambda at: 48.0,
+    "actual_robot_voltage": lambda at: 48.0,
+    "joint_temperatures": lambda at: [30.0] * 6,
+    "actual_digital_output_bits": lambda at: at.controller.digital_outputs,
+}
+"""Name to value; every other variable is a register, or zero."""

@@ -1,0 +1,133 @@
+"""A simulated UR5e controller that the vendor's own client talks to: a process of its own on a loopback address.
+
+with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UR5e(simulated.host) as robot:
+    robot.move_to(joints, speed=1.0, acceleration=1.4)
+    simulated.true_base_from_flange()
+"""
+
+import ipaddress
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+from typing import IO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.errors import SimulationError
+from capture.sim.controller.handle import ControllerHandle
+from datasets.core.errors import UsageError
+
+START_TIMEOUT_S = 20.0
+HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
+"""Where the arm stands at first: stretched upwards [rad]."""
+HANGING_HOME = (0.0, -np.pi, 0.0, -np.pi / 2, 0.0, 0.0)
+"""The same of an arm that hangs: stretched along the ceiling, out of the way [rad]."""
+BUILT_MM, BUILT_DEG = 0.5, 0.05
+"""How the links of an arm as it was built differ from the nominal ones, one standard deviation: millimetres at the flange."""
+
+
+class SimulatedController(ControllerHandle):
+    """The process, and the way to ask it. Use `start`; leaving the context ends the process, and so does the end of this one."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int, words: IO[bytes]) -> None:
+        super().__init__(host, side_port)
+        self.process, self._words = process, words
+
+    @classmethod
+    def start(
+        cls,
+        *,
+        seed: int = 0,
+        time_scale: float = 20.0,
+        repeatability_mm: float = 0.03,
+        repeatability_deg: float = 0.005,
+        length_error_mm: float = 0.0,
+        angle_error_deg: float = 0.0,
+        links_seed: int | None = None,
+        home: NDArray[np.float64] | tuple[float, ...] = HOME,
+        host: str = "",
+    ) -> Self:
+        """Start the process and wait until its ports accept.
+
+        Args:
+            seed: of the errors; the same seed and the same moves give the same errors.
+            time_scale: how much faster than the clock on the wall the controller's time runs.
+            repeatability_mm, repeatability_deg: one standard deviation per axis of where the flange really stops.
+            length_error_mm, angle_error_deg: the same of the arm's links against the nominal ones; the controller knows them.
+            links_seed: of those, None: `seed`; the same one is the same arm.
+            home: (6,) joint angles at the start [rad].
+            host: loopback address; empty: one that nobody uses.
+
+        Raises:
+            UsageError: `host` is no loopback address; nothing simulated listens to other computers.
+            SimulationError: it did not start.
+        """
+        if host and not _is_loopback(host):
+            raise UsageError("is no loopback address", where=host, remedy="give one of 127.0.0.1 to 127.255.255.254")
+        options = {
+            "host": host, "seed": int(seed), "links_seed": int(seed if links_seed is None else links_seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
+            "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
+            "length_error_m": length_error_mm / 1000, "angle_error_rad": float(np.radians(angle_error_deg)),
+        }  # fmt: skip
+        words = tempfile.TemporaryFile()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "capture.sim.controller._child", json.dumps(options)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, start_new_session=True,
+        )  # fmt: skip
+        timer = threading.Timer(START_TIMEOUT_S, process.kill)
+        timer.start()
+        try:
+            line = process.stdout.readline()
+        finally:
+            timer.cancel()
+        if not line:
+            process.kill()
+            process.communicate()
+            raise SimulationError("the simulated controller did not start", where=host, why=_last_line(words).removeprefix("OSError: "),
+                                  remedy="end what holds it up, or choose another --host")  # fmt: skip
+        ready = json.loads(line)
+        return cls(process, ready["host"], ready["side_port"], words)
+
+    @classmethod
+    def as_built(
+        cls, *, seed: int, time_scale: float, links_seed: int | None = None, hangs: bool = False, host: str = ""
+    ) -> Self:
+        """`start` an arm whose links are not quite the nominal ones, as those of any real arm; out of the way if it hangs."""
+        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, length_error_mm=BUILT_MM,
+                         angle_error_deg=BUILT_DEG, home=HANGING_HOME if hangs else HOME)  # fmt: skip
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process; may be called twice."""
+        super().close()
+        self.process.kill()
+        self.process.communicate()
+        self._words.close()
+
+    def last_words(self) -> str:
+        """What the process printed last."""
+        return _last_line(self._words)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.IPv4Address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _last_line(words: IO[bytes]) -> str:
+    """What the process printed last."""
+    if words.closed:
+        return "it has been closed"
+    words.seek(0)
+    lines = words.read().decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"

@@ -1,0 +1,87 @@
+"""One RTDE connection to the simulated controller."""
+
+import asyncio
+import struct
+from typing import Any, Protocol
+
+from capture.sim.controller import rtde_protocol
+from capture.sim.controller.rtde_protocol import Recipe, packet
+
+CYCLE_HZ = 500
+MAX_UNREAD = 1 << 20
+"""A client that leaves this many bytes unread is cut off."""
+
+
+class Registers(Protocol):
+    """What a connection needs of the controller."""
+
+    version: tuple[int, int, int, int]
+    sessions: "list[Session]"
+
+    def write_inputs(self, values: dict[str, Any]) -> None:
+        """Take what a client has set."""
+
+
+class Session:
+    """One RTDE connection: its recipes and what it is owed."""
+
+    def __init__(self, server: Registers, writer: asyncio.StreamWriter) -> None:
+        self.server, self.writer = server, writer
+        self.inputs: dict[int, Recipe] = {}
+        self.output: Recipe | None = None
+        self.period_s = 1.0 / CYCLE_HZ
+        self.due_s = 0.0
+        self.streaming = False
+        self.registers: set[str] = set()
+
+    def handle(self, kind: int, payload: bytes) -> bytes:
+        """Reply to one packet; empty where none is due."""
+        if kind == rtde_protocol.PROTOCOL_VERSION:
+            return packet(kind, b"\x01")
+        if kind == rtde_protocol.CONTROLLER_VERSION:
+            return packet(kind, struct.pack(">4I", *self.server.version))
+        if kind == rtde_protocol.OUTPUTS:
+            frequency = struct.unpack_from(">d", payload)[0]
+            self.output = Recipe(_names(payload[8:]))
+            self.period_s = 1.0 / min(max(frequency, 1.0), CYCLE_HZ)
+            return packet(kind, b"\x01" + ",".join(self.output.types).encode())
+        if kind == rtde_protocol.INPUTS:
+            return packet(kind, self._register_inputs(Recipe(_names(payload))))
+        if kind in (rtde_protocol.START, rtde_protocol.PAUSE):
+            self.streaming = kind == rtde_protocol.START and (self.output is None or self.output.complete)
+            return packet(kind, b"\x01" if self.streaming or kind == rtde_protocol.PAUSE else b"\x00")
+        if kind == rtde_protocol.DATA and payload:
+            self._receive(payload)
+        return b""
+
+    def _register_inputs(self, recipe: Recipe) -> bytes:
+        others = [s.registers for s in self.server.sessions if s is not self]
+        if any(name in registers for registers in others for name in recipe.names):
+            return b"\x00" + b",".join(b"IN_USE" for _ in recipe.names)
+        if not recipe.complete:
+            return b"\x00" + ",".join(recipe.types).encode()
+        self.registers.update(recipe.names)
+        number = len(self.inputs) + 1
+        self.inputs[number] = recipe
+        return bytes([number]) + ",".join(recipe.types).encode()
+
+    def _receive(self, payload: bytes) -> None:
+        recipe = self.inputs.get(payload[0])
+        if recipe is None:
+            return
+        try:
+            values = recipe.unpack(payload[1:])
+        except ValueError:
+            return  # as the controller does with a packet of the wrong size
+        self.server.write_inputs(values)
+
+    def send(self, data: bytes) -> None:
+        """Queue bytes, or cut the connection where nobody reads them."""
+        if self.writer.transport.get_write_buffer_size() > MAX_UNREAD:
+            self.writer.transport.abort()
+        elif data:
+            self.writer.write(data)
+
+
+def _names(payload: bytes) -> list[str]:
+    return [name for name in payload.decode("latin-1").split(",") if name]

@@ -1,0 +1,1 @@
+"""The simulated laboratory: objects, materials, light, lens, and the renderer."""

@@ -1,0 +1,110 @@
+"""The calibration board as a camera sees it: exact, ray by ray, since a plane needs no renderer."""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.sim.laboratory import textures
+from capture.sim.laboratory.lens import Lens
+from capture.sim.laboratory.scenes import TABLE_SIZE
+from capture.trajectory import CharucoTarget
+from datasets import pose
+
+INK, PAPER = 0.04, 0.95
+"""Radiance of black and white [that of the lamps]."""
+BORDER = 0.012
+"""White paper around the squares [m]."""
+
+
+@cache
+def _table(seed: int) -> NDArray[np.float32]:
+    return textures.table_top(np.random.default_rng([seed, 11]))
+
+
+@dataclass(frozen=True)
+class BoardPicture:
+    """A ChArUco board that lies on the table."""
+
+    target: CharucoTarget
+    table_from_board: NDArray[np.float64]
+    seed: int
+    centre: tuple[float, float]
+    """Middle of the table [m]."""
+
+    @cached_property
+    def _markers(self) -> NDArray[np.float32]:
+        """(squares_y, squares_x, cells, cells) the pattern inside each white square: 1 is white."""
+        import cv2
+
+        target = self.target
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, target.dictionary))
+        cells = dictionary.markerSize + 2
+        patterns = np.ones((target.squares_y, target.squares_x, cells, cells), np.float32)
+        identity = 0
+        for row in range(target.squares_y):
+            for column in range(target.squares_x):
+                if (row + column) % 2:
+                    patterns[row, column] = dictionary.generateImageMarker(identity, cells, borderBits=1) / 255
+                    identity += 1
+        return patterns
+
+    def whiteness(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(...,) 1 where the board is white, 0 where black, at (..., 2) board coordinates [m]; white beside the squares."""
+        target = self.target
+        squares = places / target.square_length_m
+        column, row = np.moveaxis(np.floor(squares).astype(np.int64), -1, 0)
+        inside = (column >= 0) & (row >= 0) & (column < target.squares_x) & (row < target.squares_y)
+        column, row = np.where(inside, column, 0), np.where(inside, row, 0)
+        cells = self._markers.shape[-1]
+        local = (squares - np.stack([column, row], -1) - 0.5) * target.square_length_m / target.marker_length_m + 0.5
+        cell = np.floor(local * cells).astype(np.int64)
+        in_marker = inside & ((cell >= 0) & (cell < cells)).all(-1)
+        cell = np.where(in_marker[..., None], cell, 0)
+        square = np.where(inside & ((column + row) % 2 == 0), 0.0, 1.0)
+        return np.where(in_marker & (square > 0), self._markers[row, column, cell[..., 1], cell[..., 0]], square).astype(
+            np.float32
+        )
+
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(height, width, 3) linear light on each pixel of the lens's camera, averaged over its area."""
+        light = self._table_light(table_from_camera, _rays(lens.middles()))
+        board = np.zeros(light.shape[:2])
+        covered = np.zeros(light.shape[:2])
+        for place in lens.places():
+            on_board, white = self._board_light(table_from_camera, _rays(place))
+            covered[on_board] += 1
+            board[on_board] += INK + (PAPER - INK) * white
+        share = (covered / lens.taps**2)[..., None]
+        return (light[..., 3:] * (light[..., :3] * (1 - share) + (board / lens.taps**2)[..., None])).astype(np.float32)
+
+    def _board_light(
+        self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Where (h, w, 3) rays meet the board, and the whiteness there (n,)."""
+        board_from_camera = pose.inverse(self.table_from_board) @ table_from_camera
+        start, heading = board_from_camera[:3, 3], rays @ board_from_camera[:3, :3].T
+        facing = heading[..., 2] > 1e-9
+        places = start[:2] - heading[..., :2] * (start[2] / np.where(facing, heading[..., 2], 1.0))[..., None]
+        extent = np.array([self.target.squares_x, self.target.squares_y]) * self.target.square_length_m
+        on_board = ((places > -BORDER) & (places < extent + BORDER)).all(-1) & facing & (start[2] < 0)
+        return on_board, self.whiteness(places[on_board])
+
+    def _table_light(self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(h, w, 4) colour of the table, and the brightness of the lamps above it, where (h, w, 3) rays meet it."""
+        heading = rays @ table_from_camera[:3, :3].T
+        down = np.minimum(heading[..., 2:], -1e-9)
+        places = (table_from_camera[:3, 3] - heading * (table_from_camera[2, 3] / down))[..., :2] - self.centre
+        cell = places / TABLE_SIZE + 0.5
+        table = _table(self.seed)
+        resolution = table.shape[0]
+        column, row = np.moveaxis((np.clip(cell, 0, 1 - 1e-9) * resolution).astype(np.int64), -1, 0)
+        seen = ((cell > 0) & (cell < 1)).all(-1) & (heading[..., 2] < 0)
+        colour = np.where(seen[..., None], table[row, column], 0.1)
+        lamp = 1.0 - 0.35 * np.clip(np.linalg.norm(places, axis=-1, keepdims=True), 0, 1)
+        return np.concatenate([colour, lamp], -1)
+
+
+def _rays(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([places, np.ones_like(places[..., :1])], -1)

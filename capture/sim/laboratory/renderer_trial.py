@@ -1,0 +1,25 @@
+"""Renders one small picture of everything that the simulation uses, then exits with 0: run as a child, which may die.
+
+python -m capture.sim.laboratory.renderer_trial llvm_ad_rgb
+"""
+
+import sys
+
+import numpy as np
+
+from capture.sim.laboratory.renderer import Renderer
+from capture.sim.laboratory.scenes import stage
+from datasets import pose
+from datasets.camera_model import Camera
+
+
+def main(variant: str) -> int:
+    """Return 0 where `variant` renders the shiny ball with finite light."""
+    renderer = Renderer(stage("shiny_ball", centre=(0.4, 0, 0.1), size=(0.2, 0.2, 0.2), seed=0), using=variant)
+    camera, view = Camera(16, 16, 20, 20, 8, 8), pose.look_at((0, 0, 0.3), (0.4, 0, 0.1))
+    light = renderer.radiance(camera, view, samples=2, seed=0)
+    return 0 if np.isfinite(light).all() and renderer.surfaces(camera, view, seed=0).hit.any() else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

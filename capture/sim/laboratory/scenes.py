@@ -1,0 +1,146 @@
+"""The simulated laboratory: what stands on the table in front of the robot, as shapes, colours and light.
+
+Everything is in the table's frame [m]: its top at z = 0, z up. A stage knows nothing of a renderer.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from capture.errors import SimulationError
+from capture.sim.laboratory import objects, textures
+from capture.sim.laboratory.materials import Glass, Material, Matt, Metal
+from datasets.core.errors import UsageError, nearest
+
+SCENES = {
+    "gold_head": "a life-like head of rough gold on a plinth",
+    "shiny_ball": "a mirror ball among coloured blocks",
+    "lidar_guts": "the inside of a lidar: machined metal, circuit boards, a lens",
+    "crystal_capture": "clear crystals on a stone",
+    "charuco_board": "the calibration board",
+}
+TABLE_SIZE = 1.8
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing on the stage, its mesh in the table's frame [m]."""
+
+    name: str
+    mesh: trimesh.Trimesh
+    material: Material
+    uv: NDArray[np.float32] | None = None
+    """(vertices, 2) texture coordinates, for a texture."""
+    smooth: bool = False
+    """True where the mesh carries its own normals."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """All that light can meet: the first items are the object that the capture is about."""
+
+    name: str
+    items: tuple[Item, ...]
+    room: NDArray[np.float32]
+    """(h, 2h, 3) radiance of the surroundings, see `textures.room`."""
+    parts: int = 1
+    """How many items are the object."""
+
+    @property
+    def transparent(self) -> bool:
+        """Whether light passes through anything."""
+        return any(isinstance(item.material, Glass) for item in self.items)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The object in the table's frame [m]."""
+        meshes = [item.mesh for item in self.items[: self.parts]]
+        return meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
+
+
+def check_name(name: str) -> str:
+    """`name` where it is a scene's; else UsageError naming the nearest one."""
+    if name not in SCENES:
+        raise UsageError(f"unknown scene '{name}'", remedy=nearest(name, SCENES))
+    return name
+
+
+def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
+    """The stage of a scene, its object in the middle of the object volume's floor.
+
+    Args:
+        name: of `SCENES`, "charuco_board" aside.
+        centre: (3,) middle of the object volume in the table's frame [m].
+        size: (3,) its edges [m].
+        seed: of the textures.
+    """
+    rng = np.random.default_rng([seed, 11])
+    centre, size = np.asarray(centre, np.float64), np.asarray(size, np.float64)
+    parts = _parts(name, np.random.default_rng([seed, 12]))
+    _place([mesh for _, mesh, _, _ in parts], centre, size)
+    things = [Item(part, mesh, material, smooth=smooth) for part, mesh, material, smooth in parts]
+    return Stage(name, (*things, _table(centre, rng), *_props(centre, size, rng)), textures.room(rng), len(things))
+
+
+def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
+    """Meshes of the object [m], a material each, around the origin."""
+    if name == "gold_head":
+        from capture.sim.laboratory.head import head_mesh
+
+        mesh = head_mesh().copy()
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))  # faces the robot
+        return [("gold_head", mesh, Metal("Au", 0.12), True)]
+    if name == "shiny_ball":
+        return objects.shiny_ball()
+    if name == "lidar_guts":
+        return objects.lidar_guts(rng)
+    if name == "crystal_capture":
+        return objects.crystal_capture(rng)
+    known = ", ".join(other for other in SCENES if other != "charuco_board")
+    raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {known}")
+
+
+def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDArray[np.float64]) -> None:
+    """Stand the object in the middle of the volume's floor, in the table's frame; smaller where the volume is too small."""
+    lower = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
+    upper = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    scale = min(1.0, float(np.min(size / (upper - lower))))
+    middle, floor = (lower + upper) / 2, centre[2] - size[2] / 2
+    for mesh in meshes:
+        mesh.apply_translation([-middle[0], -middle[1], -lower[2]])
+        mesh.apply_scale(scale)
+        mesh.apply_translation([centre[0], centre[1], floor])
+
+
+def _table(centre: NDArray[np.float64], rng: np.random.Generator) -> Item:
+    half = TABLE_SIZE / 2
+    x, y = centre[:2]
+    corners = [[x - half, y - half, 0], [x + half, y - half, 0], [x + half, y + half, 0], [x - half, y + half, 0]]
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    return Item("table", mesh, Matt(textures.table_top(rng)), uv=uv)
+
+
+def _props(centre: NDArray[np.float64], size: NDArray[np.float64], rng: np.random.Generator) -> list[Item]:
+    """Low coloured blocks around the object: parallax for the pictures, colour for the metal."""
+    colours = [
+        (0.62, 0.10, 0.08),
+        (0.10, 0.35, 0.60),
+        (0.12, 0.48, 0.20),
+        (0.70, 0.52, 0.10),
+        (0.55, 0.55, 0.52),
+        (0.35, 0.12, 0.45),
+    ]
+    reach = float(np.hypot(size[0], size[1])) / 2 + 0.045
+    items = []
+    for index, colour in enumerate(colours):
+        angle = 2 * np.pi * (index + rng.uniform(-0.25, 0.25)) / len(colours)
+        away = reach + rng.uniform(0.0, 0.08)
+        edges = rng.uniform([0.03, 0.03, 0.015], [0.06, 0.06, 0.05])
+        place = trimesh.transformations.rotation_matrix(rng.uniform(0, np.pi), [0, 0, 1])
+        place[:3, 3] = [centre[0] + away * np.cos(angle), centre[1] + away * np.sin(angle), edges[2] / 2]
+        block = trimesh.creation.box(edges) if index % 2 else trimesh.creation.cylinder(edges[0] / 2, edges[2], sections=48)
+        block.apply_transform(place)
+        items.append(Item(f"block {index}", block, Matt(np.array(colour, np.float32))))
+    return items

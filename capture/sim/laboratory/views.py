@@ -1,0 +1,178 @@
+"""What is in front of the simulated lens: an object in the laboratory, or the calibration board.
+
+Both are described in the table's frame; `InBase` shows them to a robot that stands on that table, above or below it, or hangs.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.errors import SimulationError
+from capture.sim.laboratory.board import BoardPicture
+from capture.sim.laboratory.lens import Lens, strips
+from capture.sim.laboratory.scenes import Stage, check_name, stage
+from capture.trajectory import Trajectory
+from datasets import pose
+from datasets.camera_model import Camera
+from datasets.core.errors import UsageError
+
+Maps = dict[str, NDArray[np.float32]]
+SAMPLES = 9
+"""Light paths per pixel of the supersampled pinhole picture, four times as many per pixel of the image: noise of 38 dB."""
+FULL_SAMPLES = 4
+"""The same where every photosite is a pixel, whose own noise is higher."""
+FINE = 2
+"""Pixels of the true surfaces per pixel of the pinhole picture, along each axis."""
+RAYS_AT_ONCE = 4_000_000
+
+
+class View(Protocol):
+    """What is in front of the lens, described in one frame: `world`."""
+
+    def radiance(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> NDArray[np.float32]:
+        """(height, width, 3) linear light on the pixels of the lens's camera, its mean over (n, 4, 4) poses of an exposure."""
+        ...
+
+    def truth(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> Maps:
+        """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
+        ...
+
+    def mesh(self) -> Any:
+        """The object [m], a trimesh; None where there is none."""
+
+
+@dataclass(frozen=True)
+class InBase:
+    """A view described in the table's frame, as a `View` in the robot's base frame."""
+
+    view: View
+    base_from_table: NDArray[np.float64]
+
+    def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return self.view.radiance(lens, pose.inverse(self.base_from_table) @ base_from_camera, seed)
+
+    def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """See `View`."""
+        maps = self.view.truth(lens, pose.inverse(self.base_from_table) @ base_from_camera, seed)
+        if "normals" in maps:
+            maps["normals"] = maps["normals"] @ self.base_from_table[:3, :3].T.astype(np.float32)
+        return maps
+
+    def mesh(self) -> Any:
+        """See `View`."""
+        mesh = self.view.mesh()
+        return None if mesh is None else mesh.copy().apply_transform(self.base_from_table)
+
+
+@dataclass
+class ObjectView:
+    """An object in the laboratory, rendered."""
+
+    stage: Stage
+    samples: int
+    """Light paths per pixel of the pinhole picture."""
+    _newest: NDArray[np.float32] | None = None
+
+    @cached_property
+    def _renderer(self) -> Any:
+        from capture.sim.laboratory.renderer import Renderer
+
+        return Renderer(self.stage)
+
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        pictures = (self._renderer.radiance(lens.pinhole, moment, samples=self.samples, seed=(seed + i) % 2**32)
+                    for i, moment in enumerate(table_from_camera))  # fmt: skip
+        self._newest = _mean(pictures, len(table_from_camera))
+        return lens.image(self._newest)
+
+    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """Means over each pixel: normals and depth over that part of it which shows the object, light over all of it."""
+        if self._newest is None:
+            raise SimulationError("no picture has been taken yet")
+        means = self._surfaces(lens.pinhole, table_from_camera, seed)
+        specular = self._newest * means[..., :1]
+        alpha, normals, depth, specular, diffuse = np.split(
+            lens.image(np.concatenate([means, specular, self._newest - specular], -1)), [1, 4, 5, 8], axis=-1
+        )
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+        return {
+            "alpha": alpha, "normals": np.where(alpha > 0, normals, 0), "depth": depth / np.maximum(alpha, 1e-6),
+            "specular": specular, "diffuse": diffuse,
+        }  # fmt: skip
+
+    def _surfaces(self, pinhole: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """(height, width, 5) means over a pinhole's pixels: share of the object, its normals and its depth times that."""
+        means = np.empty((pinhole.height, pinhole.width, 5), np.float32)
+        for number, (rows, part) in enumerate(strips(pinhole, RAYS_AT_ONCE // FINE**2)):
+            fine = part.scaled(FINE * part.width, FINE * part.height)
+            seen = self._renderer.surfaces(fine, table_from_camera, seed=(seed + number) % 2**32)
+            values = np.concatenate([np.ones_like(seen.normals[..., :1]), seen.normals, seen.depth[..., None]], -1)
+            values *= seen.is_object[..., None]
+            means[rows] = sum(values[down::FINE, right::FINE] for down in range(FINE) for right in range(FINE)) / FINE**2
+        return means
+
+    def mesh(self) -> Any:
+        """See `View`."""
+        return self.stage.mesh()
+
+
+@dataclass
+class BoardView:
+    """The calibration board on the table."""
+
+    board: BoardPicture
+
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return _mean((self.board.radiance(lens, moment) for moment in table_from_camera), len(table_from_camera))
+
+    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """Nothing per picture: the board's pose says it all."""
+        return {}
+
+    def mesh(self) -> None:
+        """None: a board is no object."""
+
+
+def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:
+    """Of `count` pictures; a single one stays as it is, bit for bit."""
+    total = sum(pictures, np.float32(0))
+    return np.asarray(total if count == 1 else total / np.float32(count), np.float32)
+
+
+def check_scene(scene: str, trajectory: Trajectory) -> None:
+    """Raise UsageError where there is no such scene, or where the trajectory does not say what it needs."""
+    check_name(scene)
+    if scene == "charuco_board" and (trajectory.target is None or trajectory.board is None):
+        raise UsageError("scene 'charuco_board' needs a trajectory with 'target' and 'board'", where=trajectory.name,
+                     remedy="use configs/trajectories/calibration_demo.yaml, or another --scene")  # fmt: skip
+    if scene != "charuco_board" and trajectory.object is None:
+        raise UsageError(f"scene '{scene}' needs a trajectory with 'object'", where=trajectory.name,
+                     remedy="use configs/trajectories/koala_demo.yaml, or --scene charuco_board")  # fmt: skip
+
+
+def make_view(scene: str, trajectory: Trajectory, seed: int) -> InBase:
+    """What stands in front of the camera; raises as `check_scene` does."""
+    check_scene(scene, trajectory)
+    return InBase(_on_table(scene, trajectory, seed), trajectory.base_from_table)
+
+
+def _on_table(scene: str, trajectory: Trajectory, seed: int) -> View:
+    table_from_base = pose.inverse(trajectory.base_from_table)
+    if trajectory.target is not None and trajectory.board is not None and scene == "charuco_board":
+        table_from_board, target = table_from_base @ trajectory.board.matrix(), trajectory.target
+        extent = np.array([target.squares_x, target.squares_y, 0]) * target.square_length_m
+        middle = table_from_board[:3, :3] @ extent / 2 + table_from_board[:3, 3]
+        return BoardView(BoardPicture(target, table_from_board, seed, (float(middle[0]), float(middle[1]))))
+    volume = trajectory.object
+    if volume is None:
+        raise SimulationError(f"scene '{scene}' has nowhere to stand")
+    samples = FULL_SAMPLES if trajectory.camera.binning == 1 else SAMPLES
+    centre = table_from_base[:3, :3] @ volume.centre + table_from_base[:3, 3]
+    return ObjectView(stage(scene, centre=centre, size=volume.size, seed=seed), samples)

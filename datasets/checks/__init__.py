@@ -1,0 +1,1 @@
+"""Checks of a scene: cameras, poses, and feature matches against the poses."""

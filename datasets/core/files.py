@@ -1,0 +1,174 @@
+"""Writing that is all or nothing, and reading that stays inside its folder.
+
+Every file is written to a temporary name in its own folder, flushed to the disk and renamed, so that a
+reader, a full disk or a kill never meets half a file.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.core.errors import DatasetError, UsageError, nearest
+
+MAX_JSON_BYTES = 2**26
+"""Larger JSON files are refused: one of ten thousand frames has a fifth of this."""
+LONGEST_NAME = 255
+"""Bytes of a file's name that file systems can hold."""
+FEW = 12
+"""So many names are listed where none is near."""
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path` (same suffix); on success flush it and rename it to `path`.
+
+    On any exception, Ctrl-C and a full disk included, the temporary file is removed and `path` is untouched.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb+") as file:
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Yield an empty temporary folder beside `path`; on success rename it to `path`, else remove it.
+
+    Raises:
+        UsageError: `path` exists and is not an empty folder: nothing is ever overwritten.
+    """
+    path = Path(path)
+    refuse_existing(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    try:
+        yield temporary
+        os.chmod(temporary, 0o755)
+        if path.exists():
+            path.rmdir()
+        os.replace(temporary, path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise UsageError where `path` holds something already: results are never overwritten."""
+    path = Path(path)
+    if path.is_file() or (path.is_dir() and any(path.iterdir())):
+        raise UsageError("already exists", where=path, remedy="choose another name, or remove it first")
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write `data` atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` as UTF-8, atomically."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write `content` as indented JSON, atomically. NaN and infinity are refused, as JSON has neither."""
+    write_text(path, json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def read_json(path: Path, *, kind: str | None = None, version: int | None = None) -> Any:
+    """Read a JSON file; with `kind`, check that its "format" and "version" are what this version reads.
+
+    Raises:
+        UsageError: the file is missing.
+        DatasetError: it is no JSON, of another kind, or written by a newer version.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_JSON_BYTES:
+            raise DatasetError("is too large for a JSON file", where=path, why=f"{path.stat().st_size} bytes")
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UsageError("no such file", where=path, remedy=neighbour(path, ".json")) from None
+    except (IsADirectoryError, NotADirectoryError):
+        raise UsageError("is not a file", where=path, remedy="check the path") from None
+    except OSError as error:
+        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error), remedy="copy it again") from None
+    except (ValueError, RecursionError) as error:
+        raise DatasetError("is not valid JSON", where=path, why=str(error), remedy="write it again") from None
+    if kind is not None:
+        found = content.get("format") if isinstance(content, dict) else None
+        if found != kind:
+            raise DatasetError(f"is not a {kind} file", where=path, why=f"its format says {found!r}")
+        if version is not None and content.get("version") != version:
+            raise DatasetError(
+                f"{kind} version {content.get('version')} cannot be read", where=path,
+                why=f"this Koala reads version {version}", remedy="use the Koala version that wrote it",
+            )  # fmt: skip
+    return content
+
+
+def neighbour(path: Path, *suffixes: str) -> str:
+    """Advice for somebody who named a file that is not there: the nearest name beside it, or the few that there are."""
+    if not path.parent.is_dir():
+        return f"there is no folder {path.parent}"
+    names = [other.name for other in path.parent.iterdir() if other.suffix in suffixes]
+    advice = nearest(path.name, names)
+    return advice if names and (len(names) <= FEW or advice.startswith("did you mean")) else "check the path"
+
+
+def inside(folder: Path, name: str, *, where: object = "") -> Path:
+    """Path of `name` below `folder`.
+
+    Raises:
+        DatasetError: `name` is absolute or leaves `folder`, also through a symbolic link.
+    """
+    try:
+        root = Path(folder).resolve()
+        path = (root / name).resolve()
+        if any(len(os.fsencode(part)) > LONGEST_NAME for part in path.parts):
+            raise ValueError("a name in it is too long")
+        leaves = Path(name).is_absolute() or not path.is_relative_to(root)
+    except (TypeError, ValueError, OSError, RuntimeError) as error:  # no text, a zero byte, too long, links in a circle
+        raise DatasetError(f"path {str(name)[:80]!r} is not usable", where=where or folder, why=str(error)) from None
+    if leaves:
+        raise DatasetError(f"path {name!r} leaves the folder", where=where or folder, remedy="use paths relative to it")
+    return Path(folder) / name
+
+
+def within(folder: Path, path: Path, *, where: object = "") -> Path:
+    """`path`, which begins with `folder`. Raises DatasetError where it leaves it, also through a symbolic link."""
+    return inside(folder, os.path.relpath(path, folder), where=where)
+
+
+def sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

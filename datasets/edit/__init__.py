@@ -1,0 +1,1 @@
+"""Scenes made from scenes: subset, merge, crop, resize."""

@@ -1,0 +1,135 @@
+"""Commands of `datasets` that make scenes from scenes; `datasets.cli` registers them."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from datasets.core import console
+from datasets.core.console import Json
+
+if TYPE_CHECKING:
+    from datasets.scene import Scene
+
+Root = Annotated[Path | None, typer.Option(help="Folder in which scene names are looked up, before $KOALA_DATA.")]
+Out = Annotated[Path, typer.Option(help="Folder to write; must not exist.")]
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Folder, or a name such as koala/gold_head.")]
+Edit = Callable[["Scene", Path, Callable[[], None]], "Scene"]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands."""
+    for command in (subset, split, merge, downscale, undistort, crop):
+        app.command()(command)
+
+
+def subset(
+    scene: SceneName,
+    out: Out,
+    keep: Annotated[str, typer.Option(help="Names to keep, with * and ? as in file names.")] = "*",
+    every: Annotated[int, typer.Option(help="Keep each so-many-th of them.")] = 1,
+    splits: Annotated[str, typer.Option(help="Splits to keep, separated by commas.")] = "train,val,test",
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene with some of the views of another."""
+    from datasets.core.errors import UsageError, nearest
+    from datasets.edit import edit
+    from datasets.scene import SPLITS
+
+    chosen = [word.strip() for word in splits.split(",") if word.strip()]
+    for word in chosen:
+        if word not in SPLITS:
+            raise UsageError(f"no split called {word!r}", remedy=nearest(word, SPLITS))
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.subset(s, keep=keep, every=every, splits=chosen))
+
+
+def split(
+    scene: SceneName,
+    out: Out,
+    every: Annotated[int, typer.Option(help="Each so-many-th view by sorted name is a test view.")] = 8,
+    test: Annotated[str, typer.Option(help="Names of the test views instead, with * and ?.")] = "",
+    val: Annotated[str, typer.Option(help="Names of the validation views, with * and ?.")] = "",
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene with its views divided anew into training and test."""
+    from datasets.edit import edit
+
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.split(s, every=every, test=test, val=val))
+
+
+def merge(
+    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scenes in one coordinate frame.")],
+    out: Out,
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write one scene with the views of several that share a world."""
+    from datasets.edit import edit
+    from datasets.formats import load_scene
+
+    others = [load_scene(name, data_root=data_root) for name in scenes[1:]]
+    _write(scenes[0], out, data_root, as_json, lambda s, folder, done: edit.merge([s, *others], out.resolve().name))
+
+
+def downscale(
+    scene: SceneName,
+    out: Out,
+    factor: Annotated[int, typer.Option(help="By how much smaller: 4 for a quarter of the width and height.")],
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene with smaller pictures."""
+    from datasets.edit import edit
+
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.downscaled(s, factor, folder, done=done))
+
+
+def undistort(scene: SceneName, out: Out, data_root: Root = None, as_json: Json = False) -> None:
+    """Write a scene with every picture as a centred pinhole would have taken it."""
+    from datasets.edit import edit
+
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done))
+
+
+def crop(
+    scene: SceneName,
+    out: Out,
+    width: Annotated[int, typer.Option(help="Width that is left [px].")],
+    height: Annotated[int, typer.Option(help="Height that is left [px].")],
+    left: Annotated[int, typer.Option(help="Columns to cut off on the left [px].")] = 0,
+    top: Annotated[int, typer.Option(help="Rows to cut off above [px].")] = 0,
+    data_root: Root = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene with every picture cut to one rectangle."""
+    from datasets.edit import edit
+
+    _write(scene, out, data_root, as_json,
+           lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))  # fmt: skip
+
+
+def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit) -> None:
+    """Load a scene, change it and write it as a Koala scene, all or nothing."""
+    from datasets.build import extra_truth
+    from datasets.core.files import refuse_existing
+    from datasets.formats import find, koala, load_scene
+
+    refuse_existing(out)
+    loaded = load_scene(name, data_root=data_root)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as work,
+        console.progress("writing", len(loaded.views), "views") as shown,
+    ):
+        changed = change(loaded, Path(work), shown.advance)
+        koala.save(changed, out, extra=extra_truth(find(name, data_root)))
+    counts = {split: sum(view.split == split for view in changed.views) for split in ("train", "val", "test")}
+    sizes = sorted({(view.camera.width, view.camera.height) for view in changed.views})
+    words = ", ".join(f"{count} {split}" for split, count in counts.items() if count)
+    shown_sizes = ", ".join(f"{width}x{height}" for width, height in sizes[:4])
+    text = f"{words} views of {shown_sizes} px written to {out}"
+    console.report({"out": str(out), "views": counts, "sizes": sizes}, as_json=as_json, text=text)

@@ -1,0 +1,214 @@
+"""Scenes from scenes: fewer views, other splits, several in one, other pictures. Sources are never touched.
+
+`subset`, `split` and `merge` only choose; `downscaled`, `undistorted` and `cropped` write new pictures into a folder, and with
+them change intrinsics, truth and sightings, so that every ray stays where it was.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera_model import Camera
+from datasets.core.errors import UsageError
+from datasets.formats import assemble, export
+from datasets.formats.koala import file_name
+from datasets.imaging import downscale, images
+from datasets.scene import SPLITS, Scene, Sightings, View
+
+Pixels = NDArray[np.float64]
+LOSSY = frozenset({".jpg", ".jpeg"})
+"""Suffixes of pictures that would lose something if they were written again: PNG is written instead."""
+_CENTRED = export.Layout("", lambda camera: camera.is_centred, "", mask="masks/{stem}")
+
+
+def subset(scene: Scene, *, keep: str = "*", every: int = 1, splits: Sequence[str] = SPLITS) -> Scene:
+    """The views of some splits whose names match `keep` (as file names do, "*" and "?"), and of these each `every`-th.
+
+    Raises:
+        UsageError: there is no such view, or `every` is not positive.
+    """
+    if every < 1:
+        raise UsageError("is to be 1 or more", where="every", why=str(every))
+    chosen = [view for view in scene.views if view.split in splits and fnmatch(view.name, keep)][::every]
+    if not chosen:
+        raise UsageError(
+            "no view is left", where=scene.name, why=f"of {len(scene.views)}, none matches {keep!r} in {', '.join(splits)}"
+        )
+    return scene.with_views(tuple(chosen))
+
+
+def split(scene: Scene, *, every: int = 8, test: str = "", val: str = "") -> Scene:
+    """The views whose names match `test` or `val` in these splits, the others for training.
+
+    Where both are empty, each `every`-th by sorted name is a test view, from the first on.
+    """
+    if not (test or val):
+        return scene.with_views(assemble.hold_out(scene.views, every))
+
+    def named(view: View) -> str:
+        return "test" if test and fnmatch(view.name, test) else "val" if val and fnmatch(view.name, val) else "train"
+
+    views = tuple(replace(view, split=named(view)) for view in scene.views)
+    missing = [name for name, pattern in (("test", test), ("val", val)) if pattern and not any(v.split == name for v in views)]
+    if missing:
+        raise UsageError("no view matches", where=scene.name, why=f"pattern of {', '.join(missing)}")
+    return scene.with_views(views)
+
+
+def merge(scenes: Sequence[Scene], name: str) -> Scene:
+    """All views of scenes with one world. Names that occur twice get their scene's name before them.
+
+    Raises:
+        UsageError: fewer than two scenes, or they differ in background or in whether the unit is the metre.
+    """
+    if len(scenes) < 2:
+        raise UsageError("merging takes two scenes or more", where=name)
+    for what in ("background", "metric"):
+        found = [getattr(scene, what) for scene in scenes]
+        if len(set(found)) > 1:
+            raise UsageError(f"scenes differ in {what}", why=", ".join(f"{s.name}: {f}" for s, f in zip(scenes, found, strict=True)),
+                         remedy="merge scenes of one kind, in one coordinate frame")  # fmt: skip
+    names = [view.name for scene in scenes for view in scene.views]
+    prefixes = [scene.name if [s.name for s in scenes].count(scene.name) == 1 else f"{i}" for i, scene in enumerate(scenes)]
+    renamed = [
+        {v.name: v.name if names.count(v.name) == 1 else f"{prefix}/{v.name}" for v in scene.views}
+        for prefix, scene in zip(prefixes, scenes, strict=True)
+    ]
+    views = [replace(v, name=new[v.name]) for scene, new in zip(scenes, renamed, strict=True) for v in scene.views]
+    boxes = np.stack([scene.box for scene in scenes])
+    points, sightings = _merged_points(scenes, renamed)
+    return replace(scenes[0], name=name, views=tuple(views), near=min(s.near for s in scenes), far=max(s.far for s in scenes),
+                   box=np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), points=points, sightings=sightings,
+                   notes=tuple(note for s in scenes for note in s.notes),
+                   provenance={"format": "koala", "merged": [s.provenance for s in scenes]},
+                   bounds_from="; ".join(dict.fromkeys(s.bounds_from for s in scenes)))  # fmt: skip
+
+
+def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -> tuple[Any, Sightings | None]:
+    having = [(s.points, s.sightings, new) for s, new in zip(scenes, renamed, strict=True) if s.points is not None]
+    if not having:
+        return None, None
+    names: list[str] = []
+    index, pixels, colours, first = [], [], [], 0
+    for points, seen, new in having:
+        if seen is None:
+            return np.concatenate([points for points, _, _ in having]), None
+        index.append(seen.index + np.array([first, len(names)]))
+        pixels.append(seen.pixels)
+        colours.append(seen.colours)
+        names += [new.get(name, name) for name in seen.names]
+        first += len(points)
+    return np.concatenate([points for points, _, _ in having]), Sightings(
+        tuple(names), np.concatenate(index), np.concatenate(pixels), np.concatenate(colours)
+    )
+
+
+def downscaled(scene: Scene, factor: int, folder: Path, *, done: Callable[[], None] = lambda: None) -> Scene:
+    """The scene with all pictures at 1/`factor` of their size, area averages of linear light, written below `folder`."""
+    if factor < 2:
+        raise UsageError("is to be 2 or more", where="factor", why=str(factor))
+    views = []
+    for view in scene.views:
+        small = downscale.camera(view.camera, factor)
+        image = _path(folder, "images", view, view.image)
+        downscale.Job(view.image, image, small.width, small.height).run()
+        mask = _path(folder, "masks", view, view.mask) if view.mask else None
+        if view.mask and mask:
+            downscale.Job(view.mask, mask, small.width, small.height, colours=False).run()
+        truth = {}
+        for key in view.truth:
+            truth[key] = _exr(folder, key, view)
+            images.write(truth[key], _smaller_truth(key, view.read_truth(key), small))
+        views.append(replace(view, camera=small, image=image, mask=mask, truth=truth))
+        done()
+    ratios = {old.name: np.array([new.camera.width / old.camera.width, new.camera.height / old.camera.height])
+              for old, new in zip(scene.views, views, strict=True)}  # fmt: skip
+    return _with_views(scene, views, lambda name, pixels: pixels * ratios[name])
+
+
+def _smaller_truth(key: str, values: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Means over what each new pixel covers: normals as vectors brought to unit length, depth over what has one."""
+    small = images.resize(values, camera.width, camera.height, srgb=False)
+    if key == "normals":
+        length = np.linalg.norm(small, axis=-1, keepdims=True)
+        return np.where(length > 0.5, small / np.maximum(length, 0.5), 0.0).astype(np.float32)
+    if key == "depth":
+        share = images.resize((values > 0).astype(np.float32), camera.width, camera.height, srgb=False)
+        return np.where(share > 0.5, small / np.maximum(share, 0.5), 0.0).astype(np.float32)
+    return small
+
+
+def undistorted(scene: Scene, folder: Path, *, done: Callable[[], None] = lambda: None) -> Scene:
+    """The scene with every view as a centred pinhole, written below `folder`; views that are one already keep their files."""
+    views = []
+    for view in scene.views:
+        views.append(export.place(view, folder, f"images/{file_name(view)}", _CENTRED).view)
+        done()
+    pairs = {old.name: (old, new) for old, new in zip(scene.views, views, strict=True)}
+
+    def moved(name: str, pixels: Pixels) -> Pixels:
+        old, new = pairs[name]
+        rays = old.camera.directions(pixels) @ (new.world_from_camera[:3, :3].T @ old.world_from_camera[:3, :3]).T
+        return new.camera.project(rays)
+
+    return _with_views(scene, views, moved)
+
+
+def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: Path, *,
+            done: Callable[[], None] = lambda: None) -> Scene:  # fmt: skip
+    """The scene with every picture cut to `width` x `height` pixels from (`left`, `top`), written below `folder`.
+
+    Raises:
+        UsageError: a picture does not hold all of that.
+    """
+    for view in scene.views:
+        if min(left, top) < 0 or min(width, height) < 1 or left + width > view.camera.width or top + height > view.camera.height:
+            raise UsageError("picture does not hold what is to be left", where=f"view {view.name}",
+                         why=f"{width}x{height} at ({left}, {top}) of {view.camera.width}x{view.camera.height}")  # fmt: skip
+
+    def cut(source: Path, target: Path) -> Path:
+        stored = images.read_stored(source)[top : top + height, left : left + width]
+        images.write(target, stored, metadata=images.metadata(source))
+        return target
+
+    views = []
+    for view in scene.views:
+        camera = replace(view.camera, width=width, height=height, cx=view.camera.cx - left, cy=view.camera.cy - top)
+        mask = cut(view.mask, _path(folder, "masks", view, view.mask)) if view.mask else None
+        truth = {key: cut(path, _path(folder, f"truth/{key}", view, path)) for key, path in view.truth.items() if key != "depth"}
+        if "depth" in view.truth:  # may be coded by the old camera's rays
+            truth["depth"] = _exr(folder, "depth", view)
+            images.write(truth["depth"], view.read_truth("depth")[top : top + height, left : left + width])
+        image = cut(view.image, _path(folder, "images", view, view.image))
+        views.append(replace(view, camera=camera, image=image, mask=mask, truth=truth))
+        done()
+    return _with_views(scene, views, lambda name, pixels: pixels - [left, top])
+
+
+def _path(folder: Path, below: str, view: View, source: Path) -> Path:
+    return folder / below / f"{file_name(view)}{'.png' if source.suffix.lower() in LOSSY else source.suffix}"
+
+
+def _exr(folder: Path, key: str, view: View) -> Path:
+    return folder / "truth" / key / f"{file_name(view)}.exr"
+
+
+def _with_views(scene: Scene, views: Sequence[View], moved: Callable[[str, Pixels], Pixels]) -> Scene:
+    """The scene with other pictures; sightings move with them, and those outside the new picture are dropped."""
+    seen = scene.sightings
+    if seen is None:
+        return scene.with_views(tuple(views))
+    cameras = {view.name: view.camera for view in views}
+    pixels, kept = seen.pixels.copy(), np.zeros(len(seen.pixels), bool)
+    for number, name in enumerate(seen.names):
+        rows = np.flatnonzero(seen.index[:, 1] == number)
+        if name in cameras and len(rows):
+            pixels[rows] = moved(name, seen.pixels[rows])
+            kept[rows] = ((pixels[rows] >= 0) & (pixels[rows] <= [cameras[name].width, cameras[name].height])).all(1)
+    sightings = replace(seen, index=seen.index[kept], pixels=pixels[kept])
+    return replace(scene, views=tuple(views), sightings=sightings)

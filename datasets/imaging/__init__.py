@@ -1,0 +1,1 @@
+"""Pictures: reading, resampling, undistortion, regions of the sensor."""

@@ -1,0 +1,110 @@
+"""Pictures made smaller, file by file: area averages of linear light, the file's depth and metadata kept.
+
+One picture for each worker is in memory at a time, so that memory does not grow with their number.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera_model import Camera
+from datasets.core.errors import DatasetError
+from datasets.imaging import images
+from datasets.scene import View
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def camera(full: Camera, factor: int) -> Camera:
+    """The camera of a picture at 1/`factor` of its size, rounded to whole pixels."""
+    return full.scaled(max(round(full.width / factor), 1), max(round(full.height / factor), 1))
+
+
+def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDArray[Any]:
+    """(height, width, channels) of an image file at another size, as deep as the file: uint8, uint16 or float32.
+
+    Args:
+        path: file to read. Integers are sRGB, floats linear light; a second or fourth channel is a straight alpha.
+        width: new width [px].
+        height: new height [px].
+        colours: False for masks and depth, whose values are averaged as they are.
+    """
+    stored = images.read_stored(path)
+    if not colours:
+        top = 1.0 if stored.dtype == np.float32 else float(np.iinfo(stored.dtype).max)
+        small = images.resize(stored.astype(np.float32) / np.float32(top), width, height, srgb=False)
+    else:
+        small = images.resize_light(images.linear_from_stored(stored), width, height)
+        if stored.dtype != np.float32:
+            count = small.shape[-1] - (small.shape[-1] in (2, 4))
+            small[..., :count] = images.srgb_from_linear(small[..., :count])
+    if stored.dtype == np.uint8:
+        return images.to_uint8(small)
+    return images.to_uint16(small) if stored.dtype == np.uint16 else small
+
+
+@dataclass(frozen=True)
+class Job:
+    """One picture to write at another size; the suffix of `target` says the format."""
+
+    source: Path
+    target: Path
+    width: int
+    height: int
+    colours: bool = True
+    """As of `shrunk`."""
+
+    def run(self) -> None:
+        """Write the picture, its metadata kept. Raises DatasetError where `target` exists, or `source` is missing or damaged."""
+        if self.target.exists():
+            raise DatasetError("two views would share a file", where=self.target, remedy="give each view its own name")
+        small = shrunk(self.source, self.width, self.height, colours=self.colours)
+        images.write(self.target, small, metadata=images.metadata(self.source))
+
+
+def run(jobs: Iterable[Job], *, workers: int = 2) -> None:
+    """Run all jobs, `workers` at a time, each with one picture in memory. Raises as `Job.run` does, at the first that fails."""
+    for _ in streamed(Job.run, jobs, workers=workers):
+        pass
+
+
+def folders(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Callable[[View, Path], str]) -> None:
+    """For each N of `sizes`, `images_N/` and `masks_N/` below `folder` with the views' pictures at 1/N of their size.
+
+    `name` gives a file's name from its view and the file that it is made from.
+    """
+    jobs = []
+    for size, view in product(sizes, views):
+        small = camera(view.camera, size)
+        for source, home in ((view.image, "images"), (view.mask, "masks")):
+            if source is not None:
+                target = folder / f"{home}_{size}" / name(view, source)
+                jobs.append(Job(source, target, small.width, small.height, home == "images"))
+    run(jobs)
+
+
+def streamed(work: Callable[[Item], Result], items: Iterable[Item], *, workers: int = 2) -> Iterator[Result]:
+    """Results of `work` in the order of `items`, `workers` of them under way at a time: memory does not grow with their number.
+
+    Decoding and averaging run outside Python's lock, so threads do.
+    """
+    waiting: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(work, item))
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

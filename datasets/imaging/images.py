@@ -1,0 +1,293 @@
+"""Pictures on disk and in memory. The only module that knows OpenImageIO.
+
+In memory a picture is (height, width, channels). 8- and 16-bit files are scaled to 0..1 and otherwise left as they
+are: an sRGB file gives sRGB values, alpha stays straight. Float files (EXR, TIFF) are read as they are.
+"""
+
+import errno
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
+
+MAX_PIXELS = 2**28
+"""Headers that promise more than this are refused before anything is decoded."""
+MOST_SHRUNK = 1200
+"""Bytes that a byte of a file can stand for at most: deflate's 1032, and something for headers."""
+MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x76\x2f\x31\x01")
+"""First bytes of the formats that are read: PNG, JPEG, TIFF, BigTIFF, EXR."""
+DESCRIPTIVE = frozenset({"Make", "Model", "Software", "DateTime", "Artist", "Copyright", "ImageDescription", "ExposureTime",
+                         "FNumber", "XResolution", "YResolution", "ResolutionUnit"})  # fmt: skip
+"""Headers without a prefix that `metadata` keeps."""
+_STEPS = {"uint8": 255, "uint16": 65535}
+FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
+"""Files that hold float as it is; the others get 8 bits."""
+
+
+def read(path: Path) -> NDArray[np.float32]:
+    """(height, width, channels) float32 of an image file, turned as its orientation tag says.
+
+    Raises:
+        UsageError: there is no such file.
+        DatasetError: it is no image, cut off, or larger than `MAX_PIXELS`.
+    """
+    return _decoded(path, "float")
+
+
+def read_stored(path: Path) -> NDArray[Any]:
+    """(height, width, channels) as stored: uint8, uint16 or float32. Raises as `read` does."""
+    return _decoded(path, None)
+
+
+def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
+    """The picture as numbers of a kind; None for the file's own."""
+    source, orientation = _open(path)
+    stored = str(source.spec().format)
+    try:
+        pixels = source.read_image(kind or (stored if stored in _STEPS else "float"))
+        complaint = source.geterror()
+    except (MemoryError, UnicodeDecodeError) as error:  # the second: the library quotes what it stumbled over
+        pixels, complaint = None, type(error).__name__
+    finally:
+        source.close()
+    if pixels is None or complaint:
+        raise DatasetError("image cannot be read", where=path, why=complaint or "decoding failed", remedy="copy it again")
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    return np.ascontiguousarray(_upright(pixels, orientation))
+
+
+def size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image as `read` would return it, from the header alone. Raises as `read` does."""
+    source, orientation = _open(path)
+    spec = source.spec()
+    source.close()
+    return (spec.height, spec.width) if orientation >= 5 else (spec.width, spec.height)
+
+
+def channels(path: Path) -> int:
+    """Number of channels of an image, from the header alone; 2 and 4 include an alpha. Raises as `read` does."""
+    source, _ = _open(path)
+    count = source.spec().nchannels
+    source.close()
+    return count
+
+
+def steps(path: Path) -> int:
+    """255 or 65535 for files of integers, which `read` divides by it; 1 for floats. From the header alone."""
+    source, _ = _open(path)
+    kind = str(source.spec().format)
+    source.close()
+    return _STEPS.get(kind, 1)
+
+
+def metadata(path: Path) -> dict[str, str | int | float]:
+    """What an image's header says of how it was taken: camera, exposure, time, description. Not what belongs to its pixels.
+
+    The orientation is left out, since `read` has turned the picture by it. Raises as `read` does.
+    """
+    source, _ = _open(path)
+    found: dict[str, Any] = {}
+    for entry in source.spec().extra_attribs:
+        try:
+            found[entry.name] = entry.value
+        except UnicodeDecodeError:  # a text in another coding; nothing depends on it
+            continue
+    source.close()
+    return {name: value for name, value in found.items()
+            if isinstance(value, str | int | float) and name != "Orientation"
+            and (name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE)}  # fmt: skip
+
+
+def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | float] | None = None) -> None:
+    """Write (height, width) or (height, width, channels) atomically; the suffix says the format.
+
+    uint8 and uint16 are stored as given. Float goes as float32 into EXR and TIFF, elsewhere it is taken as 0..1 and
+    rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` goes into the header as far as the format has
+    room for it.
+
+    Raises:
+        DatasetError: the format cannot hold the array.
+        OSError: the disk is full or refuses.
+    """
+    import OpenImageIO as oiio
+
+    path = Path(path)
+    pixels = np.asarray(array)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise DatasetError("array is not an image", where=path, why=f"shape {np.shape(array)}")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        as_float = path.suffix.lower() in FLOAT_SUFFIXES
+        pixels = pixels.astype(np.float32) if as_float else to_uint8(pixels)
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, pixels.dtype.name if pixels.dtype != np.float32 else "float")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("compression", "zip" if path.suffix.lower() in FLOAT_SUFFIXES else "jpeg:95")
+    for name, value in (metadata or {}).items():
+        spec.attribute(name, value)
+    with files.atomic_path(path) as temporary:
+        if oiio.ImageOutput.create(str(temporary)) is None:
+            oiio.geterror()
+            raise DatasetError("image format cannot be written", where=path, why=f"suffix {path.suffix!r}")
+        target = oiio.ImageBuf(spec)
+        target.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
+        good = target.write(str(temporary))  # one call: of a file that Ctrl-C finds open without pixels, libpng complains aloud
+        if shutil.disk_usage(path.parent).free < max(pixels.nbytes, 2**20):  # encoders keep silent about the last block
+            good = good and _is_whole(temporary)
+            if not good:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        if not good:
+            raise DatasetError("image cannot be written", where=path, why=target.geterror())
+
+
+def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
+    """0..1 rounded to 0..255; what is outside is clipped. Raises DatasetError where a value is NaN."""
+    array = np.asarray(array, np.float32)
+    if np.isnan(array).any():
+        raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
+    return (np.clip(array, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def to_uint16(array: ArrayLike) -> NDArray[np.uint16]:
+    """0..1 rounded to 0..65535; what is outside is clipped. Raises DatasetError where a value is NaN."""
+    array = np.asarray(array, np.float64)
+    if np.isnan(array).any():
+        raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
+    return (np.clip(array, 0, 1) * 65535 + 0.5).astype(np.uint16)
+
+
+def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:
+    """Linear light from sRGB values in 0..1 (IEC 61966-2-1)."""
+    srgb = np.asarray(srgb, np.float32)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0.0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
+    """sRGB values from linear light; above 1 the curve goes on."""
+    linear = np.asarray(linear, np.float32)
+    bright = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
+
+
+def linear_from_stored(stored: NDArray[Any]) -> NDArray[np.float32]:
+    """Linear light of what `read_stored` gives, alpha (the second or fourth channel) as it is. Integers go through a table."""
+    if stored.dtype == np.float32:
+        return stored.astype(np.float32)
+    top = np.iinfo(stored.dtype).max
+    steps_of_light = np.arange(top + 1, dtype=np.float32) / np.float32(top)
+    light = linear_from_srgb(steps_of_light)[stored]
+    if stored.shape[-1] in (2, 4):
+        light[..., -1] = steps_of_light[stored[..., -1]]
+    return light
+
+
+def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> NDArray[np.float32]:
+    """Area average to (height, width, channels), any factor: each new pixel is the mean light of what it covers.
+
+    Light adds up where it is linear and weighted by alpha, so colours are averaged there and brought back.
+    With `srgb=False` the values are averaged as they are (masks, depth, linear light without alpha).
+    Channels: 1 or 3 colour, 2 or 4 colour and straight alpha.
+    """
+    pixels = np.asarray(array, np.float32)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.shape[:2] == (height, width):
+        return pixels.copy()
+    if not srgb:
+        return _area_average(pixels, width, height)
+    if pixels.shape[-1] in (2, 4):
+        light = np.concatenate([linear_from_srgb(pixels[..., :-1]), pixels[..., -1:]], axis=-1)
+        small = resize_light(light, width, height)
+        return np.concatenate([srgb_from_linear(small[..., :-1]), small[..., -1:]], axis=-1)
+    return srgb_from_linear(_area_average(linear_from_srgb(pixels), width, height))
+
+
+def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """`resize` of linear light: 1 or 3 channels of colour, 2 or 4 of colour and straight alpha, by which it is weighted."""
+    if light.shape[:2] == (height, width) or light.shape[-1] not in (2, 4):
+        return _area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
+    alpha = light[..., -1:]
+    small = _area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
+    small_alpha = small[..., -1:]
+    straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
+    return np.concatenate([straight, small_alpha], axis=-1, dtype=np.float32)
+
+
+def _area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    old_height, old_width, channels = pixels.shape
+    if width <= old_width and height <= old_height and channels <= 4:
+        import cv2
+
+        small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+        return np.asarray(small, np.float32).reshape(height, width, channels)
+    rows = _overlaps(old_height, height) @ pixels.reshape(old_height, -1)
+    turned = rows.reshape(height, old_width, channels).transpose(1, 0, 2).reshape(old_width, -1)
+    columns = _overlaps(old_width, width) @ turned
+    return np.ascontiguousarray(columns.reshape(width, height, channels).transpose(1, 0, 2), np.float32)
+
+
+def _overlaps(old: int, new: int) -> Any:
+    """Sparse (new, old) matrix: the share of new pixel i that old pixel j covers; rows sum to 1."""
+    from scipy.sparse import csr_array
+
+    edges = np.unique(np.concatenate([np.arange(old + 1) / old, np.arange(new + 1) / new]).round(12))
+    middle, length = (edges[1:] + edges[:-1]) / 2, np.diff(edges) * new
+    entry = (np.minimum((middle * new).astype(int), new - 1), np.minimum((middle * old).astype(int), old - 1))
+    return csr_array((length.astype(np.float32), entry), shape=(new, old))
+
+
+def _open(path: Path) -> tuple[Any, int]:
+    """An open OpenImageIO input, its header checked, and the orientation tag (1 is upright)."""
+    import OpenImageIO as oiio
+
+    path = Path(path)
+    if not path.is_file():
+        raise UsageError("no such image", where=path, remedy="check the path")
+    with open(path, "rb") as file:
+        if not file.read(4).startswith(MAGIC):  # the library would try dozens of other formats, some of which run programs
+            why = "the file is empty" if path.stat().st_size == 0 else "it is no PNG, JPEG, TIFF or EXR"
+            raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
+    wanted = oiio.ImageSpec()
+    wanted.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), wanted)
+    if source is None:
+        try:
+            why = oiio.geterror() or "no header"
+        except UnicodeDecodeError:
+            why = "its header is damaged"
+        raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
+    spec = source.spec()
+    if not 0 < spec.width * spec.height <= MAX_PIXELS or not 0 < spec.nchannels <= 64 or spec.depth > 1:
+        source.close()
+        raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}x{spec.nchannels}")
+    if spec.image_bytes() > MOST_SHRUNK * path.stat().st_size + 2**16:
+        source.close()
+        raise DatasetError("image cannot be read", where=path, remedy="copy it again",
+                           why=f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes")  # fmt: skip
+    return source, int(spec.getattribute("Orientation") or 1)
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        read(path)
+    except DatasetError:
+        return False
+    return True
+
+
+def _upright(pixels: NDArray[np.float32], orientation: int) -> NDArray[np.float32]:
+    """Undo an EXIF orientation: 5 to 8 swap rows and columns, the rest mirrors."""
+    if orientation >= 5:
+        pixels = pixels.transpose(1, 0, 2)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels

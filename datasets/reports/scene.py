@@ -1,0 +1,120 @@
+"""A scene as one HTML file: what it holds, what `datasets check` finds, where its cameras are, every picture small."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.checks.check import check, summary
+from datasets.core import files
+from datasets.core.errors import KoalaError
+from datasets.core.findings import Finding
+from datasets.formats import load_scene
+from datasets.imaging import images
+from datasets.reports.html import Number, ReportPage
+from datasets.scene import Scene, View
+from datasets.structure import bounds
+
+THUMBNAIL = 190
+"""Width of the small pictures [px]."""
+COLOURS = {"train": "#2f6fde", "val": "#8e5bbf", "test": "#d0342c"}
+
+
+def write(path: str | Path, out: Path, *, matches: bool = True, made_by: str = "",
+          done: Callable[[int, int], None] = lambda count, total: None, **options: Any) -> list[Finding]:  # fmt: skip
+    """Write the report of a scene to the new file `out`; returns what `datasets check` finds.
+
+    Args:
+        path: of the scene.
+        out: HTML file.
+        matches: whether features are matched between views, which takes the longest.
+        made_by: the command.
+        done: called with the number of views checked and of all.
+        **options: of `load_scene`.
+
+    Raises:
+        UsageError: `out` exists, or `path` is no scene.
+    """
+    files.refuse_existing(out)
+    problems: list[KoalaError] = []
+    scene = load_scene(path, problems=problems, **options)
+    findings = check(path, matches=matches, done=done, **options)
+    page = ReportPage(f"Scene {scene.name}", made_by=[made_by] if made_by else [])
+    errors = sum(finding.level == "error" for finding in findings)
+    found = summary(scene)
+    page.headline([*((f"{split} views", Number(count, digits=0)) for split, count in found["views"].items() if count),
+                   ("errors", Number(errors, digits=0)), ("warnings", Number(len(findings) - errors, digits=0))], str(path))  # fmt: skip
+    page.section("Findings of 'datasets check'")
+    if findings:
+        page.items(finding.line for finding in findings)
+    else:
+        page.paragraph("Nothing is wrong." if matches else "Nothing is wrong; features were not matched between views.")
+    _bounds(page, scene)
+    page.section("Where the cameras are", "Training blue, test red; the object's box in ochre.")
+    page.drawing(cameras(scene))
+    page.section("Every view")
+    page.table(("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth"),
+               [_row(view, scene) for view in scene.views])  # fmt: skip
+    page.section("Pictures")
+    page.pictures(_thumbnails(scene))
+    page.write(out)
+    return findings
+
+
+def _bounds(page: ReportPage, scene: Scene) -> None:
+    unit = "m" if scene.metric else "units"
+    page.section("Bounds", f"From {scene.bounds_from}.")
+    low, high = scene.box
+    page.numbers([
+        ("near", Number(scene.near, unit), "nearest depth along z at which anything is seen"),
+        ("far", Number(scene.far, unit), "furthest; a dash: open"),
+        *((f"box along {axis}", Number(float(b - a), unit), f"from {a:.4g} to {b:.4g}") for axis, a, b in zip("xyz", low, high, strict=True)),
+    ])  # fmt: skip
+    if scene.notes:
+        page.items(scene.notes)
+
+
+def _row(view: View, scene: Scene) -> tuple:
+    camera, unit = view.camera, "m" if scene.metric else "units"
+    away = float(np.linalg.norm(view.world_from_camera[:3, 3] - scene.box.mean(0)))
+    pixels = [Number(value, "px", digits=1) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
+    return (view.name, view.split, camera.width, camera.height, *pixels, Number(away, unit), ", ".join(sorted(view.truth)))
+
+
+def _thumbnails(scene: Scene):
+    """(name, small picture) of each view that can be read, over white where it has an alpha."""
+    for view in scene.views:
+        try:
+            picture = view.read()
+        except KoalaError:
+            continue
+        small = np.clip(images.resize(picture, THUMBNAIL, max(1, round(THUMBNAIL * picture.shape[0] / picture.shape[1]))), 0, 1)
+        yield (
+            f"{view.name} ({view.split})",
+            small[..., :3] if small.shape[-1] == 3 else small[..., :3] * small[..., 3:] + 1 - small[..., 3:],
+        )
+
+
+def cameras(scene: Scene) -> str:
+    """Cameras and box from above and from the side, as SVG in colours for light and dark."""
+    from matplotlib.patches import Rectangle
+
+    from datasets.reports.drawing import blank, svg_of
+
+    figure = blank(9, 4.2)
+    matrices = np.stack([view.world_from_camera for view in scene.views])
+    reach = 0.12 * float(np.median(np.linalg.norm(matrices[:, :3, 3] - bounds.focus(matrices)[0], axis=1)))
+    unit = "m" if scene.metric else "units"
+    for index, (i, j) in enumerate(((0, 1), (0, 2)), 1):
+        axes = figure.add_subplot(1, 2, index, aspect="equal", xlabel=f"{'xyz'[i]} [{unit}]", ylabel=f"{'xyz'[j]} [{unit}]")
+        low, high = scene.box[:, [i, j]]
+        axes.add_patch(Rectangle(tuple(low), *(high - low), fill=False, edgecolor="#be961e", linewidth=1.5))
+        for split, colour in COLOURS.items():
+            chosen = matrices[[view.split == split for view in scene.views]]
+            if len(chosen):
+                places, ahead = chosen[:, :3, 3][:, [i, j]], chosen[:, :3, 2][:, [i, j]]
+                axes.plot(*places.T, "o", color=colour, markersize=3.5, label=split)
+                axes.plot(*np.stack([places, places + reach * ahead], 1).transpose(2, 1, 0), color=colour, linewidth=1)
+        axes.grid(alpha=0.25)
+    return svg_of(figure)

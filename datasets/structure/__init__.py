@@ -1,0 +1,1 @@
+"""Where the object is: feature matches, triangulated points, visual hull, bounds."""

@@ -1,0 +1,117 @@
+"""Points that several pictures share: SIFT features and the matches between views, whatever their poses say.
+
+Nothing here believes a pose, so that matches can be evidence for poses and bounds alike.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import conventions
+from datasets.imaging import images
+from datasets.scene import View
+
+SIDE = 640
+"""Longest side [px] at which features are sought: they are to be placed within a pixel of this size, not finer."""
+COUNT = 900
+"""Features per view, the strongest."""
+RATIO = 0.8
+"""A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """What can be recognised in one view."""
+
+    directions: NDArray[np.float64]
+    """(n, 3) rays in the camera's frame, z = 1."""
+    descriptors: NDArray[np.float32]
+    """(n, 128) unit vectors: the root of SIFT's, so that their product is Hellinger's affinity."""
+    light: NDArray[np.float32]
+    """(n,) linear light, mean of the channels, of the picture about each feature: 0..1."""
+    pixel: float
+    """Size of a pixel of the searched picture as a tangent: what an error of one pixel means."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Features of some views and which of them are the same thing."""
+
+    views: tuple[View, ...]
+    features: tuple[Features, ...]
+    pairs: tuple[tuple[int, int, NDArray[np.int64]], ...]
+    """(first view, second view, (k, 2) indices of their features)."""
+
+    @property
+    def count(self) -> int:
+        """Number of matched pairs of features."""
+        return sum(len(index) for _, _, index in self.pairs)
+
+
+def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE,
+            done: Callable[[], None] = lambda: None) -> Matches:  # fmt: skip
+    """Features of all views in pictures of at most `side` pixels, matched between the given pairs. `done` is called after each view."""
+    found = []
+    for view in views:
+        found.append(detect(view, side=side))
+        done()
+    kept = [(i, j, match(found[i], found[j])) for i, j in pairs]
+    return Matches(tuple(views), tuple(found), tuple(pair for pair in kept if len(pair[2])))
+
+
+def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
+    """Features of a view; where it has an alpha or a mask, those of the object alone. Raises as `View.read` does."""
+    import cv2
+
+    picture = view.read()
+    shrink = max(1.0, max(picture.shape[:2]) / side)
+    width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
+    small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    grey = 255 * small[..., :3].mean(-1)
+    grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # what has no value, as behind a mask, is black
+    mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
+    sift = cv2.SIFT.create(nfeatures=count, contrastThreshold=0.02)
+    keypoints, descriptors = sift.detectAndCompute(grey, mask)
+    pixel = 1 / (view.camera.fx * width / view.camera.width)
+    if descriptors is None:
+        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32), pixel)
+    pixels = conventions.pixels_from_opencv([point.pt for point in keypoints])
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
+    light = cv2.GaussianBlur(images.linear_from_srgb(small[..., :3]).mean(-1), (0, 0), 2.0)
+    column, row = np.minimum(pixels.astype(int), [width - 1, height - 1]).T
+    directions = view.camera.scaled(width, height).directions(pixels)
+    return Features(directions, root.astype(np.float32), light[row, column], pixel)
+
+
+def match(first: Features, second: Features) -> NDArray[np.int64]:
+    """(k, 2) indices of features that are each other's best and clearly better than the second best."""
+    if min(len(first.descriptors), len(second.descriptors)) < 2:
+        return np.zeros((0, 2), np.int64)
+    affinity = first.descriptors @ second.descriptors.T
+    rows = np.arange(len(affinity))
+    back = affinity.argmax(0)
+    best = affinity.argmax(1)
+    top = affinity[rows, best]
+    affinity[rows, best] = -1.0
+    second_best = affinity.max(1)
+    clear = 1 - top < RATIO**2 * (1 - second_best)  # squared distance of unit vectors is 2 - 2 * affinity
+    chosen = np.flatnonzero(clear & (back[best] == rows))
+    return np.stack([chosen, best[chosen]], axis=1)
+
+
+def neighbours(world_from_camera: NDArray[np.float64], centre: NDArray[np.float64], *, count: int = 5,
+               least_deg: float = 1.5) -> list[tuple[int, int]]:  # fmt: skip
+    """Pairs of (n, 4, 4) cameras that see `centre` from nearly the same side, yet not the same: each with its `count` nearest.
+
+    Cameras less than `least_deg` apart, as seen from `centre`, see the same picture and place nothing.
+    """
+    outward = world_from_camera[:, :3, 3] - centre
+    outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    apart = np.rad2deg(np.arccos(np.clip(outward @ outward.T, -1, 1)))
+    chosen: set[tuple[int, int]] = set()
+    for i, angles in enumerate(apart):
+        near = [int(j) for j in np.argsort(angles, kind="stable") if j != i and angles[j] >= least_deg][:count]
+        chosen |= {(min(i, j), max(i, j)) for j in near}
+    return sorted(chosen)

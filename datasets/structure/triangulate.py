@@ -1,0 +1,153 @@
+"""Surface points from matches along known poses, and how well poses and matches agree.
+
+A track is one point of the world as several views see it. Its position is the point nearest to all its rays; views that
+miss it by more than two pixels are dropped, and what fewer than three views see is not believed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.structure.matching import Matches
+
+TOLERANCE_PX = 2.0
+"""Furthest that a ray may pass from its point [px of the searched picture]."""
+FEWEST = 3
+"""Views that a point needs: two rays can meet by chance."""
+LEAST_SPREAD = 5e-4
+"""Smallest eigenvalue, per ray, of the projections across a track's rays: about the squared sine of 2.5 degrees over 4."""
+DOUBTFUL = 0.15
+"""Share of matches that agree with the poses below which these are doubted: by chance it is 0.02. What shines moves between views: a golden
+head in small pictures has 0.34."""
+NO_PARALLAX = np.deg2rad(0.3)
+"""Rays closer than this are parallel: poses and features are not better."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Triangulated points and the sightings behind them."""
+
+    points: NDArray[np.float64]
+    """(n, 3) in the world."""
+    sightings: NDArray[np.int64]
+    """(m, 2) index of a point and of the view (in `Matches.views`) that saw it."""
+    errors_px: NDArray[np.float64]
+    """(m,) distance between point and feature in the searched picture."""
+
+    @property
+    def views_per_point(self) -> NDArray[np.int64]:
+        """(n,) number of views that saw each point."""
+        return np.bincount(self.sightings[:, 0], minlength=len(self.points))
+
+
+def triangulate(matches: Matches, world_from_camera: NDArray[np.float64]) -> Cloud:
+    """Points of all tracks that at least three views place alike. `world_from_camera` is (views, 4, 4)."""
+    offsets = np.cumsum([0, *(len(features.directions) for features in matches.features)])
+    rows = _tracks(matches, world_from_camera, offsets)
+    view = np.repeat(np.arange(len(matches.views)), np.diff(offsets))
+    local = np.concatenate([features.directions for features in matches.features]) if len(rows) else np.zeros((0, 3))
+    pixel = np.array([features.pixel for features in matches.features])[view]
+    sighting = np.flatnonzero(np.bincount(rows, minlength=len(rows))[rows] >= FEWEST)
+    count = int(rows.max(initial=-1)) + 1
+    for tolerance in (4 * TOLERANCE_PX, 2 * TOLERANCE_PX, TOLERANCE_PX, TOLERANCE_PX, TOLERANCE_PX):
+        points = _nearest_points(world_from_camera, view[sighting], local[sighting], rows[sighting], count)
+        errors = _errors(world_from_camera, view[sighting], local[sighting], points[rows[sighting]]) / pixel[sighting]
+        good = errors < tolerance
+        sighting, errors = sighting[good], errors[good]
+    enough = np.bincount(rows[sighting], minlength=count) >= FEWEST
+    good = enough[rows[sighting]]
+    new_index = np.cumsum(enough) - 1
+    sightings = np.stack([new_index[rows[sighting][good]], view[sighting][good]], axis=1)
+    return Cloud(points[enough], sightings, errors[good])
+
+
+def explained(
+    matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(k,) for each match of one of the pairs, whether its rays meet in front of both cameras, to within the tolerance."""
+    return _meets(matches, pair, world_from_camera)[0]
+
+
+def agreement(matches: Matches, world_from_camera: NDArray[np.float64]) -> float:
+    """Share of matches that the poses can explain: rays that meet in front of both cameras, to within the tolerance."""
+    agreed = sum(int(_meets(matches, pair, world_from_camera)[0].sum()) for pair in matches.pairs)
+    return agreed / max(matches.count, 1)
+
+
+def endless_share(matches: Matches, world_from_camera: NDArray[np.float64], baseline: float) -> float:
+    """Share of explained matches between cameras at least `baseline` apart whose rays are parallel: things very far away."""
+    parallel = total = 0
+    for pair in matches.pairs:
+        i, j, _ = pair
+        if np.linalg.norm(world_from_camera[i, :3, 3] - world_from_camera[j, :3, 3]) < baseline:
+            continue
+        agreed, angle = _meets(matches, pair, world_from_camera)
+        parallel += int((agreed & (angle < NO_PARALLAX)).sum())
+        total += int(agreed.sum())
+    return parallel / max(total, 1)
+
+
+def _meets(matches: Matches, pair: tuple[int, int, NDArray[np.int64]],
+           world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:  # fmt: skip
+    """For each match of a pair: whether its rays meet in front of both cameras, and the angle between them [rad]."""
+    i, j, index = pair
+    first, second = matches.features[i], matches.features[j]
+    a = first.directions[index[:, 0]] @ world_from_camera[i, :3, :3].T
+    b = second.directions[index[:, 1]] @ world_from_camera[j, :3, :3].T
+    a, b = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (a, b))
+    baseline = world_from_camera[j, :3, 3] - world_from_camera[i, :3, 3]
+    tolerance = TOLERANCE_PX * max(first.pixel, second.pixel)
+    across = np.cross(baseline, a)
+    length = np.linalg.norm(across, axis=1)
+    off_plane = np.abs((across * b).sum(1)) / np.maximum(length, 1e-300)
+    cosine = (a * b).sum(1)
+    sine2 = np.maximum(1 - cosine**2, 1e-12)  # where two rays come nearest to each other, along each of them
+    along_a = (a @ baseline - cosine * (b @ baseline)) / sine2
+    along_b = (cosine * (a @ baseline) - b @ baseline) / sine2
+    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), cosine)
+    in_front = ((along_a > 0) & (along_b > 0)) | (angle < NO_PARALLAX)
+    return (off_plane < tolerance) & in_front & (length > 0), angle
+
+
+def _tracks(matches: Matches, world_from_camera: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(all features,) index of the track that each feature belongs to: matches that the poses explain, joined."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for pair in matches.pairs:
+        i, j, index = pair
+        kept = index[_meets(matches, pair, world_from_camera)[0]]
+        first.append(offsets[i] + kept[:, 0])
+        second.append(offsets[j] + kept[:, 1])
+    ends = np.concatenate(first), np.concatenate(second)
+    graph = coo_array((np.ones(len(ends[0]), bool), ends), shape=(int(offsets[-1]),) * 2)
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def _nearest_points(world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64],
+                    track: NDArray[np.int64], count: int) -> NDArray[np.float64]:  # fmt: skip
+    """(count, 3) point nearest to the rays of each track; NaN where they are too few or too parallel."""
+    rotation, origin = world_from_camera[view, :3, :3], world_from_camera[view, :3, 3]
+    rays = np.einsum("nij,nj->ni", rotation, local)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    normal, target = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(normal, track, across)
+    np.add.at(target, track, np.einsum("nij,nj->ni", across, origin))
+    rays_of = np.bincount(track, minlength=count)
+    fixed = np.flatnonzero(rays_of >= FEWEST)
+    fixed = fixed[np.linalg.eigvalsh(normal[fixed])[:, 0] > LEAST_SPREAD * rays_of[fixed]]
+    points = np.full((count, 3), np.nan)
+    points[fixed] = np.linalg.solve(normal[fixed], target[fixed, :, None])[..., 0]
+    return points
+
+
+def _errors(world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64],
+            points: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
+    """(n,) distance at z = 1 between where a view saw each point and where it is; infinite for what is behind it."""
+    seen = np.einsum("nij,ni->nj", world_from_camera[view, :3, :3], points - world_from_camera[view, :3, 3])
+    front = seen[:, 2] > 0  # false for NaN, too
+    ideal = seen[:, :2] / np.where(front, seen[:, 2], 1.0)[:, None]
+    return np.where(front, np.linalg.norm(ideal - local[:, :2], axis=1), np.inf)

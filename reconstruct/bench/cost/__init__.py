@@ -1,0 +1,1 @@
+"""What a training step costs: kernels, instructions, the machine's limits."""

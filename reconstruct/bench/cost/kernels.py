@@ -1,0 +1,261 @@
+"""The cost model: what each kernel of a training step asks of the machine, and how far it is from what the machine allows.
+
+A kernel is one piece of the step, compiled by itself at the step's sizes. Operations, exponentials and the bytes that have to move at least (arguments and
+results) are counted by the compiler; places of tables that are looked up or added to are counted here, since they cost more
+than their bytes. The least time that the machine's limits allow is the largest of the four quotients.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from reconstruct.bench.cost.machine import Limit, fastest
+from reconstruct.config import Config
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.encodings.encoding import Encoding
+from reconstruct.field.encodings.lattice import PermutohedralLattice
+from reconstruct.field.encodings.voxels import VoxelGrid
+from reconstruct.rendering.model import Model
+from reconstruct.rendering.volume import composite, sample_weights
+from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.sampling.packing import expected_depth
+from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.training.step import StepFunctions
+
+BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)
+"""An object in the cube [-1, 1]^3, seen from four away."""
+OCCUPIED = 0.03
+"""Radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """One piece of a step."""
+
+    name: str
+    rays: int
+    """Of the batch that it works for."""
+    operations: float
+    exponentials: float
+    """Exponentials, error functions, sines, roots."""
+    bytes: float
+    gathers: float
+    scatters: float
+    seconds: float
+    """As measured."""
+
+    def least(self, limits: dict[str, float]) -> tuple[float, str]:
+        """Seconds that the machine's limits allow, and the name of the one that binds."""
+        wanted = {"matrix": self.operations, "exponential": self.exponentials, "stream": self.bytes,
+                  "gather, in the cache": self.gathers, "scatter, in the cache": self.scatters}  # fmt: skip
+        times = {name: amount / limits[name] for name, amount in wanted.items()}
+        name = max(times, key=lambda key: times[key])
+        return times[name], name
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A configuration's step taken apart, on a shell of occupied cells in place of a scene."""
+
+    config: Config
+    functions: StepFunctions
+    model: Model
+    occupancy: Occupancy
+    rays: Rays
+
+    @classmethod
+    def of(cls, config: Config) -> "Bench":
+        """For a configuration with an occupancy grid."""
+        functions = StepFunctions(config, BOUNDED)
+        grid = config.sampler.grid
+        axis = (np.arange(grid) + 0.5) / grid * 2 - 1
+        radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
+        state = functions.initial(jax.random.key(0), np.abs(radius - 0.6) < OCCUPIED)
+        assert state.occupancy is not None  # the configuration has one
+        return cls(config, functions, state.model, state.occupancy, _rays(functions.rays_per_step))
+
+    def kernels(self, done: Callable[[str], None] = lambda name: None) -> list[Kernel]:
+        """All of them, measured one after the other; some seconds."""
+        found = []
+        for name, function, arguments, gathers, scatters in self._pieces():
+            found.append(self._measured(name, function, arguments, gathers, scatters))
+            done(name)
+        return found
+
+    def _measured(self, name: str, function: Callable[..., Any], arguments: tuple, gathers: float, scatters: float) -> Kernel:
+        compiled = jax.jit(function).lower(*arguments).compile()
+        counted = compiled.cost_analysis() or {}
+        seconds = fastest(lambda: compiled(*arguments))
+        moved = sum(_bytes(leaf) for leaf in jax.tree.leaves((arguments, jax.eval_shape(function, *arguments))))
+        return Kernel(name, self.functions.rays_per_step, float(counted.get("flops", 0.0)), float(counted.get("transcendentals", 0.0)),
+                      float(moved), gathers, scatters, seconds)  # fmt: skip
+
+    def _pieces(self) -> list[tuple[str, Callable[..., Any], tuple, float, float]]:
+        """Name, function, arguments, places looked up and places added to of each kernel."""
+        return [*self._choosing(), *self._encoding(), *self._networks(), *self._compositing(), *self._descending()]
+
+    def _choosing(self) -> list[tuple]:
+        sampler, functions, occupancy = self.config.sampler, self.functions, self.occupancy
+        steps = functions.steps(self.rays)
+        half = jnp.full(self.rays.origins.shape[0], 0.5)
+        depth = expected_depth(occupancy, self.rays, steps, half, True)
+        kept = sampler.samples // 8  # rays that meet nothing are dropped before packing
+        order = jnp.argsort(~jnp.any(depth > 0, -1))[:kept]
+        few, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
+        visited = depth.size
+        return [
+            (
+                "occupancy along rays",
+                lambda o, r, j: expected_depth(o, r, steps, j, True),
+                (occupancy, self.rays, half),
+                visited,
+                0,
+            ),
+            (
+                "choosing and packing",
+                lambda d, r, j: functions.sampled(d, r, j, j, sampler.samples),
+                (dense, few, jitter),
+                8 * sampler.samples,
+                0,
+            ),
+        ]
+
+    def _encoding(self) -> list[tuple]:
+        encoding, cloud = self.model.field.encoding, self._cloud()
+        touched = float(cloud.points.shape[1] * corners(encoding) * encoding.num_channels)
+        forward = lambda e, p: e(p, None)  # noqa: E731
+        shape = jax.eval_shape(forward, encoding, cloud.points)
+        pulled = jnp.ones(shape.shape)
+
+        def backward(e, p, g):
+            return jax.vjp(lambda e: forward(e, p), e)[1](g)
+
+        small = cloud.points[:, : self.config.surface.rays * (self.config.surface.samples + 1)]
+        share = small.shape[1] / cloud.points.shape[1]
+        return [
+            ("encoding", forward, (encoding, cloud.points), touched, 0),
+            ("encoding, backward alone", lambda e, p, g: backward(e, p, g), (encoding, cloud.points, pulled), 0, touched),
+            (
+                "encoding with slopes, second pass",
+                lambda e, p: e.value_and_jacobian(p, None),
+                (encoding, small),
+                share * touched,
+                0,
+            ),
+        ]
+
+    def _networks(self) -> list[tuple]:
+        field, rays = self.model.field, self.config.sampler.samples // 8
+        appearance = field.appearance
+        features = jnp.ones((field.encoding.num_channels, self.config.sampler.samples))
+        spatial = lambda network, x: network(x)  # noqa: E731
+        _, material = field(self._cloud())
+        few = jax.tree.map(lambda a: a[:, :rays], material)
+        directions = self.rays.viewdirs[:rays].T
+        shade = lambda a, m, d: jnp.sum(a.shade(m, d).rgb)  # noqa: E731
+        return [
+            ("spatial network", spatial, (field.spatial, features), 0, 0),
+            (
+                "spatial network, with backward",
+                jax.grad(lambda n, x: jnp.sum(jnp.square(n(x))), argnums=(0, 1)),
+                (field.spatial, features),
+                0,
+                0,
+            ),
+            ("shading of rays", shade, (appearance, few, directions), 0, 0),
+            ("shading of rays, with backward", jax.grad(shade, argnums=(0, 1)), (appearance, few, directions), 0, 0),
+        ]
+
+    def _compositing(self) -> list[tuple]:
+        samples, rays = self._samples()
+        channels = jnp.ones((12 + self.config.field.bottleneck, samples.t.shape[0]))
+
+        def rendered(density, values):
+            weights = sample_weights(density, samples, rays.speed)
+            return jnp.sum(jnp.square(composite(values, samples.packed(weights), samples)))
+
+        density, count = jnp.ones(samples.t.shape[0]), float(samples.t.shape[0])
+        return [
+            ("compositing", rendered, (density, channels), 2 * count, count * (2 + len(channels))),
+            (
+                "compositing, with backward",
+                jax.grad(rendered, argnums=(0, 1)),
+                (density, channels),
+                count * (4 + len(channels)),
+                count * (4 + len(channels)),
+            ),
+        ]
+
+    def _descending(self) -> list[tuple]:
+        adam = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
+
+        def descend(gradient: Any, state: Any, model: Any) -> Any:
+            update, state = adam.update(gradient, state)
+            return jax.tree.map(lambda p, u: p - 0.01 * u, model, update), state
+
+        model: Any = self.model
+        return [("optimiser", descend, (jax.tree.map(jnp.ones_like, model), adam.init(model), model), 0, 0)]
+
+    def _samples(self):
+        """Samples of the batch's rays that meet something, and those rays."""
+        sampler, functions = self.config.sampler, self.functions
+        half = jnp.full(self.rays.origins.shape[0], 0.5)
+        depth = expected_depth(self.occupancy, self.rays, functions.steps(self.rays), half, True)
+        order = jnp.argsort(~jnp.any(depth > 0, -1))[: sampler.samples // 8]
+        rays, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
+        samples, _ = functions.sampled(dense, rays, jitter, jitter, sampler.samples)
+        return samples, rays
+
+    def _cloud(self) -> Cloud:
+        """Random points of the shell, as many as a step has samples."""
+        direction = jax.random.normal(jax.random.key(1), (3, self.config.sampler.samples))
+        radius = 0.6 + OCCUPIED * jax.random.uniform(jax.random.key(2), (self.config.sampler.samples,), minval=-1)
+        return Cloud(direction / jnp.linalg.norm(direction, axis=0) * radius, None, True)
+
+
+def _bytes(leaf: Any) -> int:
+    return int(np.prod(leaf.shape)) * leaf.dtype.itemsize
+
+
+def corners(encoding: Encoding) -> int:
+    """Vertices around a point."""
+    return {PermutohedralLattice: 4, VoxelGrid: 8}.get(type(encoding), 0)
+
+
+def _rays(count: int) -> Rays:
+    """Rays of pictures in which the cube fills the middle."""
+    rng = np.random.default_rng(0)
+    origins = rng.normal(size=(count, 3))
+    origins *= 4 / np.linalg.norm(origins, axis=-1, keepdims=True)
+    towards = rng.uniform(-0.9, 0.9, (count, 3)) - origins
+    make = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
+    return Rays(make(origins), make(towards / 4), make(np.full(count, 1e-3)))
+
+
+def rows(kernels: list[Kernel], limits: list[Limit]) -> list[dict[str, Any]]:
+    """Each kernel with the least time that the limits allow, its share of the measured one, and what it asks for per ray."""
+    rates = {limit.name: limit.rate for limit in limits}
+    found = []
+    for kernel in kernels:
+        least, binding = kernel.least(rates)
+        asked = {
+            name: getattr(kernel, name) / kernel.rays for name in ("operations", "exponentials", "bytes", "gathers", "scatters")
+        }
+        found.append({"kernel": kernel.name, "measured_ms": 1e3 * kernel.seconds, "least_ms": 1e3 * least, "limit": binding,
+                      "share": least / kernel.seconds, **asked})  # fmt: skip
+    return found
+
+
+def text(found: list[dict[str, Any]]) -> str:
+    """The rows for a person."""
+    head = (f"{'kernel':<36}{'measured':>10}{'allowed':>10}{'share':>8}  {'limit':<22}"
+            f"{'operations':>11}{'exp':>7}{'bytes':>8}{'gathers':>9}{'scatters':>9}   (per ray)")  # fmt: skip
+    lines = [f"{row['kernel']:<36}{row['measured_ms']:>7.2f} ms{row['least_ms']:>7.2f} ms{100 * row['share']:>6.0f} %  {row['limit']:<22}"
+             f"{row['operations']:>11.0f}{row['exponentials']:>7.0f}{row['bytes']:>8.0f}{row['gathers']:>9.0f}{row['scatters']:>9.0f}"
+             for row in found]  # fmt: skip
+    return "\n".join([head, *lines])

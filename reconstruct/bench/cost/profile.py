@@ -1,0 +1,98 @@
+"""Where the time of a training step goes: the compiled step itself is traced, and its instructions are told by the code they come from.
+
+What instructions are for is found out by `reconstruct.bench.cost.instructions`.
+"""
+
+import gzip
+import json
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from datasets.core.console import progress
+from datasets.scene import Scene
+from reconstruct.bench.cost.instructions import Part, parts_of
+from reconstruct.output.restored import Trained
+from reconstruct.scene.rays import Pixels
+from reconstruct.training.step import StepFunctions, TrainState
+
+STEPS = 16
+"""Steps that are traced, without and with a second pass."""
+
+
+def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
+    """Milliseconds per step, by part, of steps with and without the second pass.
+
+    Returns:
+        "step_ms" and "second_pass_step_ms" by the clock, untraced; "parts", rows of stage, kernel, "forward" or "backward", and
+        milliseconds of a step without (or, for the stage of that name, of one with) second pass, longest first.
+    """
+    functions, views = trained.functions, scene.split("train")
+    with progress("reading images", len(views), "images") as shown:
+        pixels = Pixels.load(views, functions.normalisation, functions.config.scale, shown)
+    advance = _compiled(functions, trained.state, pixels)
+    parts = parts_of(advance.as_text() or "")
+    plain_ms, plain = _traced(advance, trained.state, pixels, parts, second=False)
+    second_ms, second = (
+        _traced(advance, trained.state, pixels, parts, second=True) if functions.config.surface.enabled else (None, {})
+    )
+    found = plain | {part: value for part, value in second.items() if part.stage == "second pass"}
+    rows = [[part.stage, part.kernel, "backward" if part.backward else "forward", value] for part, value in found.items()]
+    return {"step_ms": plain_ms, "second_pass_step_ms": second_ms, "rays": functions.rays_per_step, "samples": functions.samples_per_step,
+            "parts": sorted(rows, key=lambda row: -row[3])}  # fmt: skip
+
+
+def _compiled(functions: StepFunctions, state: TrainState, pixels: Pixels) -> Any:
+    """The step as training has it: in the memory of the state that it is given."""
+    arguments = (state, pixels, *_rest(1, False))
+    return jax.jit(functions.advance, donate_argnums=(0,)).lower(*arguments).compile()
+
+
+def _rest(count: int, second: bool) -> tuple[jax.Array, ...]:
+    """Arguments of `StepFunctions.advance` beside state and pixels: seed, progress, number of steps, whether with a second pass."""
+    return jnp.asarray(0, jnp.int32), jnp.asarray(0.9, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second)
+
+
+def _traced(
+    advance: Any, start: TrainState, pixels: Pixels, parts: dict[str, Part], *, second: bool
+) -> tuple[float, dict[Part, float]]:
+    """Milliseconds per step untraced (the fastest of three), and of each part; a call with a second pass is one step, else `STEPS`."""
+    calls, count = (STEPS, 1) if second else (1, STEPS)
+
+    def go() -> float:
+        state = jax.block_until_ready(jax.tree.map(jnp.copy, start))  # the calls use it up
+        begun = time.perf_counter()
+        for _ in range(calls):
+            state, _ = advance(state, pixels, *_rest(count, second))
+        jax.block_until_ready(state)
+        return 1e3 * (time.perf_counter() - begun) / STEPS
+
+    untraced = min(go() for _ in range(3))
+    with tempfile.TemporaryDirectory(prefix="koala-trace-") as folder:
+        with jax.profiler.trace(folder):
+            go()
+        durations = durations_us(Path(folder))
+    spent: dict[Part, float] = defaultdict(float)
+    for name, microseconds in durations.items():
+        part = parts.get(name)
+        if part is not None:
+            spent[part] += 1e-3 * microseconds / STEPS
+    return untraced, dict(spent)
+
+
+def durations_us(folder: Path) -> dict[str, float]:
+    """Microseconds in each instruction of the traced programs, by its name."""
+    spent: dict[str, float] = defaultdict(float)
+    for path in folder.rglob("*.trace.json.gz"):
+        with gzip.open(path) as file:
+            events = json.load(file)["traceEvents"]
+        for event in events:
+            name = (event.get("args") or {}).get("hlo_op")
+            if name is not None:
+                spent[name] += event.get("dur", 0.0)
+    return dict(spent)

@@ -1,0 +1,1 @@
+"""Rendered benchmark scenes with exact shape, depth and separation of the light."""

@@ -1,0 +1,187 @@
+"""Rays against shiny solids under distant light: where they hit, and what they see there.
+
+Sphere tracing (Hart 1996). A hit shows its matte part, and mirrors the light or, where the mirrored ray meets a solid again, that
+solid's matte part and its own mirroring of the light. Matte parts receive the light unshadowed.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from reconstruct.bench.scenes.light import MATTE, Light
+from reconstruct.bench.scenes.solids import Distance, normals
+from reconstruct.numerics.safe import safe_norm
+
+ON_SURFACE = 1e-5
+"""A ray has arrived where the distance is less [radius of the scene]."""
+STEPS, ROUNDS = 16, 16
+"""Steps of a ray between two looks at which rays go on, and how often at most."""
+CHUNK = 8192
+"""Rays that are traced at once: one size, so that each program is compiled once."""
+Vectors = Float[Array, "3 n"]
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a solid's surface does to light; linear."""
+
+    matte: tuple[float, float, float]
+    """Share of light that is scattered evenly."""
+    mirror: tuple[float, float, float]
+    """Share that is mirrored when seen head on; at grazing angles all of it (Schlick 1994)."""
+    sharpness: float
+    """Concentration of the lobe around the mirrored direction."""
+    second: tuple[float, float, float] | None = None
+    """Matte colour of every second patch, where there is a pattern."""
+    patches: float = 8.0
+    """Patches per unit, times pi."""
+
+    def matte_at(self, points: Vectors) -> Vectors:
+        """Matte share at points."""
+        first = jnp.broadcast_to(np.array(self.matte, np.float32)[:, None], points.shape)
+        if self.second is None:
+            return first
+        share = jax.nn.sigmoid(12 * jnp.prod(jnp.sin(self.patches * points + 0.4), 0))
+        return first + share * (np.array(self.second, np.float32)[:, None] - first)
+
+
+@dataclass(frozen=True)
+class Body:
+    """One solid of one material."""
+
+    solid: Distance
+    material: Material
+
+
+@dataclass(frozen=True, eq=False)
+class Tracer:
+    """Traces rays through a scene inside the unit ball. Compiles as it goes; keep it for a scene's views."""
+
+    bodies: tuple[Body, ...]
+    light: Light
+
+    def distance(self, points: Vectors) -> Float[Array, " n"]:
+        """Signed distance of (3, n) points from the nearest body."""
+        return jnp.min(self._distances(points), 0)
+
+    def measured(self, points: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Signed distance (n,) and unit outward normal (n, 3) of (n, 3) points, a chunk at a time."""
+        distance, normal = self._in_chunks(_measured, points)
+        return distance, normal
+
+    def _distances(self, points: Vectors) -> Float[Array, "bodies n"]:
+        return jnp.stack([body.solid(points) for body in self.bodies])
+
+    def look(self, origins: NDArray, directions: NDArray) -> dict[str, NDArray[np.float32]]:
+        """What (n, 3) rays with unit directions see.
+
+        Returns:
+            "t" (n,) distance of the hit, 0 where there is none; "normals" (n, 3); "diffuse" and "specular" (n, 3) linear light.
+        """
+        t = self.cast(origins, directions)
+        hit = np.flatnonzero(t > 0)
+        points = origins[hit] + t[hit, None] * directions[hit]
+        found = {"t": t, **{name: np.zeros((len(t), 3), np.float32) for name in ("normals", "diffuse", "specular")}}
+        if not len(hit):
+            return found
+        normal, mirrored = self._in_chunks(_turned, points, directions[hit])
+        again = self.cast(points + 1e-3 * normal, mirrored)
+        seen = self._in_chunks(_shaded, points, directions[hit], points + 1e-3 * normal, mirrored, again)
+        for name, values in zip(("normals", "diffuse", "specular"), (normal, *seen), strict=True):
+            found[name][hit] = values
+        return found
+
+    def cast(self, origins: NDArray, directions: NDArray) -> NDArray[np.float32]:
+        """(n,) distance at which (n, 3) rays with unit directions meet a solid; 0 where they meet none."""
+        enter, leave = _ball_interval(origins, directions)
+        t, arrived = enter.copy(), np.zeros(len(enter), bool)
+        going = np.flatnonzero(leave > enter)
+        for _ in range(ROUNDS):
+            if not len(going):
+                break
+            t[going], gap = self._in_chunks(_marched, origins[going], directions[going], t[going])
+            arrived[going] = gap < ON_SURFACE
+            going = going[(gap >= ON_SURFACE) & (t[going] < leave[going])]
+        arrived[going] = True  # a ray that creeps along a surface for so long touches it
+        return np.where(arrived & (t < leave), t, 0).astype(np.float32)
+
+    def _in_chunks(self, function, *rows: NDArray) -> tuple[NDArray[np.float32], ...]:
+        """A compiled function of columns applied to as many rows as there are."""
+        parts = []
+        for start in range(0, len(rows[0]), CHUNK):
+            part = [values[start : start + CHUNK].astype(np.float32) for values in rows]
+            full = [np.resize(values, (CHUNK, *values.shape[1:])).T for values in part]
+            parts.append([np.asarray(values).T[: len(part[0])] for values in function(self, *full)])
+        return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
+
+    def _material(self, points: Vectors) -> tuple[Vectors, Vectors, Float[Array, " n"]]:
+        """Matte share, mirrored share head on, and sharpness of the nearest body."""
+        nearest = jnp.argmin(self._distances(points), 0)
+        matte, mirror, sharpness = jnp.zeros_like(points), jnp.zeros_like(points), jnp.ones_like(points[0])
+        for index, body in enumerate(self.bodies):
+            own = nearest == index
+            matte = jnp.where(own, body.material.matte_at(points), matte)
+            mirror = jnp.where(own, np.array(body.material.mirror, np.float32)[:, None], mirror)
+            sharpness = jnp.where(own, body.material.sharpness, sharpness)
+        return matte, mirror, sharpness
+
+
+@partial(jax.jit, static_argnums=0)
+def _marched(tracer: Tracer, origins: Vectors, directions: Vectors, t: Float[Array, " n"]):
+    """t after some steps, and the distance from the surface there."""
+
+    def step(_, t):
+        gap = tracer.distance(origins + t * directions)
+        return t + jnp.where(gap < ON_SURFACE, 0.0, gap)
+
+    t = jax.lax.fori_loop(0, STEPS, step, t)
+    return t, tracer.distance(origins + t * directions)
+
+
+@partial(jax.jit, static_argnums=0)
+def _measured(tracer: Tracer, points: Vectors):
+    """Distance and normals of points."""
+    return tracer.distance(points), normals(tracer.distance, points)
+
+
+@partial(jax.jit, static_argnums=0)
+def _turned(tracer: Tracer, points: Vectors, directions: Vectors):
+    """Normals, and directions mirrored about them."""
+    normal = normals(tracer.distance, points)
+    mirrored = directions - 2 * jnp.sum(directions * normal, 0) * normal
+    return normal, mirrored / safe_norm(mirrored, axis=0)
+
+
+@partial(jax.jit, static_argnums=0)
+def _shaded(tracer: Tracer, points: Vectors, directions: Vectors, leaving: Vectors, mirrored: Vectors, again: Float[Array, " n"]):
+    """Matte and mirrored light of hits whose mirrored rays meet a solid again at the distance `again`, 0 for never."""
+    matte, mirror, sharpness = tracer._material(points)
+    normal = normals(tracer.distance, points)
+    other = leaving + again * mirrored
+    other_matte, other_mirror, other_sharpness = tracer._material(other)
+    other_normal = normals(tracer.distance, other)
+    twice = mirrored - 2 * jnp.sum(mirrored * other_normal, 0) * other_normal
+    from_body = other_matte * tracer.light.seen(other_normal, MATTE)
+    from_body += _schlick(other_mirror, mirrored, other_normal) * tracer.light.seen(twice, other_sharpness)
+    arriving = jnp.where(again > 0, from_body, tracer.light.seen(mirrored, sharpness))
+    return matte * tracer.light.seen(normal, MATTE), _schlick(mirror, directions, normal) * arriving
+
+
+def _schlick(head_on: Vectors, directions: Vectors, normal: Vectors) -> Vectors:
+    """Mirrored share at the angle between a ray and a normal."""
+    grazing = jnp.clip(1 + jnp.sum(directions * normal, 0), 0, 1) ** 5
+    return head_on + (1 - head_on) * grazing
+
+
+def _ball_interval(origins: NDArray, directions: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where rays with unit directions enter and leave the unit ball; an empty interval where they miss it."""
+    origins, directions = origins.astype(np.float64), directions.astype(np.float64)
+    closest = -(origins * directions).sum(-1)
+    half = 1 - ((origins + closest[:, None] * directions) ** 2).sum(-1)
+    half = np.where(half > 0, np.sqrt(np.maximum(half, 0)), -1.0)
+    return np.maximum(closest - half, 0), np.where(half > 0, closest + half, -1.0)

@@ -1,0 +1,1 @@
+"""The radiance field: encodings, contraction, networks, appearance."""

@@ -1,0 +1,225 @@
+"""From what the spatial network knows of a point to its colour: one class per way to look at light.
+
+    Reflection    Ref-NeRF (Verbin et al. 2022, section 3): srgb(diffuse + tint * specular(reflected direction, roughness, n . v))
+    Matte         srgb(diffuse), from wherever it is seen
+    ViewColour    NeRF, Mip-NeRF, Zip-NeRF: colour(view direction); with a diffuse colour, srgb(diffuse + specular(view direction))
+
+Points, directions and channels come first: (3, n), (channels, n).
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.config import FieldConfig
+from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding
+from reconstruct.field.encodings.view import view_channels, view_encoding
+from reconstruct.field.mlp import Mlp
+from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
+
+RAMP = 0.2
+"""Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""
+
+
+class Material(eqx.Module):
+    """Appearance of points before the view direction is known. Linear colour."""
+
+    diffuse: Float[Array, "3 n"]
+    tint: Float[Array, "3 n"]
+    roughness: Float[Array, "1 n"]
+    normals_pred: Float[Array, "3 n"]
+    """Unit; zero where the model predicts none."""
+    bottleneck: Float[Array, "channels n"]
+
+    def stacked(self) -> Float[Array, "channels n"]:
+        """All of it as one array, to be composited."""
+        return jnp.concatenate([self.diffuse, self.tint, self.roughness, self.normals_pred, self.bottleneck])
+
+    @classmethod
+    def unstacked(cls, channels: Float[Array, "channels n"]) -> "Material":
+        """Inverse of `stacked`."""
+        return cls(channels[0:3], channels[3:6], channels[6:7], channels[7:10], channels[10:])
+
+
+class Shading(eqx.Module):
+    """Colour of points seen from given directions."""
+
+    rgb: Float[Array, "3 n"]
+    """sRGB in [0, 1], padded by 0.001 as Ref-NeRF has it."""
+    specular: Float[Array, "3 n"]
+    """The part that depends on the direction, tint included, linear; all of the colour where nothing is diffuse."""
+
+
+@dataclass(frozen=True)
+class StartNormals:
+    """Normals before anything is learned: those of a ball about the object, turned towards where the cameras are.
+
+    A camera that looks down on a table must not begin with a table that faces away from it: what reflects no light towards
+    the camera is left out of the picture, and fog before it takes its place.
+    """
+
+    outward: float
+    towards: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, field: FieldConfig) -> "StartNormals":
+        """As configured; turned nowhere where the scene was not looked at."""
+        return cls(field.outward, field.towards or (0.0, 0.0, 0.0))
+
+    def at(self, points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
+        """Not unit: its length says how much the network must say to turn it."""
+        return self.outward * (points + jnp.asarray(self.towards)[:, None])
+
+
+@dataclass(frozen=True)
+class StartMatte:
+    """How much matter what is around the object begins than the object, whose reflections are to be found.
+
+    A mirror somewhere before a table can show each camera nearly what the table does; so that the table is found, nothing
+    around the object's box mirrors at first.
+    """
+
+    weight: float
+    half_box: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, field: FieldConfig) -> "StartMatte":
+        """As configured; nowhere where the scene was not looked at, or is all object."""
+        return cls(field.matte_around if field.half_box else 0.0, field.half_box or (0.0, 0.0, 0.0))
+
+    def at(self, points: Float[Array, "3 n"]) -> Float[Array, "#1 #n"]:
+        """Added to raw diffuse colours and taken from raw tints; whole from `RAMP` beside the box on."""
+        if not self.weight:
+            return jnp.zeros((1, 1))
+        beyond = jnp.max(jnp.abs(points) - jnp.asarray(self.half_box)[:, None], axis=0, keepdims=True)
+        return self.weight * jnp.clip(beyond / RAMP, 0.0, 1.0)
+
+
+class Reflection(eqx.Module):
+    """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected.
+
+    What an untrained network shows decides what the training finds. With Ref-NeRF's biases half the colour is diffuse, and
+    the reflection, a product of two factors that both have to fall, dies before there is a shape to reflect it. With a
+    dark diffuse part and normals that begin as a ball's, the reflection carries the colour from the first step.
+    """
+
+    view: Mlp
+    ide_degree: int = eqx.field(static=True)
+    diffuse_bias: float = eqx.field(static=True)
+    specular_bias: float = eqx.field(static=True)
+    roughness_bias: float = eqx.field(static=True)
+    start: StartNormals = eqx.field(static=True)
+    matte: StartMatte = eqx.field(static=True)
+
+    heads: ClassVar[int] = 10
+    """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
+    has_diffuse: ClassVar[bool] = True
+    predicts_normals: ClassVar[bool] = True
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "Reflection":
+        """Fresh weights for the given sizes."""
+        channels = field.bottleneck + ide_channels(field.ide_degree) + 1
+        network = _view_network(key, channels, field)
+        biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
+        return cls(network, field.ide_degree, *biases, StartNormals.of(field), StartMatte.of(field))
+
+    def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
+        """Heads of the spatial network's outputs at the given places of the contracted scene."""
+        matte = self.matte.at(points)
+        return Material(
+            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias + matte), tint=jax.nn.sigmoid(raw[3:6] - matte),
+            roughness=jax.nn.softplus(raw[6:7] + self.roughness_bias), normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
+            bottleneck=raw[10:],
+        )  # fmt: skip
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """Colour towards a camera that looks along unit `viewdirs`; `normals` instead of the predicted ones where given."""
+        normals = normalise(material.normals_pred, axis=0) if normals is None else normals
+        facing = -jnp.sum(normals * viewdirs, axis=0)
+        reflected = 2 * facing * normals + viewdirs  # Ref-NeRF equation 4, with the direction towards the camera -viewdirs
+        encoded = integrated_directional_encoding(reflected, material.roughness[0], self.ide_degree)
+        raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None]]))
+        return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw + self.specular_bias))
+
+
+class ViewColour(eqx.Module):
+    """Colour by the direction of the view, all of it or what is added to a diffuse colour."""
+
+    view: Mlp
+    degree: int = eqx.field(static=True)
+    has_diffuse: bool = eqx.field(static=True)
+    diffuse_bias: float = eqx.field(static=True)
+
+    predicts_normals: ClassVar[bool] = False
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "ViewColour":
+        """Fresh weights for the given sizes."""
+        network = _view_network(key, field.bottleneck + view_channels(field.view_degree), field)
+        return cls(network, field.view_degree, field.appearance == "view_diffuse", field.diffuse_bias)
+
+    @property
+    def heads(self) -> int:
+        """Diffuse (3), where there is one; the bottleneck follows."""
+        return 3 if self.has_diffuse else 0
+
+    def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
+        """Heads of the spatial network's outputs, wherever the points are."""
+        count = raw.shape[1]
+        diffuse = jax.nn.sigmoid(raw[0:3] + self.diffuse_bias) if self.has_diffuse else jnp.zeros((3, count))
+        return Material(diffuse, jnp.ones((3, count)), jnp.zeros((1, count)), jnp.zeros((3, count)), raw[self.heads :])
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """Colour towards a camera that looks along unit `viewdirs`, whatever the normals."""
+        raw = self.view(jnp.concatenate([material.bottleneck, view_encoding(viewdirs, self.degree)]))
+        colour = jax.nn.sigmoid(raw)
+        if self.has_diffuse:
+            return _sum_of_parts(material.diffuse, colour)
+        return Shading(colour * 1.002 - 0.001, linear_from_srgb(colour))
+
+
+class Matte(eqx.Module):
+    """What is left of `Reflection` where nothing is reflected: the diffuse colour, and normals that the density's follow."""
+
+    diffuse_bias: float = eqx.field(static=True)
+    start: StartNormals = eqx.field(static=True)
+
+    heads: ClassVar[int] = 6
+    """Diffuse (3), normal (3); the bottleneck follows."""
+    has_diffuse: ClassVar[bool] = True
+    predicts_normals: ClassVar[bool] = True
+
+    def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
+        """Heads of the spatial network's outputs at the given places of the contracted scene."""
+        dark = jnp.zeros((3, raw.shape[1]))
+        normals = normalise(self.start.at(points) - raw[3:6], axis=0)
+        return Material(jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), dark, dark[:1], normals, raw[self.heads :])
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """The same colour from all sides."""
+        return _sum_of_parts(material.diffuse, jnp.zeros_like(material.diffuse))
+
+
+Appearance = Reflection | Matte | ViewColour
+
+
+def create_appearance(key: PRNGKeyArray, field: FieldConfig) -> Appearance:
+    """The appearance that a configuration names."""
+    if field.appearance == "diffuse":
+        return Matte(field.diffuse_bias, StartNormals.of(field))
+    kind = Reflection if field.appearance == "reflection" else ViewColour
+    return kind.create(key, field)
+
+
+def _view_network(key: PRNGKeyArray, channels: int, field: FieldConfig) -> Mlp:
+    return Mlp.create(key, channels=channels, width=field.view_width, depth=field.view_depth, outputs=3, skip=field.view_skip)
+
+
+def _sum_of_parts(diffuse: Float[Array, "3 n"], specular: Float[Array, "3 n"]) -> Shading:
+    rgb = jnp.clip(srgb_from_linear(diffuse + specular), 0.0, 1.0)
+    return Shading(rgb * 1.002 - 0.001, specular)

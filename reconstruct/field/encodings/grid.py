@@ -1,0 +1,88 @@
+"""What nested grids with hashed tables have in common, whatever the shape of their cells."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.field.encodings.encoding import Scale
+from reconstruct.field.encodings.tables import combine, fitting_sizes, mean_squares, resolutions_between, start_values
+
+
+class HashedGrid(eqx.Module):
+    """Multi-resolution grid over the cube [-1, 1]^3 (and as far beyond as one likes: rows are hashed)."""
+
+    table: Float[Array, "features rows"]
+    """Channels of all levels' tables, one level after the other."""
+    blur: Float[Array, ""]
+    """Standard deviation that every point has at least; see `Encoding`."""
+    resolutions: tuple[float, ...] = eqx.field(static=True)
+    """Vertices per unit length of each level, or for other cells than cubes as many per volume as cubes of that spacing."""
+    log2_sizes: tuple[int, ...] = eqx.field(static=True)
+    """Rows of each level, as a power of two."""
+
+    @classmethod
+    def create(
+        cls,
+        key: PRNGKeyArray,
+        *,
+        levels: int,
+        features: int,
+        log2_size: int,
+        coarsest: float,
+        finest: float,
+        volume: float | None = None,
+    ) -> "HashedGrid":
+        """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`.
+
+        Args:
+            log2_size: rows of a level's table, as a power of two.
+            volume: where anything can be; see `fitting_sizes`.
+        """
+        resolutions = resolutions_between(coarsest, finest, levels)
+        sizes = fitting_sizes(resolutions, log2_size, volume)
+        return cls(start_values(key, features, sizes), jnp.zeros(()), resolutions, sizes)
+
+    @property
+    def num_channels(self) -> int:
+        """Levels times features."""
+        return len(self.resolutions) * self.table.shape[0]
+
+    def __call__(self, points: Float[Array, "3 n"], scale: Scale | None = None) -> Float[Array, "channels n"]:
+        """Features of points.
+
+        Args:
+            points: coordinates in the grid's space.
+            scale: standard deviation of the Gaussian that each point stands for; each level is weighted by
+                the share of it that a cell holds. None: points have no extent.
+        """
+        return self._evaluate(points, scale, with_slopes=False)[0]
+
+    def value_and_jacobian(
+        self, points: Float[Array, "3 n"], scale: Scale | None = None
+    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
+        """Features and their derivative to the position.
+
+        Both differentiable to the tables, neither to the points: where a field is looked at is data. Where the
+        share of a level depends on `scale`, that share is held constant.
+        """
+        value, *slopes = self._evaluate(points, scale, with_slopes=True)
+        return value, jnp.stack(slopes, 1)
+
+    def decay(self) -> Float[Array, ""]:
+        """Sum over levels of the mean square of the table's values (Zip-NeRF, Barron et al. 2023, section 3)."""
+        return mean_squares(self.table, self.log2_sizes)
+
+    @abstractmethod
+    def located(self, points: Float[Array, "3 n"], scale: Scale | None, *, with_slopes: bool) -> tuple[list, list]:
+        """Rows of the vertices around each point and sets of as many coefficients, each (levels, n).
+
+        The first set are the weights of the value; with slopes, their derivatives to x, y and z follow.
+        """
+
+    def _evaluate(self, points, scale, *, with_slopes: bool) -> list[Float[Array, "channels n"]]:
+        """The value, and with slopes its derivatives to x, y and z."""
+        rows, coefficients = self.located(jax.lax.stop_gradient(points), scale, with_slopes=with_slopes)
+        return [jnp.concatenate(channels) for channels in combine(self.table, rows, coefficients)]

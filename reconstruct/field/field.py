@@ -1,0 +1,71 @@
+"""The radiance field: features of a position to density and appearance.
+
+    spatial network:  features -> raw density, what the appearance wants to know (`appearance`), bottleneck
+
+Points, directions and channels come first: (3, n), (channels, n).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.config import EncodingConfig, FieldConfig
+from reconstruct.field.appearance import Appearance, Material, Shading, create_appearance
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.encodings.create import create_encoding
+from reconstruct.field.encodings.encoding import Encoding
+from reconstruct.field.mlp import Mlp
+from reconstruct.numerics.safe import normalise, safe_exp
+
+
+class Field(eqx.Module):
+    """Density and appearance over the normalised scene."""
+
+    encoding: Encoding
+    spatial: Mlp
+    appearance: Appearance
+    density_bias: float = eqx.field(static=True)
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, encoding: EncodingConfig, field: FieldConfig) -> "Field":
+        """Fresh weights for the given sizes."""
+        encoding_key, spatial_key, view_key = jax.random.split(key, 3)
+        encoded, appearance = create_encoding(encoding_key, encoding), create_appearance(view_key, field)
+        spatial = Mlp.create(spatial_key, channels=encoded.num_channels, width=field.spatial_width, depth=field.spatial_depth,
+                             outputs=1 + appearance.heads + field.bottleneck,
+                             skip=field.spatial_skip)  # fmt: skip
+        return cls(encoded, spatial, appearance, field.density_bias)
+
+    def density(self, cloud: Cloud) -> Float[Array, " n"]:
+        """Density alone [1 / scene unit]."""
+        return self._activated(self.spatial(cloud.encoded(self.encoding))[0])
+
+    def __call__(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
+        """Density [1 / scene unit] and material."""
+        return self._heads(self.spatial(cloud.encoded(self.encoding)), cloud)
+
+    def with_normals(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
+        """Density, material and unit normals: minus the direction of the density's gradient, analytically.
+
+        exp is monotonic, so the raw density's gradient has the same direction and never overflows.
+        """
+        features, jacobian = cloud.encoded_with_jacobian(self.encoding)
+        raw, pull = jax.vjp(self.spatial, features)
+        (sensitivity,) = pull(jnp.zeros_like(raw).at[0].set(1.0))
+        gradient = jnp.einsum("cn,cxn->xn", sensitivity, jacobian)
+        return *self._heads(raw, cloud), -normalise(gradient, axis=0)
+
+    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+        """Colour towards a camera that looks along unit `viewdirs`.
+
+        Args:
+            normals: unit normals to reflect about; None takes the predicted ones.
+        """
+        return self.appearance.shade(material, viewdirs, normals)
+
+    def _activated(self, raw: Float[Array, " n"]) -> Float[Array, " n"]:
+        return safe_exp(raw + self.density_bias)
+
+    def _heads(self, raw: Float[Array, "channels n"], cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
+        return self._activated(raw[0]), self.appearance.material(raw[1:], cloud.centres())

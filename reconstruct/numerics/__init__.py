@@ -1,0 +1,1 @@
+"""Numerics that know nothing of a scene: safe elementary functions, step functions."""

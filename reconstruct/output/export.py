@@ -1,0 +1,96 @@
+"""Rendered views as files that any viewer and any other program can read.
+
+DIR/rgb/NAME.png         sRGB
+DIR/diffuse/NAME.png     sRGB of the diffuse part
+DIR/specular/NAME.png    sRGB of the specular part
+DIR/normals/NAME.png     (n + 1) / 2, world frame, from the density's gradient; grey where nothing is seen
+DIR/normals_exr/NAME.exr  the same as numbers: unit vectors, zero where nothing is seen
+DIR/normals_pred/NAME.png  (n + 1) / 2 of the predicted normals
+DIR/depth/NAME.exr       along z [m, or the scene's unit]; 0 where nothing is seen
+DIR/depth_view/NAME.png  the same to look at: near is bright, nothing is black
+DIR/opacity/NAME.png     0..1
+DIR/roughness/NAME.png   0..1, clipped
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.core import files
+from datasets.core.console import progress
+from datasets.formats.koala import file_name
+from datasets.imaging import images
+from reconstruct.output.restored import Trained
+from reconstruct.rendering.pictures import Picture
+
+NUMBERS = {"depth", "normals_exr"}
+"""Channels written as EXR, unscaled."""
+
+
+def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any]:
+    """Render the views of one split into the new folder `out`, all or nothing.
+
+    Raises:
+        UsageError: the scene has no such views, or `out` holds something.
+    """
+    files.refuse_existing(out)
+    views = trained.scene.split(split)
+    _write(((file_name(view), trained.picture(view)) for view in views), len(views), out)
+    return {"out": str(out), "split": split, "views": len(views)}
+
+
+def render_along(trained: Trained, frames: Sequence[NDArray[np.float64]], out: Path) -> dict[str, Any]:
+    """Render (4, 4) `world_from_camera` poses with the first view's camera, without its distortion, into the new folder `out`.
+
+    Files are named by the number of the frame, from 0000 on.
+
+    Raises:
+        UsageError: `out` holds something.
+    """
+    files.refuse_existing(out)
+    view = trained.scene.views[0]
+    camera = trained.camera(view).undistorted()
+    seen = (trained.renderer.picture(trained.state, replace(view, world_from_camera=frame), camera) for frame in frames)
+    _write(((f"{number:04d}", picture) for number, picture in enumerate(seen)), len(frames), out)
+    return {"out": str(out), "views": len(frames)}
+
+
+def _write(pictures: Iterable[tuple[str, Picture]], count: int, out: Path) -> None:
+    """Every channel of named pictures into a folder each, all or nothing."""
+    with files.atomic_folder(out) as folder, progress("rendering", count, "views") as shown:
+        for name, picture in pictures:
+            for channel, values in channels(picture).items():
+                images.write(folder / channel / f"{name}{'.exr' if channel in NUMBERS else '.png'}", values)
+            shown.advance()
+
+
+def channels(picture: Picture) -> dict[str, NDArray[np.floating]]:
+    """What is written of a picture, by folder: (height, width, 1 or 3), 0..1 but for `NUMBERS`."""
+    return {
+        "rgb": picture.rgb,
+        "diffuse": images.srgb_from_linear(np.maximum(picture.diffuse, 0)),
+        "specular": images.srgb_from_linear(np.maximum(picture.specular, 0)),
+        "normals": (picture.normals + 1) / 2,
+        "normals_exr": picture.normals,
+        "normals_pred": (picture.normals_pred + 1) / 2,
+        "depth": picture.depth,
+        "depth_view": brightness_of_depth(picture.depth),
+        "opacity": picture.opacity,
+        "roughness": picture.roughness,
+    }
+
+
+def brightness_of_depth(depth: NDArray[np.float32], limits: tuple[float, float] | None = None) -> NDArray[np.float32]:
+    """(height, width, 1) 1 at the nearest depth, 0.1 at the furthest, 0 where there is none.
+
+    Args:
+        limits: nearest and furthest depth; None takes the 1st and 99th percentile of the picture.
+    """
+    known = depth > 0
+    near, far = limits or (np.percentile(depth[known], [1, 99]) if known.any() else (0, 1))
+    share = np.clip((depth - near) / max(far - near, 1e-9), 0, 1)
+    return np.where(known, 1 - 0.9 * share, 0).astype(np.float32)

@@ -1,0 +1,141 @@
+"""Learned perceptual distance of two pictures (LPIPS: Zhang et al. 2018), with AlexNet, version 0.1 of its weights.
+
+Pictures go through the convolutions of AlexNet. The features of each of its five layers are brought to unit length per pixel; the
+distance is the sum over layers of the mean over pixels of a weighted squared difference (their equation 1).
+
+The weights belong to others and are not part of Koala: they come from a .npz file that has the names of the published program's
+own state, see `WEIGHTS` and docs/numbers.md.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from datasets.core import arrays, files
+from datasets.core.errors import UsageError
+
+Picture = Float[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One convolution of AlexNet, and what comes before it."""
+
+    name: str
+    """Of its weights in the file."""
+    inputs: int
+    outputs: int
+    size: int
+    """Of its square kernel [px]."""
+    stride: int
+    padding: int
+    pooled: bool
+    """Whether the largest of each 3x3 pixels, every second one, goes in."""
+
+
+LAYERS = (
+    Layer("net.slice1.0", 3, 64, 11, 4, 2, pooled=False),
+    Layer("net.slice2.3", 64, 192, 5, 1, 2, pooled=True),
+    Layer("net.slice3.6", 192, 384, 3, 1, 1, pooled=True),
+    Layer("net.slice4.8", 384, 256, 3, 1, 1, pooled=False),
+    Layer("net.slice5.10", 256, 256, 3, 1, 1, pooled=False),
+)
+WEIGHTS: dict[str, tuple[int, ...]] = {
+    **{f"{layer.name}.weight": (layer.outputs, layer.inputs, layer.size, layer.size) for layer in LAYERS},
+    **{f"{layer.name}.bias": (layer.outputs,) for layer in LAYERS},
+    **{f"lin{index}.model.1.weight": (1, layer.outputs, 1, 1) for index, layer in enumerate(LAYERS)},
+}
+"""Names and shapes of the arrays that are read; others in the file are left alone."""
+SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+"""Of the colours from -1 to 1 before the first layer, as the published program has them."""
+SMALLEST = 31
+"""Sides of a picture from which on every layer has a pixel."""
+SHORTEST = 1e-10
+"""Added to the length of features before they are divided by it."""
+
+
+class Lpips(eqx.Module):
+    """The distance for one set of weights."""
+
+    kernels: tuple[Float[Array, "outputs inputs size size"], ...]
+    biases: tuple[Float[Array, " outputs"], ...]
+    shares: tuple[Float[Array, " outputs"], ...]
+    """Weight of each channel's squared difference, per layer; at least 0."""
+    file: str = eqx.field(static=True, default="")
+    """Where the weights are from."""
+    sha256: str = eqx.field(static=True, default="")
+    """Of that file: figures may be compared where this is the same."""
+
+    @classmethod
+    def load(cls, path: Path) -> "Lpips":
+        """Read the weights.
+
+        Raises:
+            UsageError: there is no such file, or it does not hold the arrays of `WEIGHTS`.
+            DatasetError: it is no file of plain arrays.
+        """
+        found = arrays.read_npz(path, tuple(f"{name}.npy" for name in WEIGHTS))
+        advice = "make it as docs/numbers.md says"
+        for name, shape in WEIGHTS.items():
+            if name not in found:
+                raise UsageError(
+                    "does not hold the weights of LPIPS with AlexNet", where=path, why=f"no array {name}", remedy=advice
+                )
+            array = found[name]
+            if array.shape != shape or array.dtype.kind != "f":
+                raise UsageError(f"array {name} has another shape than AlexNet's", where=path,
+                             why=f"{array.shape} of {array.dtype}, not {shape}", remedy=advice)  # fmt: skip
+            if not np.isfinite(array).all():
+                raise UsageError(f"array {name} holds values that are not finite", where=path, remedy=advice)
+        get = lambda name: jnp.asarray(found[name], jnp.float32)  # noqa: E731
+        shares = tuple(get(f"lin{index}.model.1.weight").reshape(-1) for index in range(len(LAYERS)))
+        if any((share < 0).any() for share in shares):
+            raise UsageError(
+                "weighs differences with negative numbers", where=path, why="the published ones are at least 0", remedy=advice
+            )
+        return cls(tuple(get(f"{layer.name}.weight") for layer in LAYERS), tuple(get(f"{layer.name}.bias") for layer in LAYERS),
+                   shares, path.name, files.sha256(path))  # fmt: skip
+
+    def __call__(self, rendered: Picture, truth: Picture) -> float | None:
+        """Distance of two sRGB pictures after clipping to 0..1: 0 for equal ones; None below `SMALLEST` pixels."""
+        if rendered.shape != truth.shape or rendered.shape[-1] != 3:
+            raise UsageError("LPIPS compares two colour pictures of one size", why=f"{rendered.shape} and {truth.shape}")
+        if min(truth.shape[:2]) < SMALLEST:
+            return None
+        return float(_distance(self, *(jnp.asarray(np.clip(picture, 0, 1), jnp.float32) for picture in (rendered, truth))))
+
+
+@eqx.filter_jit
+def _distance(weights: Lpips, first: Float[Array, "height width 3"], second: Float[Array, "height width 3"]) -> Float[Array, ""]:
+    """Sum over layers. Each picture goes through by itself, so that equal ones have equal features to the last bit."""
+    features = jax.lax.map(lambda picture: _features(weights, picture), jnp.stack([first, second]))
+    total = jnp.zeros(())
+    for (one, other), share in zip(features, weights.shares, strict=True):
+        total += jnp.mean(jnp.sum(share[:, None, None] * (one - other) ** 2, 0))
+    return total
+
+
+def _features(weights: Lpips, picture: Float[Array, "height width 3"]) -> list[Float[Array, "channels _ _"]]:
+    """What each layer says of a picture, every pixel brought to unit length."""
+    channels = jnp.moveaxis(2 * picture - 1, -1, 0)
+    features, found = (channels - jnp.asarray(SHIFT)[:, None, None]) / jnp.asarray(SCALE)[:, None, None], []
+    for layer, kernel, bias in zip(LAYERS, weights.kernels, weights.biases, strict=True):
+        features = _convolved(_pooled(features) if layer.pooled else features, kernel, bias, layer)
+        found.append(features / (jnp.sqrt(jnp.sum(features**2, 0)) + SHORTEST))
+    return found
+
+
+def _convolved(features: Float[Array, "inputs h w"], kernel: Array, bias: Array, layer: Layer) -> Float[Array, "outputs _ _"]:
+    """Convolution (no kernel is turned, as in all networks), then what is negative is cut off; full float32 on any device."""
+    around = [(layer.padding, layer.padding)] * 2
+    sums = jax.lax.conv_general_dilated(features[None], kernel, (layer.stride, layer.stride), around, precision="highest")[0]
+    return jax.nn.relu(sums + bias[:, None, None])
+
+
+def _pooled(features: Float[Array, "channels h w"]) -> Float[Array, "channels _ _"]:
+    return jax.lax.reduce_window(features, -jnp.inf, jax.lax.max, (1, 3, 3), (1, 2, 2), "VALID")

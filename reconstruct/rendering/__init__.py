@@ -1,0 +1,1 @@
+"""Volume rendering: weights and compositing, the model, whole pictures."""

@@ -1,0 +1,127 @@
+"""The training views' poses as a training refined them: for its own use, for a person and for other programs.
+
+RUN/poses.json    per training view the refined pose, and by how much it differs from the scene's
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from datasets import pose
+from datasets.core import files
+from datasets.core.errors import DatasetError
+from datasets.scene import Scene, View
+from reconstruct.config import PoseConfig
+from reconstruct.scene.rays import Normalisation, Pixels, pixels_over_white
+from reconstruct.scene.twists import Twists, moved
+
+FORMAT, VERSION = "koala-poses", 1
+POSES = "poses.json"
+FURTHEST = 5.0
+"""Cameras are looked for within so many standard deviations of where they were calibrated: masks rule out nothing nearer."""
+DEFINITIONS = {
+    "world_from_camera": "refined pose: OpenCV camera axes, quaternion wxyz, translation in world units",
+    "moved_mm": "distance between the given and the refined position [mm; thousandths of a world unit where the scene is not metric]",
+    "turned_deg": "angle between the given and the refined orientation [deg]",
+    "moved_px": "mean distance by which the corners of the object's box move in the picture [px, at the size of the image on disk]",
+}
+"""What the entries of a view mean."""
+
+
+def corrected(world_from_camera: ArrayLike, twist: ArrayLike, scale: float) -> NDArray[np.float64]:
+    """(4, 4) pose after a correction.
+
+    Args:
+        twist: (6,) translation [scene unit] and rotation vector [rad] at the camera's centre; see `twists`.
+        scale: scene units per world unit.
+    """
+    x, y, z = np.asarray(twist, np.float64)[3:]
+    generator = np.zeros((4, 4))
+    generator[:3, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    generator[:3, 3] = np.asarray(twist, np.float64)[:3] / scale
+    change, world_from_camera = expm(generator), np.asarray(world_from_camera, np.float64)
+    return pose.rigid(change[:3, :3] @ world_from_camera[:3, :3], world_from_camera[:3, 3] + change[:3, 3])
+
+
+def refined(scene: Scene, normalisation: Normalisation, twists: Twists | None) -> Scene:
+    """The scene with its training views' poses corrected.
+
+    Raises:
+        DatasetError: it has other training views than when it was trained on.
+    """
+    if twists is None:
+        return scene
+    views = scene.split("train")
+    if len(views) != len(twists):
+        raise DatasetError("scene has changed since the training", where=scene.name, why=f"{len(views)} training views, then {len(twists)}",
+                           remedy="train again")  # fmt: skip
+    better = {
+        view.name: replace(view, world_from_camera=corrected(view.world_from_camera, twist, normalisation.scale))
+        for view, twist in zip(views, np.asarray(twists, np.float64), strict=True)
+    }
+    return scene.with_views(tuple(better.get(view.name, view) for view in scene.views))
+
+
+def change(before: View, after: View, box: NDArray[np.float64]) -> dict[str, float]:
+    """By how much a pose was corrected, as `DEFINITIONS` has it. `box` is the object's, (2, 3) in the world."""
+    distance, angle = pose.difference(before.world_from_camera, after.world_from_camera)
+    corners = np.array(np.meshgrid(*np.asarray(box).T, indexing="ij")).reshape(3, -1).T
+    local = [(corners - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3] for view in (before, after)]
+    front = np.all([points[:, 2] > 1e-6 for points in local], axis=0)
+    pixels = [before.camera.undistorted().project(points[front]) for points in local]
+    apart = np.linalg.norm(pixels[0] - pixels[1], axis=-1)
+    return {"moved_mm": float(1e3 * distance), "turned_deg": float(np.rad2deg(angle)),
+            "moved_px": float(apart.mean()) if len(apart) else 0.0}  # fmt: skip
+
+
+def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists | None) -> None:
+    """Write `poses.json` of a scene as it was given, where its poses were refined."""
+    if twists is None:
+        return
+    after = refined(scene, normalisation, twists).split("train")
+    views = [
+        {"name": new.name, "world_from_camera": {"translation_m": new.world_from_camera[:3, 3].tolist(),
+                                                 "quaternion_wxyz": pose.quaternion(new.world_from_camera).tolist()},
+         **change(old, new, scene.box)}
+        for old, new in zip(scene.split("train"), after, strict=True)
+    ]  # fmt: skip
+    files.write_json(run / POSES, {
+        "format": FORMAT, "version": VERSION, "metric": scene.metric, "views": views, "definitions": DEFINITIONS,
+        "gauge": "corrections together neither move, turn nor scale the cameras as a whole (least squares, in standard deviations)",
+    })  # fmt: skip
+
+
+def read(run: Path) -> dict[str, Any] | None:
+    """The content of `poses.json`; None where poses were not refined."""
+    path = run / POSES
+    return files.read_json(path, kind=FORMAT, version=VERSION) if path.is_file() else None
+
+
+def summary(run: Path) -> str:
+    """A sentence on the corrections of a run; empty where there are none."""
+    if (content := read(run)) is None:
+        return ""
+    size = {name: np.array([view[name] for view in content["views"]]) for name in ("moved_mm", "turned_deg", "moved_px")}
+    mean = {name: float(np.sqrt(np.mean(values**2))) for name, values in size.items()}
+    unit = "mm" if content["metric"] else "thousandths of a unit"
+    return (f"poses of {len(content['views'])} training views were refined by {mean['moved_mm']:.2f} {unit} and {mean['turned_deg']:.3f}° "
+            f"(root mean square; at most {size['moved_mm'].max():.2f} {unit}, {size['turned_deg'].max():.3f}°), {mean['moved_px']:.2f} px in the pictures")  # fmt: skip
+
+
+def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, float]:
+    """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given."""
+    if not config.enabled:
+        return 0.0, 0.0
+    _, _, position, angle, _, _ = config.sigma(normalisation.scale)
+    return FURTHEST * position, FURTHEST * angle
+
+
+def over_white(pixels: Pixels, twists: Twists | None) -> tuple[np.ndarray, ...]:
+    """(origins, directions, radii, colour over white) of all given pixels, as the corrected cameras see them."""
+    rays, colour = pixels.take(jnp.arange(pixels.directions.shape[0]))
+    return pixels_over_white(moved(rays, twists), colour)

@@ -1,0 +1,1 @@
+"""Surf-NeRF's own part: first surface, sphere samples, regularisers."""

@@ -1,0 +1,99 @@
+"""What one look at a scene finds out, before anything is trained."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.scene import Scene, View
+from reconstruct.sampling.occupancy import cell_centres
+from reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
+
+PLACES = 2000
+"""Places of the object at which footprints are measured."""
+BALL, CONTRACTED = 4 / 3 * np.pi, 4 / 3 * np.pi * 8
+"""Volume of the object's ball where there are surroundings, and of all space once it is contracted [scene unit^3]."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Of one scene, its training views and the space that they leave."""
+
+    bounded: bool
+    views: int
+    transparent: float
+    """Share of the training pixels that belong to nothing (alpha below a hundredth)."""
+    smallest: float
+    """Smallest footprint of a pixel at any place that can hold something [scene unit]."""
+    largest: float
+    """Largest one at the object."""
+    possible: float
+    """Share of the grid's cells that can hold anything: inside the masks, or in sight of enough cameras."""
+    bent: int
+    """Views through a lens that distorts."""
+    poses: str
+    """Where the poses come from."""
+
+    @property
+    def volume(self) -> float:
+        """Space that can hold anything, contracted [scene unit^3]."""
+        return 8 * self.possible if self.bounded else BALL + (CONTRACTED - BALL) * self.possible
+
+
+def facts_of(
+    scene: Scene,
+    views: tuple[View, ...],
+    pixels: Pixels,
+    normalisation: Normalisation,
+    possible: NDArray[np.bool_] | None,
+    scale: float,
+) -> Facts:
+    """Look at a scene.
+
+    Args:
+        possible: cells that masks or sight leave, as the occupancy grid takes them; None: nothing is ruled out.
+        scale: share of their size that the images are resampled to.
+    """
+    bounded = normalisation.bounded
+    smallest, largest = footprints(views, normalisation, places(normalisation, possible), scale)
+    if not bounded:  # surroundings may come as near as anything does
+        smallest = min([smallest, *(pixel_width(view, scale) * normalisation.near for view in views)])
+    share = 1.0 if possible is None else float(possible.mean())
+    if not bounded and possible is not None:
+        outside = np.linalg.norm(cell_centres(round(len(possible) ** (1 / 3)), 2.0), axis=-1)
+        share = float(possible[(outside > 1) & (outside < 2)].mean())
+    return Facts(bounded, len(views), float(np.mean(np.asarray(pixels.colour[:, 3]) < 0.01)), smallest, largest, share,
+                 sum(not view.camera.is_pinhole for view in views), str(scene.provenance.get("format", "the scene's files")))  # fmt: skip
+
+
+def places(normalisation: Normalisation, possible: NDArray[np.bool_] | None) -> NDArray[np.float64]:
+    """(n, 3) places of the object [scene unit]: of the cells that masks leave, else of its cube or ball."""
+    if normalisation.bounded and possible is not None and possible.any():
+        centres = cell_centres(round(len(possible) ** (1 / 3)), 1.0)[possible]
+    else:
+        centres = cell_centres(12, 1.0)
+        centres = centres if normalisation.bounded else centres[np.linalg.norm(centres, axis=-1) < 1]
+    return centres[:: max(1, len(centres) // PLACES)]
+
+
+def pixel_width(view: View, scale: float) -> float:
+    """Width of a view's pixels at unit depth."""
+    camera = scaled_camera(view, scale)
+    return float(1 / np.sqrt(camera.fx * camera.fy))
+
+
+def footprints(
+    views: tuple[View, ...], normalisation: Normalisation, points: NDArray[np.float64], scale: float
+) -> tuple[float, float]:
+    """Smallest and largest footprint of a pixel [scene unit] over all views and those of the points that they show."""
+    found = [np.zeros(0)]
+    world = points / normalisation.scale + normalisation.centre
+    for view in views:
+        camera = scaled_camera(view, scale).undistorted()
+        local = (world - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+        local = local[local[:, 2] * normalisation.scale > max(normalisation.near, 1e-6)]
+        pixel = camera.project(local)
+        shown = np.all((pixel >= 0) & (pixel <= [camera.width, camera.height]), -1)
+        found.append(local[shown, 2] * normalisation.scale * pixel_width(view, scale))
+    widths = np.concatenate(found)
+    return (float(widths.min()), float(widths.max())) if len(widths) else (0.0, np.inf)

@@ -1,0 +1,158 @@
+"""What a training leaves out: one rule per thing, each with its evidence and what it saves."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from datasets.scene import Scene, View
+from reconstruct.config import Config
+from reconstruct.field.encodings.tables import fitting_sizes, resolutions_between
+from reconstruct.models import merged_config
+from reconstruct.sampling.steps import BEHIND, FRONT
+from reconstruct.scene.rays import Normalisation
+from reconstruct.training.skipping.facts import Facts
+from reconstruct.training.skipping.pilot import MATTE
+from reconstruct.training.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
+
+ALIKE = 1.5
+"""Footprints whose largest is less than so many times the smallest count as uniform."""
+PATIENCE = 0.2
+"""Share of the training without gain after which it counts as converged, where the configuration has no patience of its own."""
+WORTH_DB = 0.1
+"""A branch that brings the pilot less than this is not worth having [dB]."""
+
+Decision = tuple[Config, Skip]
+
+
+def normalisation_of(scene: Scene, config: Config) -> Normalisation:
+    """How the scene is normalised: as one without surroundings only where that may be skipped."""
+    found = Normalisation.of(scene)
+    if found.bounded and not config.skip.surroundings:
+        return Normalisation.of(replace(scene, background="scene"), backdrop=True)
+    return found
+
+
+def lenses(views: tuple[View, ...], config: Config) -> tuple[View, ...]:
+    """The views as their pixels are to be undistorted: a pinhole that may not be skipped gets the least distortion there is."""
+    if config.skip.distortion:
+        return views
+    bent = lambda camera: replace(camera, k1=np.finfo(float).tiny) if camera.is_pinhole else camera  # noqa: E731
+    return tuple(replace(view, camera=bent(view.camera)) for view in views)
+
+
+def plan(facts: Facts, config: Config, pilot: Callable[[], float]) -> tuple[Config, list[Skip]]:
+    """The configuration without what the scene does not need, and all decisions.
+
+    Args:
+        pilot: trains a little with and without a reflection; returns the gain [dB]. Called only where it is asked for.
+    """
+    skips = [_surroundings(facts, config), _empty_rays(facts, config)]
+    for rule in (_fine_levels, _table_size, _multisampling):
+        config, skip = rule(facts, config)
+        skips.append(skip)
+    config, skip = _reflection(config, pilot)
+    skips.append(skip)
+    skips.append(_consistent_passes(config))
+    config, skip = _converged(config)
+    return config, [*skips, skip, _distortion(facts, config), _structure_from_motion(facts)]
+
+
+def _surroundings(facts: Facts, config: Config) -> Skip:
+    skipped = facts.bounded
+    if skipped:
+        evidence = f"pictures carry an alpha, {facts.transparent:.0%} of their pixels show nothing"
+    else:
+        evidence = "pictures show surroundings" if config.skip.surroundings else "forced"
+    return Skip.of("surroundings", skipped, evidence,
+                   f"{FRONT + BEHIND} of {FRONT + BEHIND + config.sampler.steps} steps along each ray, and the outer grid")  # fmt: skip
+
+
+def _empty_rays(facts: Facts, config: Config) -> Skip:
+    if config.sampler.kind != "occupancy":
+        return Skip.of("empty_rays", False, "proposals have no grid", "nothing")
+    by = "masks rule out" if facts.bounded else "too few cameras see"
+    evidence = f"{by} {1 - facts.possible:.0%} of the space" if config.skip.empty_rays else "forced"
+    return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in there, and rays that meet nothing else")
+
+
+def _fine_levels(facts: Facts, config: Config) -> Decision:
+    encoding, limit = config.encoding, 1 / max(facts.smallest, 1e-9)
+    if encoding.kind == "frequencies":
+        return config, Skip.of("fine_levels", False, "frequencies fade by themselves", "nothing")
+    resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
+    useful = max(1, sum(resolution <= limit for resolution in resolutions))
+    spare = encoding.levels - useful
+    evidence = f"smallest footprint {facts.smallest:.2g}, {spare} of {encoding.levels} levels are finer"
+    skipped = spare > 0 and config.skip.fine_levels
+    if skipped:
+        config = merged_config(config, {"encoding": {"levels": useful, "finest": resolutions[useful - 1]}})
+    return config, Skip.of("fine_levels", skipped, evidence, f"{spare / encoding.levels:.0%} of the encoding")
+
+
+def _table_size(facts: Facts, config: Config) -> Decision:
+    encoding = config.encoding
+    if encoding.kind == "frequencies":
+        return config, Skip.of("table_size", False, "frequencies have no tables", "nothing")
+    resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
+    sizes = fitting_sizes(resolutions, encoding.log2_size, facts.volume)
+    rows, full = sum(2**size for size in sizes), encoding.levels * 2**encoding.log2_size
+    evidence = f"{facts.volume:.2g} of {8 if facts.bounded else 34} cubic units can hold anything"
+    skipped = rows < full and config.skip.table_size
+    if skipped:
+        config = merged_config(config, {"encoding": {"volume": facts.volume}})
+    return config, Skip.of("table_size", skipped, evidence, f"{1 - rows / full:.0%} of the tables and of their optimiser's work")
+
+
+def _multisampling(facts: Facts, config: Config) -> Decision:
+    if config.sampler.kind != "proposal" or config.sampler.frustum != "hexagon":
+        return config, Skip.of("multisampling", True, "this model takes one place per sample", NOTHING_MORE)
+    ratio = facts.largest / max(facts.smallest, 1e-9)
+    evidence = f"footprints differ by up to {ratio:.2g} times"
+    skipped = ratio < ALIKE and config.skip.multisampling
+    if skipped:
+        config = merged_config(config, {"sampler": {"frustum": "gaussian"}})
+    return config, Skip.of("multisampling", skipped, evidence, "5 of 6 evaluations of the encoding")
+
+
+def _reflection(config: Config, pilot: Callable[[], float]) -> Decision:
+    saving = "the view network, and two of the four regularisers"
+    if config.field.appearance == "diffuse":
+        return config, Skip.of("reflection", True, "the model has none", NOTHING_MORE)
+    if config.field.appearance != "reflection" or not config.skip.reflection:
+        return config, Skip.of("reflection", False, "not looked at: a pilot takes half a minute", saving)
+    gain = pilot()
+    skipped = gain < WORTH_DB
+    if skipped:
+        config = merged_config(config, MATTE)
+    return config, Skip.of("reflection", skipped, f"a pilot gains {gain:.2f} dB by reflecting", saving)
+
+
+def _consistent_passes(config: Config) -> Skip:
+    if not (config.surface.enabled and config.surface.normal):
+        return Skip.of("consistent_passes", True, "this model has no second pass", NOTHING_MORE)
+    evidence = "rays without a surface take no part" + ("" if config.skip.consistent_passes else "; all passes run")
+    return Skip.of("consistent_passes", config.skip.consistent_passes, evidence, "up to 3 of 4 second passes")
+
+
+def _converged(config: Config) -> Decision:
+    if config.train.patience:
+        return config, Skip.of("converged", True, "the configuration has patience", "what is left of the training by then")
+    if config.skip.converged:
+        config = merged_config(config, {"train": {"patience": PATIENCE}})
+    evidence = "held-out pixels are watched" if config.skip.converged else "not watched"
+    return config, Skip.of("converged", config.skip.converged, evidence, "what is left of the training by then")
+
+
+def _distortion(facts: Facts, config: Config) -> Skip:
+    skipped = config.skip.distortion and not facts.bent
+    evidence = (
+        f"{facts.bent} of {facts.views} views were taken through a lens that distorts" if config.skip.distortion else "forced"
+    )
+    return Skip.of("distortion", skipped, evidence, "Newton's method for each pixel, once")
+
+
+def _structure_from_motion(facts: Facts) -> Skip:
+    return Skip.of(
+        "structure_from_motion", True, f"poses from {facts.poses}; {ELSEWHERE['structure_from_motion']}", "matching the views"
+    )

@@ -1,0 +1,103 @@
+"""What was left out of a training and why, as a person reads it and as RUN/skips.json keeps it."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from datasets.core import files
+from datasets.core.errors import UsageError, nearest
+from reconstruct.config import SkipConfig
+
+SKIPS = "skips.json"
+NAMES = tuple(SkipConfig.model_fields)
+"""What can be forced."""
+NOTHING_MORE = "nothing more"
+"""Saving of what the model would not have done anyway."""
+ELSEWHERE = {"structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them"}
+"""What a person may look for in the list although training has no part in it, and where it is decided."""
+
+COSTS = {
+    "surroundings": "none: 1.9 and 2.2 dB better on two scenes",
+    "empty_rays": "none: 1.5 and 2.8 dB better on two scenes",
+    "fine_levels": "0.17 dB better to 0.12 dB worse on three scenes",
+    "table_size": "0.42 dB better to 0.30 dB and 2 deg worse on three scenes",
+    "multisampling": "not measured; aliasing where footprints differ",
+    "reflection": "in the pilot less than 0.1 dB; 0.30 dB better and 0.78 dB worse on two scenes",
+    "consistent_passes": "not measured; normals may drift apart between passes",
+    "converged": "0.15 dB better to 1.78 dB worse where it stopped a training",
+    "distortion": "none: the same figures",
+    "structure_from_motion": "none in training",
+}
+"""Price of each skip; docs/skipping.md has the figures."""
+PLAIN = {
+    "surroundings": "what is around the object",
+    "empty_rays": "empty space",
+    "fine_levels": "detail that is finer than a pixel can show",
+    "table_size": "memory for more places than there are",
+    "multisampling": "several samples at one place",
+    "reflection": "the model's reflection",
+    "consistent_passes": "comparing normals that agree already",
+    "converged": "training that brings nothing more",
+    "distortion": "straightening pictures that are straight",
+}
+"""What is left out, in words for everybody; what a training does not decide is not among it."""
+
+
+@dataclass(frozen=True)
+class Skip:
+    """One decision."""
+
+    name: str
+    skipped: bool
+    evidence: str
+    """What the decision rests on, with figures."""
+    saving: str
+    """What it saves, or would."""
+    cost: str
+    """What it costs in error, or would."""
+
+    @classmethod
+    def of(cls, name: str, skipped: bool, evidence: str, saving: str) -> "Skip":
+        """A decision with the price that is known of its kind."""
+        return cls(name, skipped, evidence, saving, COSTS[name])
+
+
+def in_words(name: str) -> str:
+    """What a skip leaves out, in words for everybody."""
+    return PLAIN.get(name, name.replace("_", " "))
+
+
+def left_out(skips: Sequence[Skip]) -> list[str]:
+    """A line for each thing that was left out and saved something: what, why, what that saved."""
+    return [f"{PLAIN[skip.name]}: {skip.evidence}; saves {skip.saving}"
+            for skip in skips if skip.skipped and skip.name in PLAIN and skip.saving != NOTHING_MORE]  # fmt: skip
+
+
+def forced(names: Sequence[str]) -> list[str]:
+    """Overrides of the configuration that keep the named things from being skipped.
+
+    Raises:
+        UsageError: there is no such skip, or it is not decided by a training.
+    """
+    for name in names:
+        if name in ELSEWHERE:
+            raise UsageError(f"training has no part in {name}", where="--no-skip", why=ELSEWHERE[name])
+        if name not in NAMES:
+            raise UsageError(f"there is no skip '{name}'", where="--no-skip", remedy=nearest(name, NAMES))
+    return [f"skip.{name}=false" for name in names]
+
+
+def write(run: Path, skips: Sequence[Skip]) -> None:
+    """Put the decisions into a run's folder, in place of those that are there."""
+    files.write_json(run / SKIPS, [asdict(skip) for skip in skips])
+
+
+def read(run: Path) -> list[Skip]:
+    """The decisions of a run; none where it has no list."""
+    path = run / SKIPS
+    return [Skip(**entry) for entry in files.read_json(path)] if path.is_file() else []
+
+
+def replaced(skips: Sequence[Skip], new: Skip) -> list[Skip]:
+    """The list with one decision in place of the former of its name."""
+    return [new if skip.name == new.name else skip for skip in skips]

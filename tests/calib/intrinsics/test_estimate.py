@@ -1,0 +1,135 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.errors import TargetError, Unobservable
+from calib.handeye.model import camera_points
+from calib.intrinsics import estimate, projection
+from datasets import pose
+from datasets.camera_model import Camera
+
+PLAIN = Camera(960, 600, 850.0, 848.0, 484.0, 296.0)
+STRONG = Camera(960, 600, 560.0, 558.0, 484.0, 296.0, -0.30, 0.12, 0.001, -0.001, -0.02)
+
+
+def test_true_values_lie_within_the_stated_deviations(simulate):
+    session = simulate(seed=11, views=25)
+    found = estimate.calibrate(session.observations, 960, 600)
+    errors = [
+        (getattr(found.camera, n) - getattr(session.camera, n)) / s for n, s in found.std.items() if n in ("fx", "fy", "cx", "cy")
+    ]
+    assert np.abs(errors).max() < 4  # four of them, Gaussian: once in 4000 seeds
+    assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+    assert found.held_out_px == pytest.approx(found.rms_px, rel=0.1)
+    assert 0.5 < found.coverage <= 1
+
+
+def test_half_pixel_is_ours(simulate):
+    # without noise the centre comes back in our convention: half a pixel would be a hundred times the tolerance
+    perfect = simulate(seed=12, views=12, noise_px=0, camera=PLAIN)
+    found = estimate.calibrate(perfect.observations, 960, 600, lenses=[estimate.Lens(())])
+    assert (found.camera.cx, found.camera.cy) == pytest.approx((484.0, 296.0), abs=5e-3)
+    np.testing.assert_allclose(found.camera.fx, 850.0, atol=5e-3)  # OpenCV takes corners as float32
+
+
+def test_a_lens_without_distortion_gets_no_more_than_it_shows(simulate):
+    found = estimate.calibrate(simulate(seed=13, views=16, camera=PLAIN).observations, 960, 600)
+    assert "k3" not in found.lens.coefficients and found.camera.k3 == 0
+    corner = np.array([[0.0, 0.0], [960.0, 0.0], [960.0, 600.0]])
+    # what is left of it moves the image's corner by less than a pixel
+    np.testing.assert_allclose(PLAIN.project(found.camera.directions(corner)), corner, atol=1.0)
+
+
+def test_a_strong_lens_gets_its_coefficients(simulate):
+    found = estimate.calibrate(simulate(seed=14, views=25, camera=STRONG).observations, 960, 600)
+    assert {"k1", "k2", "p1", "p2"} <= set(found.lens.coefficients)
+    np.testing.assert_allclose([found.camera.k1, found.camera.k2], [-0.30, 0.12], atol=0.03)
+
+
+def test_too_few_views_are_refused_with_the_number(simulate):
+    few = simulate(seed=15, views=4)
+    with pytest.raises(TargetError, match="in 4 views, at least 100 in 5 are needed"):
+        estimate.calibrate(few.observations, 960, 600)
+
+
+@pytest.mark.parametrize("seed", range(16, 20))
+def test_views_straight_onto_the_target_do_not_show_the_focal_length(simulate, make_viewpoints, seed):
+    straight = simulate(seed=seed, poses=lambda rng: make_viewpoints(rng, 12, tilt_deg=0.0), noise_px=0.3)
+    with pytest.raises(Unobservable, match="focal length"):
+        estimate.calibrate(straight.observations, 960, 600)
+
+
+def test_pose_of_the_target_is_found_in_each_view(small):
+    for observation, reported in zip(small.observations, small.reported, strict=True):
+        found = estimate.camera_from_board(small.camera, observation)
+        expected = pose.inverse(reported @ small.flange_from_camera) @ small.base_from_board
+        distance, angle = pose.difference(found, expected)
+        assert distance < 1e-3 and np.rad2deg(angle) < 0.5  # 0.1 px at f = 850 px over 0.3 m of board, and the arm's errors
+
+
+def test_reprojection_is_the_model_of_the_refinement(small):
+    state = small.state()
+    session = small.session()
+    first = session.some(session.view == 0)
+    in_camera = camera_points(first, state)
+    camera_from_board = pose.inverse(small.reported[0] @ small.flange_from_camera) @ small.base_from_board
+    expected = projection.project(in_camera, state.intrinsics)[0]
+    np.testing.assert_allclose(estimate.reproject(small.camera, camera_from_board, small.observations[0]), expected, atol=1e-9)
+
+
+def test_coverage_counts_cells(small):
+    one = replace(small.observations[0], pixels=np.array([[1.0, 1.0], [2.0, 2.0], [959.0, 599.0]]))
+    assert estimate.coverage([one], 960, 600) == 2 / 64
+
+
+FISHEYE = Camera(960, 600, 430.0, 429.0, 484.0, 296.0, 0.02, -0.008, k3=0.002, k4=-0.0005, fisheye=True)
+RATIONAL = Camera(960, 600, 560.0, 558.0, 484.0, 296.0, 0.4, -0.1, 0.001, -0.001, 0.02, 0.9, 0.1, 0.0)
+
+
+def test_a_fisheye_is_recognised_by_what_it_predicts(simulate):
+    session = simulate(seed=61, views=20, camera=FISHEYE)
+    found = estimate.calibrate(session.observations, 960, 600)
+    assert found.camera.fisheye
+    corner = np.array([[150.0, 120.0], [800.0, 480.0], [480.0, 300.0]])
+    np.testing.assert_allclose(
+        FISHEYE.project(found.camera.directions(corner)), corner, atol=1.5
+    )  # a direction of 3 mrad is the camera turned
+    assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+
+
+def test_a_fisheye_can_be_asked_for(simulate):
+    session = simulate(seed=62, views=20, camera=FISHEYE)
+    found = estimate.calibrate(session.observations, 960, 600, lenses=estimate.LENSES["fisheye"])
+    assert found.camera.fisheye and set(found.std) >= {"fx", "cy", "k1", "k2"}
+
+
+def test_a_rational_lens_gets_its_denominator_or_something_as_good(simulate):
+    session = simulate(seed=63, views=30, camera=RATIONAL)
+    found = estimate.calibrate(session.observations, 960, 600, lenses=estimate.LENSES["rational"])
+    assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+
+
+def test_wrong_corners_and_wrong_views_are_left_out_and_named(simulate):
+    session = simulate(seed=64, views=20, outliers=2)
+    rng = np.random.default_rng(0)
+    broken = [replace(o, pixels=rng.permutation(o.pixels)) if i in (3, 11) else o for i, o in enumerate(session.observations)]
+    found = estimate.calibrate(broken, 960, 600)
+    assert set(found.left_out) == {"003", "011"} and len(found.observations) == 18
+    assert "flat target" in found.left_out["003"]
+    assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+    assert abs(found.camera.cx - session.camera.cx) < 4 * found.std["cx"]
+
+
+def test_correlation_is_that_of_many_sessions(simulate):
+    found = [
+        estimate.calibrate(simulate(seed=s, views=12).observations, 960, 600, lenses=[estimate.USUAL]) for s in range(70, 90)
+    ]
+    values = np.array([[getattr(f.camera, name) for name in ("fx", "cx", "p2")] for f in found])
+    seen = np.corrcoef(values.T)
+    covariance = found[0].covariance
+    names = found[0].lens.free
+    stated = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    rows = [names.index(name) for name in ("fx", "cx", "p2")]
+    # cx and p2 trade against each other: 20 sessions show a correlation to about 0.1
+    assert abs(stated[rows[1], rows[2]]) > 0.8 and abs(seen[1, 2] - stated[rows[1], rows[2]]) < 0.25

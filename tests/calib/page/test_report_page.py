@@ -1,0 +1,78 @@
+"""The page and its figures."""
+
+import base64
+import re
+from html.parser import HTMLParser
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from calib import calibrate
+from calib.page import report_page
+from calib.study import study
+from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from datasets import pose
+from datasets.calibration import Calibration
+from datasets.core.errors import UsageError
+from datasets.reports.html import Number
+
+
+def solved(given=None):
+    rng = np.random.default_rng(0)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=study.ARM)
+    session = study.target_session(simulated)
+    reported = session.base_from_flange.copy()
+    reported[5] = reported[5] @ pose.from_rotation_vector([0, 0, 0], [0.01, 0, 0])
+    session = study.TargetSession(session.board, 1920, 1080, session.observations, reported, unseen=("<b>012",))
+    solution = calibrate.solve(session, given, study.ARM)
+    return calibrate.finished(solution, study.ARM, given is not None), solution
+
+
+@pytest.fixture(scope="module")
+def text():
+    return report_page.page(*solved(), made_by="calib report REC --out page.html").render()
+
+
+def pictures(text):
+    return [Image.open(BytesIO(base64.b64decode(data))) for data in re.findall(r'src="data:image/png;base64,([^"]+)"', text)]
+
+
+def test_page_needs_nothing_else(text):
+    assert not re.search(r"<script[^>]*src|https?://|src=\"(?!data:)", text)
+    HTMLParser().feed(text)
+    assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 10
+    assert "calib report REC --out page.html" in text
+
+
+def test_numbers_have_their_uncertainty(text):
+    calibration, _ = solved()
+    value = calibration.flange_from_camera
+    assert Number(1e3 * value.matrix[0, 3], "mm", value.translation_std_mm[0]).text in text
+    assert f"± {calibration.camera_std['fx']:.2g}"[:4] in text
+
+
+def test_figures_show_something(text):
+    found = pictures(text)
+    assert len(found) == 7  # residuals, views, coverage, rotations, two ellipses, two halves
+    for picture in found:
+        values = np.asarray(picture.convert("L"), float)
+        assert min(values.shape) > 250 and values.std() > 5, "an empty figure"
+
+
+def test_words_and_names_are_there_and_escaped(text):
+    assert "flange_from_camera" in text and "disagree" in text
+    assert "&lt;b&gt;012" in text and "<b>012" not in text
+    assert "<td>005</td>" in text
+
+
+def test_a_given_camera_is_not_cross_validated():
+    text = report_page.page(*solved(Calibration(KOALA.camera, {}))).render()
+    assert "The camera was given" in text and len(pictures(text)) == 6
+
+
+def test_nothing_is_overwritten(tmp_path):
+    (tmp_path / "page.html").write_text("mine")
+    with pytest.raises(UsageError, match="already exists"):
+        report_page.write(tmp_path / "page.html", *solved())

@@ -1,0 +1,69 @@
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from calib.targets import printing
+from calib.targets.target import Board
+from datasets.core.errors import UsageError
+
+BOARDS = [
+    Board("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
+    Board("charuco", 6, 8, 0.03, 0.022, "DICT_4X4_50"),
+    Board("chessboard", 10, 7, 0.025),
+    Board("tags", 4, 3, 0.04, 0.03, "DICT_APRILTAG_36h11", first_id=5),
+]
+IDS = ["charuco", "charuco even", "chessboard", "tags"]
+
+
+def painted(rectangles, per_mm, width, height):
+    """(rows, columns) picture 0..1 of rectangles in millimetres."""
+    picture = np.ones((round(height * per_mm), round(width * per_mm)), np.float32)
+    for x, y, w, h in rectangles * per_mm:
+        picture[round(y) : round(y + h), round(x) : round(x + w)] = 0
+    return picture
+
+
+def assert_found(board, picture, per_mm, left, top):
+    """The detector that reads recordings finds every corner where the page has it."""
+    seen = board.detect(picture, "page")
+    assert seen is not None and len(seen.ids) == len(board.points)
+    expected = (1e3 * seen.points[:, :2] + [left, top]) * per_mm
+    assert np.abs(seen.pixels - expected).max() < 0.6  # corners of tags are found to half a pixel, of squares to a hundredth
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=IDS)
+def test_svg_shows_what_the_detector_reads(board, tmp_path):
+    path = tmp_path / "board.svg"
+    printing.write(board, path)
+    root = ElementTree.parse(path).getroot()
+    width, height = printing.page_mm(board)
+    assert root.get("width") == f"{width:.4f}mm"
+    boxes = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("x")]
+    rectangles = np.array([[float(e.get(k)) for k in ("x", "y", "width", "height")] for e in boxes])
+    assert rectangles[-1, 2] == 100  # the bar to measure
+    assert_found(board, painted(rectangles, 4, width, height), 4, printing.MARGIN_MM, printing.MARGIN_MM)
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=IDS)
+def test_pdf_has_the_same_rectangles_in_points(board, tmp_path):
+    path = tmp_path / "board.pdf"
+    printing.write(board, path)
+    data = path.read_bytes()
+    width, height = printing.page_mm(board)
+    media = [float(v) for v in re.search(rb"MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", data).groups()]
+    np.testing.assert_allclose(media, np.array([width, height]) / 25.4 * 72, atol=1e-3)
+    found = np.array([[float(v) for v in line.split()[:4]] for line in data.split(b"\n") if line.endswith(b" re")]) / 72 * 25.4
+    found[:, 1] = height - found[:, 1] - found[:, 3]
+    assert_found(board, painted(found, 4, width, height), 4, printing.MARGIN_MM, printing.MARGIN_MM)
+    for place in re.findall(rb"(\d{10}) 00000 n", data):  # the table points at its objects
+        assert re.match(rb"\d+ 0 obj", data[int(place) :])
+
+
+def test_other_suffixes_and_existing_files_are_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"\.pdf or \.svg"):
+        printing.write(BOARDS[0], tmp_path / "board.png")
+    (tmp_path / "board.svg").write_text("mine")
+    with pytest.raises(UsageError, match="already exists"):
+        printing.write(BOARDS[0], tmp_path / "board.svg")

@@ -1,0 +1,123 @@
+"""A recording on its page while it is being made."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capture.page.live import TALL, LiveView, with_histogram
+from capture.page.session import CaptureView
+from capture.page.timeline import of_planned
+from capture.page.view import own_rig, show, watch
+from capture.planning import PlannedView, plan
+from capture.rig.description import RigDescription
+from capture.trajectory import Trajectory
+from datasets.core.errors import UsageError
+from datasets.imaging import images
+from datasets.page import open_page
+from datasets.recording import Frame, Recording
+
+MOUNT = RigDescription().flange_from_camera.matrix()
+
+
+@pytest.fixture(scope="module")
+def session() -> tuple[Trajectory, list[PlannedView]]:
+    views = [{"kind": "orbit", "target": [0.4, 0.0, 0.14], "distance": 0.4, "elevation_deg": 40, "count": 4,
+              "roll_deg": [0, 90, 180, 270]}]  # fmt: skip
+    trajectory = Trajectory.model_validate({"name": "ring", "views": views, "split": {"train": 3, "test": 1}})
+    return trajectory, plan(trajectory, MOUNT)
+
+
+def begin(path: Path, trajectory: Trajectory) -> Recording:
+    return Recording.create(
+        path, {"trajectory": trajectory.model_dump(mode="json"), "rig": {"name": "sim", "flange_from_camera": {}}}
+    )
+
+
+def take(recording: Recording, planned: list[PlannedView], index: int, grey: int) -> None:
+    view = planned[index]
+    images.write(recording.path / "images" / f"{index:03d}.png", np.full((24, 32, 3), grey, np.uint8))
+    recording.append(Frame(index, view.viewpoint.name, view.viewpoint.split, f"images/{index:03d}.png", np.eye(4), view.joints,
+                           10.0 + index, 0, 0, 1e4, 0.3, ""))  # fmt: skip
+
+
+def test_frames_appear_as_they_come_and_the_arm_goes_along(tmp_path: Path, session: Any) -> None:
+    trajectory, planned = session
+    with open_page("live", 0) as page:
+        shown = CaptureView(page, trajectory, MOUNT, of_planned(trajectory, planned, MOUNT))
+        live = LiveView(shown, tmp_path / "r", MOUNT)
+        live.look()  # there is no recording yet
+        recording = begin(tmp_path / "r", trajectory)
+        live.look()
+        assert live.seen == set()
+        take(recording, planned, 0, 100)
+        take(recording, planned, 1, 255)
+        live.look()
+        assert live.seen == {"000", "001"} and shown.slider.value == pytest.approx(shown.stops["001"].seconds)
+        assert "2 of 4 taken" in live._words.content and "100.0 % of the pixels are clipped" in live._words.content
+        assert shown.frusta["001"].image is not None
+        assert "exposed for 10 ms" in shown.stops["000"].measured
+
+
+def test_a_picture_that_cannot_be_read_is_said(tmp_path: Path, session: Any) -> None:
+    trajectory, planned = session
+    recording = begin(tmp_path / "r", trajectory)
+    take(recording, planned, 0, 100)
+    (tmp_path / "r" / "images" / "000.png").write_bytes(b"\x89PNG and no more")
+    with open_page("live", 0) as page:
+        live = LiveView(CaptureView(page, trajectory, MOUNT, of_planned(trajectory, planned, MOUNT)), tmp_path / "r", MOUNT)
+        live.look()
+        assert "cannot be read" in live._words.content
+
+
+def test_a_recording_that_is_not_complete_is_shown_by_its_plan(tmp_path: Path, session: Any) -> None:
+    trajectory, planned = session
+    recording = begin(tmp_path / "r", trajectory)
+    take(recording, planned, 0, 100)
+    with open_page("live", 0) as page:
+        assert show(page, tmp_path / "r", RigDescription())["views"] == 4
+    for index in (1, 2, 3):
+        take(recording, planned, index, 100)
+    with open_page("done", 0) as page:
+        assert show(page, tmp_path / "r", RigDescription()) == {"name": "ring", "views": 4, "blocked": 0, "seconds": 3.0}
+
+
+def test_neither_a_trajectory_nor_a_recording_is_refused(tmp_path: Path) -> None:
+    with open_page("nothing", 0) as page:
+        with pytest.raises(UsageError, match="not a recording"):
+            show(page, tmp_path, RigDescription())
+        with pytest.raises(UsageError):
+            show(page, tmp_path / "missing.yaml", RigDescription())
+
+
+def test_a_recording_brings_its_own_mount(tmp_path: Path, session: Any) -> None:
+    recording = begin(tmp_path / "r", session[0])
+    recording.manifest["rig"]["flange_from_camera"] = {"position": [0, 0, 0.2], "rotation_deg": [0, 0, 0]}
+    description = RigDescription.model_validate(own_rig(recording))
+    assert np.allclose(description.flange_from_camera.matrix()[:3, 3], [0, 0, 0.2])
+
+
+def test_the_histogram_counts_what_the_picture_has() -> None:
+    picture = np.zeros((10, 256, 3), np.uint8)
+    picture[..., 0] = 64
+    picture[:, :128, 1] = 255
+    drawn, clipped = with_histogram(picture)
+    assert drawn.shape == (10 + TALL, 256, 3) and np.array_equal(drawn[:10], picture) and clipped == 0.5
+    foot = drawn[-1]
+    assert (foot[64] == [255, 127, 127]).all() and (foot[255] == [127, 255, 127]).all()  # red at 64, green at the right end
+    assert (foot[150] == 255).all()
+
+
+@pytest.mark.timeout(600)
+def test_the_button_stops_the_arm(tmp_path: Path, session: Any, browse: Callable[[str], Any]) -> None:
+    trajectory, planned = session
+    stopped = threading.Event()
+    with open_page("stop", 0) as page:
+        watch(page, tmp_path / "r", trajectory, MOUNT, planned, stop=stopped.set)
+        window = browse(page.url)
+        window.page.get_by_text("stop the arm").click(timeout=1e3 * window.PATIENCE_S)
+        assert stopped.wait(window.PATIENCE_S)
+        assert window.errors == []

@@ -1,0 +1,134 @@
+"""Damage a good recording in every way, and see it named."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, uniform_filter1d
+
+from capture.recording.check import check, discard, to_take_again
+from capture.trajectory import load_trajectory
+from datasets import pose
+from datasets.core import files
+from datasets.imaging import images
+from datasets.recording import Frame, Recording
+
+COUNT, SIZE = 8, (96, 120)
+
+
+def picture(index: int) -> np.ndarray:
+    rng = np.random.default_rng(index)
+    plates = np.kron(rng.uniform(0.1, 0.9, (8, 10, 3)), np.ones((12, 12, 1)))
+    return (255 * gaussian_filter(plates, (0.6, 0.6, 0)) + rng.normal(0, 1, plates.shape)).clip(0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> Path:
+    configs = Path(__file__).parents[2] / "configs" / "trajectories"
+    changes = [
+        "views=[{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, count: 8}]",
+        "split=null",
+        "camera.width=120",
+        "camera.height=96",
+    ]
+    trajectory = load_trajectory(configs / "koala_demo.yaml", overrides=changes)
+    path = tmp_path_factory.mktemp("good") / "recording"
+    region = {"width": SIZE[1], "height": SIZE[0], "offset_x": 0, "offset_y": 0, "binning": 4}
+    recording = Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "camera": {"region": region}})
+    for index in range(COUNT):
+        name = f"{index:03d}"
+        images.write(path / "images" / f"{name}.png", picture(index))
+        now = 1.7 * index
+        recording.append(Frame(index, name, "train", f"images/{name}.png", pose.look_at((0.4, 0, 0.5), (0, 0, 0)), np.zeros(6), 100 + now,
+                               int(1e9 * (7 + now)), int(1e9 * (3 + now)), 10_000.0, 0.4, files.sha256(path / "images" / f"{name}.png")))  # fmt: skip
+    return path
+
+
+@pytest.fixture
+def recording(good, tmp_path) -> Path:
+    return shutil.copytree(good, tmp_path / "recording")
+
+
+def replace_image(path: Path, name: str, pixels: np.ndarray) -> None:
+    """As if the camera had delivered this picture: the record's hash is that of the new file."""
+    images.write(path / "images" / f"{name}.png", pixels)
+    change_line(path, int(name), sha256=files.sha256(path / "images" / f"{name}.png"))
+
+
+def change_line(path: Path, index: int, **values: object) -> None:
+    lines = (path / "frames.jsonl").read_text().splitlines()
+    lines[index] = json.dumps({**json.loads(lines[index]), **values})
+    (path / "frames.jsonl").write_text("\n".join(lines) + "\n")
+
+
+def found(path: Path) -> list[tuple[str, str, bool]]:
+    return [(finding.frame, finding.what, finding.again) for finding in check(path)]
+
+
+def test_a_good_recording_has_no_findings(good):
+    seen = []
+    assert check(good, done=lambda count, total: seen.append((count, total))) == []
+    assert seen == [(count, COUNT) for count in range(1, COUNT + 1)]
+
+
+def test_images_that_are_gone_changed_or_cut_off(recording):
+    (recording / "images" / "001.png").unlink()
+    data = bytearray((recording / "images" / "002.png").read_bytes())
+    data[len(data) // 2] ^= 1
+    (recording / "images" / "002.png").write_bytes(data)
+    (recording / "images" / "003.png").write_bytes(data[:300])
+    change_line(recording, 3, sha256=files.sha256(recording / "images" / "003.png"))
+    replace_image(recording, "004", picture(4)[:50])
+    assert found(recording) == [
+        ("001", "its image is missing", True),
+        ("002", "its image has changed", True),
+        ("003", "its image cannot be read", True),
+        ("004", "its image has another size", True),
+    ]
+
+
+def test_frames_that_are_missing_double_or_strange(recording):
+    lines = (recording / "frames.jsonl").read_text().splitlines(keepends=True)
+    strange = lines[4].replace('"004"', '"999"')
+    (recording / "frames.jsonl").write_text("".join([*lines[:4], lines[3], strange, *lines[5:]]))
+    named = {(frame, what) for frame, what, _ in found(recording)}
+    assert {("004", "was never taken"), ("003", "was taken more than once"), ("999", "is no view of the trajectory")} <= named
+
+
+def test_clocks_and_gaps(recording):
+    change_line(recording, 5, robot_time_s=50.0)
+    for index in (6, 7):
+        change_line(recording, index, host_time_ns=int(1e9 * (7 + 1.7 * index + 60)))
+    assert found(recording) == [("005", "robot_time_s begins anew", False), ("006", "was taken after a gap", False)]
+    assert all(finding.note for finding in check(recording))
+    change_line(recording, 3, device_ticks=int(1e9 * (3 + 1.7 * 2)))
+    assert to_take_again(check(recording)) == ["003"]  # the same tick twice: the same picture twice
+
+
+def test_exposure(recording):
+    replace_image(recording, "001", np.clip(picture(1).astype(int) * 3, 0, 255).astype(np.uint8))
+    replace_image(recording, "002", picture(2) // 12)
+    change_line(recording, 3, exposure_us=5000.0)
+    words = {frame: (what, again) for frame, what, again in found(recording)}
+    assert words["001"] == ("is over-exposed", True) and words["002"] == ("is under-exposed", True)
+    assert words["003"] == ("was exposed otherwise", True)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_blur(recording, axis):
+    replace_image(recording, "006", uniform_filter1d(picture(6), 5, axis=axis))
+    assert found(recording) == [("006", "is blurred", True)]
+
+
+def test_discarded_frames_are_gone_and_the_others_untouched(recording):
+    (recording / "images" / "001.png").unlink()
+    replace_image(recording, "006", uniform_filter1d(picture(6), 5, axis=0))
+    again = to_take_again(check(recording))
+    assert again == ["001", "006"] and discard(recording, again) == again
+    left = Recording.open(recording)
+    assert [frame.name for frame in left.frames] == ["000", "002", "003", "004", "005", "007"]
+    assert not (recording / "images" / "006.png").exists()
+    assert {(frame, what) for frame, what, _ in found(recording)} == {("001", "was never taken"), ("006", "was never taken")}
+    assert discard(recording, again) == []

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from capture import kinematics
+from capture.errors import CaptureError
+from capture.planning import plan
+from capture.recording.replay import replay, summary
+from capture.rig.description import RigDescription
+from capture.rig.protocols import RobotState
+from capture.trajectory import load_trajectory
+from datasets import pose
+from datasets.core import files
+from datasets.recording import Frame, Recording
+
+MOUNT = pose.from_rotation_vector([0.2, 0, 0.1], [0, 0.05, 0.08])
+
+
+class StandInRobot:
+    """At once wherever it is sent, its reported flange `off` metres beside where it should be."""
+
+    def __init__(self, joints, off=0.0):
+        self.joints, self.off = joints, off
+
+    def move_to(self, joints, *, speed, acceleration):
+        self.joints = np.array(joints)
+
+    def state(self):
+        return RobotState(
+            kinematics.forward(self.joints) @ pose.rigid(np.eye(3), [0, 0, self.off]), self.joints, np.zeros(6), 0.0, 0
+        )
+
+
+@pytest.fixture
+def recording(configs, tmp_path):
+    trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+    description = RigDescription()
+    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"),
+                                               "rig": {"name": "sim", **description.model_dump(mode="json")}})  # fmt: skip
+    truth = {}
+    for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
+        reached = kinematics.forward(view.joints)
+        made.append(
+            Frame(index, view.viewpoint.name, "train", f"images/{index}.png", reached, view.joints, 0.0, 0, 0, 1e4, 0.3, "")
+        )
+        truth[view.viewpoint.name] = (reached @ MOUNT).tolist()
+    files.write_json(made.path / "truth" / "poses.json", {"flange_from_camera": MOUNT.tolist(), "base_from_camera": truth})
+    return made
+
+
+def test_deviations_are_those_of_the_arm(recording):
+    robot = StandInRobot(recording.frames[0].joints, off=2e-4)
+    seen = []
+    found = replay(recording, robot, truth=lambda: kinematics.forward(robot.joints), advance=seen.append)
+    assert seen == found and [one.frame for one in found] == [frame.name for frame in recording.frames]
+    assert all(one.translation_mm == pytest.approx(0.2, abs=1e-6) and one.joints_deg < 1e-9 for one in found)
+    assert all(one.true_mm == pytest.approx(0, abs=1e-6) for one in found)  # the premise: recorded truth is where it stands now
+    assert summary(found)["translation_mm"]["rms"] == pytest.approx(0.2, abs=1e-6)
+
+
+def test_a_real_arm_has_no_truth(recording):
+    found = replay(recording, StandInRobot(recording.frames[0].joints))
+    assert all(one.true_mm is None for one in found) and "truly" not in summary(found)["worst"]
+
+
+def test_nothing_recorded_is_told(recording):
+    (recording.path / "frames.jsonl").unlink()
+    with pytest.raises(CaptureError, match="holds no frames"):
+        replay(Recording.open(recording.path), StandInRobot(np.zeros(6)))

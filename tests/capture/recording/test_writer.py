@@ -1,0 +1,73 @@
+import threading
+
+import numpy as np
+import pytest
+
+from capture.recording import writer as module
+from capture.recording.writer import Writer
+from datasets.core import files
+from datasets.imaging import images
+from datasets.recording import Frame, Recording
+
+
+@pytest.fixture
+def recording(tmp_path):
+    return Recording.create(tmp_path / "recording", {"trajectory": {}})
+
+
+def frame(index):
+    return Frame(index, f"{index:03d}", "train", f"images/{index:03d}.png", np.eye(4), np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
+
+
+def pixels(index):
+    return np.full((8, 9, 3), index, np.uint8)
+
+
+def test_frames_are_written_in_order_with_their_hash(recording):
+    seen = []
+    with Writer(recording, seen.append) as writer:
+        for index in range(10):
+            writer.put(frame(index), pixels(index))
+    read = Recording.open(recording.path)
+    assert [one.name for one in read.frames] == seen == [f"{index:03d}" for index in range(10)]
+    assert all(one.sha256 == files.sha256(read.image_path(one)) for one in read.frames)
+
+
+def test_what_was_taken_is_kept_when_something_else_fails(recording):
+    with pytest.raises(KeyboardInterrupt), Writer(recording, lambda name: None) as writer:
+        writer.put(frame(0), pixels(0))
+        writer.put(frame(1), pixels(1))
+        raise KeyboardInterrupt
+    assert len(Recording.open(recording.path).frames) == 2
+
+
+def test_a_full_disk_is_told_by_the_next_frame_or_at_the_end(recording, monkeypatch):
+    def full(path, array):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(module.images, "write", full)
+    with pytest.raises(OSError, match="No space left"), Writer(recording, lambda name: None) as writer:
+        for index in range(50):
+            writer.put(frame(index), pixels(index))
+            threading.Event().wait(0.005)
+    with pytest.raises(OSError, match="No space left"), Writer(recording, lambda name: None) as writer:
+        writer.put(frame(0), pixels(0))
+    assert not Recording.open(recording.path).frames
+
+
+def test_a_slow_disk_makes_the_arm_wait_instead_of_filling_the_memory(recording, monkeypatch):
+    gate, written = threading.Event(), []
+    monkeypatch.setattr(
+        module.images, "write", lambda path, array: (gate.wait(10), written.append(path), images_write(path, array))
+    )
+    with Writer(recording, lambda name: None) as writer:
+        third = threading.Thread(target=lambda: [writer.put(frame(index), pixels(index)) for index in range(5)])
+        third.start()
+        third.join(0.3)
+        assert third.is_alive() and not written
+        gate.set()
+        third.join()
+    assert len(Recording.open(recording.path).frames) == 5
+
+
+images_write = images.write

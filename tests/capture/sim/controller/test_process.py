@@ -1,0 +1,83 @@
+"""The simulated controller as a process: it starts, answers, and never outlives who started it."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from capture.errors import SimulationError
+from capture.kinematics import forward
+from capture.sim.controller.process import HOME, SimulatedController
+from datasets.core.errors import UsageError
+
+
+def _accepts(host, port):
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex((host, port)) == 0
+
+
+def test_ports_accept_while_it_lives_and_not_after():
+    with SimulatedController.start() as simulated, SimulatedController.start() as other:
+        assert simulated.host != other.host
+        assert all(_accepts(simulated.host, port) for port in (30004, 30003, 29999))
+        np.testing.assert_allclose(simulated.true_base_from_flange(), forward(HOME), atol=1e-3)
+    assert not _accepts(simulated.host, 30004)
+    with pytest.raises(SimulationError, match="does not answer"):
+        simulated.true_base_from_flange()
+
+
+def test_an_arm_as_built_is_the_same_arm_with_the_same_links_seed():
+    places = []
+    for seed, links_seed in ((1, None), (1, 2), (3, 2)):
+        with SimulatedController.as_built(seed=seed, links_seed=links_seed, time_scale=1.0) as simulated:
+            places.append(simulated.true_base_from_flange()[:3, 3])
+    away = np.linalg.norm(np.subtract(places, forward(HOME)[:3, 3]), axis=-1)
+    assert (2e-4 < away).all() and (away < 1e-2).all()  # millimetres, a multiple of 0.05 degrees over 0.85 m
+    assert np.linalg.norm(places[1] - places[2]) < 3e-4 < np.linalg.norm(places[0] - places[1])  # the arm's repeatability
+
+
+@pytest.mark.parametrize("host", ["192.168.77.5", "0.0.0.0", "localhost", "nonsense", "::1"])
+def test_it_listens_to_nobody_but_this_computer(host):
+    with pytest.raises(UsageError, match=r"no loopback address; give one of 127\.0\.0\.1 to"):
+        SimulatedController.start(host=host)
+
+
+def test_a_busy_port_is_told():
+    with SimulatedController.start() as simulated:
+        with pytest.raises(SimulationError, match=rf"{simulated.host}.*30004, 30003, 29999 are not free there.*another --host"):
+            SimulatedController.start(host=simulated.host)
+
+
+def test_unknown_requests_name_the_known_ones():
+    with SimulatedController.start() as simulated:
+        with pytest.raises(SimulationError, match=r"'dance'.*actions: truth, motions, protective_stop"):
+            simulated.ask("dance")
+        assert simulated.ask("truth")["mode"] == "RUNNING"
+
+
+def test_it_dies_with_its_parent():
+    code = "import time\nfrom capture.sim.controller.process import SimulatedController\ns = SimulatedController.start()\nprint(s.host, flush=True)\ntime.sleep(60)"
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    host = parent.stdout.readline().strip()
+    assert _accepts(host, 29999)
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait()
+    parent.stdout.close()
+    deadline = time.monotonic() + 5
+    while _accepts(host, 29999) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _accepts(host, 29999)
+
+
+def test_strangers_on_the_ports_do_no_harm():
+    with SimulatedController.start() as simulated:
+        for port, words in ((30004, b"\x00\x01X"), (30004, b"\xff\xffU" + bytes(10)), (30003, b"def x"), (29999, b"\xff\n")):
+            with socket.create_connection((simulated.host, port), 1.0) as stranger:
+                stranger.sendall(words)
+        assert simulated.ask("truth")["safety"] == "NORMAL"

@@ -1,0 +1,113 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.core import files
+from datasets.core.errors import DatasetError, UsageError
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, OSError])
+def test_an_interrupted_file_leaves_the_old_one(tmp_path: Path, error: type[BaseException]) -> None:
+    path = tmp_path / "a.json"
+    files.write_json(path, {"old": 1})
+    with pytest.raises(error), files.atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise error
+    assert files.read_json(path) == {"old": 1} and [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_an_interrupted_folder_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
+    with pytest.raises(error), files.atomic_folder(tmp_path / "scene") as folder:
+        (folder / "sub").mkdir()
+        (folder / "sub" / "a").write_text("half")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_writer_leaves_no_half_file_under_the_name(tmp_path: Path) -> None:
+    """SIGKILL gives no chance to tidy up, so what counts is that the name itself is never half written."""
+    code = (
+        "import sys, time; from datasets import files\n"
+        f"with files.atomic_path({str(tmp_path / 'a.bin')!r}) as t:\n"
+        "    t.write_bytes(b'x' * 1000); print('half', flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert process.stdout is not None and process.stdout.readline() == b"half\n"
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (tmp_path / "a.bin").exists()
+
+
+def test_a_stopped_folder_writer_tidies_up(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from datasets import files\n"
+        f"with files.atomic_folder({str(tmp_path / 'scene')!r}) as f:\n"
+        "    (f / 'a').write_bytes(b'x'); print('half', flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdout is not None and process.stdout.readline() == b"half\n"
+    time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    process.wait()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "scene").mkdir()
+    with files.atomic_folder(tmp_path / "scene") as folder:  # an empty folder may be filled
+        (folder / "a").write_text("1")
+    with pytest.raises(UsageError, match="already exists"), files.atomic_folder(tmp_path / "scene"):
+        pass
+    assert (tmp_path / "scene" / "a").read_text() == "1"
+
+
+@pytest.mark.parametrize("name", ["../a", "/etc/passwd", "sub/../../a", "out"])
+def test_paths_stay_inside_their_folder(tmp_path: Path, name: str) -> None:
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "out").symlink_to(tmp_path)
+    with pytest.raises(DatasetError, match="leaves the folder"):
+        files.inside(tmp_path / "scene", name)
+    assert files.inside(tmp_path / "scene", "sub/a") == tmp_path / "scene" / "sub" / "a"
+
+
+def test_json_checks_kind_and_version(tmp_path: Path) -> None:
+    files.write_json(tmp_path / "a", {"format": "one", "version": 2, "array": np.arange(2)})
+    assert files.read_json(tmp_path / "a", kind="one", version=2)["array"] == [0, 1]
+    with pytest.raises(DatasetError, match="version 2 cannot be read"):
+        files.read_json(tmp_path / "a", kind="one", version=1)
+    with pytest.raises(DatasetError, match="is not a two file"):
+        files.read_json(tmp_path / "a", kind="two", version=2)
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        files.write_json(tmp_path / "b", {"x": np.nan})
+    assert not (tmp_path / "b").exists()
+    with pytest.raises(UsageError, match="no such file"):
+        files.read_json(tmp_path / "none")
+    (tmp_path / "c").write_bytes(b"\xff\xfe{")
+    with pytest.raises(DatasetError, match="not valid JSON"):
+        files.read_json(tmp_path / "c")
+
+
+def test_a_written_file_can_be_read_by_others(tmp_path: Path) -> None:
+    files.write_text(tmp_path / "a", "x")
+    assert os.stat(tmp_path / "a").st_mode & 0o777 == 0o644
+
+
+def test_a_missing_file_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
+    files.write_json(tmp_path / "calibration.json", {})
+    with pytest.raises(UsageError, match=r"no such file; did you mean 'calibration.json'\?"):
+        files.read_json(tmp_path / "calibratio.json")
+    with pytest.raises(UsageError, match=r"valid: calibration\.json"):
+        files.read_json(tmp_path / "x.json")
+    with pytest.raises(UsageError, match="there is no folder"):
+        files.read_json(tmp_path / "nowhere" / "x.json")
+    for index in range(files.FEW):
+        files.write_json(tmp_path / f"{index}.json", {})
+    with pytest.raises(UsageError, match="check the path"):
+        files.read_json(tmp_path / "run_of_mine.json")

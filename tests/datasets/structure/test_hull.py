@@ -1,0 +1,51 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.camera_model import Camera
+from datasets.imaging import images
+from datasets.scene import View
+from datasets.structure import bounds
+from datasets.structure.hull import visual_hull
+
+AXES, CENTRE = np.array([0.9, 0.5, 0.3]), np.array([1.0, 2.0, 3.0])
+
+
+def draw_masks(views: list[View], folder: Path, camera: Camera) -> list[View]:
+    """The views with exact masks of an ellipsoid."""
+    drawn = []
+    for view in views:
+        origin = (view.world_from_camera[:3, 3] - CENTRE) / AXES
+        rays = camera.directions(camera.pixel_centres()) @ view.world_from_camera[:3, :3].T / AXES
+        b, a, c = rays @ origin, (rays**2).sum(-1), origin @ origin - 1
+        path = folder / f"{view.name}.png"
+        images.write(path, np.uint8(255 * (b * b > a * c)))
+        drawn.append(replace(view, camera=camera, image=path, mask=path))
+    return drawn
+
+
+@pytest.mark.parametrize("lens", [{}, {"k1": -0.1, "cx": 60.0}])
+def test_hull_holds_the_object_and_little_else(camera_ring, tmp_path: Path, lens: dict) -> None:
+    views = draw_masks(camera_ring(), tmp_path, replace(Camera(128, 96, 110, 110, 64, 48), **lens))
+    start = bounds.visible_box(views)
+    hull = visual_hull(views, start)
+    assert (start[1] - start[0] > 3).all()  # the premise: there is something to tighten
+    assert (hull.box[0] <= CENTRE - AXES).all() and (hull.box[1] >= CENTRE + AXES).all() and hull.views_used == 12
+    assert (hull.box[1] - hull.box[0] < 2 * AXES + 0.3).all()  # mask cells of 2 px are 0.07 units here, on either side twice
+    surface = np.random.default_rng(0).normal(size=(2000, 3))
+    surface = CENTRE + AXES * surface / np.linalg.norm(surface, axis=1, keepdims=True)
+    depths = np.stack([(surface - v.world_from_camera[:3, 3]) @ v.world_from_camera[:3, 2] for v in views])
+    near, far = hull.depth_range(views)
+    assert near <= depths.min() < near + 0.3 and far - 0.3 < depths.max() <= far
+    loose = bounds.depth_range(views, hull.box)
+    assert near >= loose[0] and far <= loose[1]  # corners of a box stick out
+
+
+def test_masks_that_exclude_everything_leave_the_box(camera_ring, tmp_path: Path) -> None:
+    images.write(tmp_path / "black.png", np.zeros((96, 128), np.uint8))
+    views = [replace(view, mask=tmp_path / "black.png") for view in camera_ring()]
+    hull = visual_hull(views, [[0, 1, 2], [2, 3, 4]])
+    assert np.array_equal(hull.box, [[0, 1, 2], [2, 3, 4]]) and hull.views_used == 0
+    assert hull.depth_range(views) == bounds.depth_range(views, hull.box)

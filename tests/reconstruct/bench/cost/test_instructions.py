@@ -1,0 +1,46 @@
+"""Instructions find the code that they come from, whatever the compiler made of it."""
+
+import jax
+import jax.numpy as jnp
+
+from reconstruct.bench.cost.instructions import SAMPLES, Part, part_of, parts_of
+from reconstruct.bench.cost.profile import durations_us
+from reconstruct.field.mlp import Mlp
+
+
+def test_parts_by_calls() -> None:
+    inside = [("/a/reconstruct/field/mlp.py", "__call__"), ("/a/reconstruct/field/field.py", "__call__")]
+    assert part_of(inside, "jit(f)/jvp()/dot") == Part(SAMPLES, "networks", False)
+    second = [*inside, ("/a/reconstruct/training/objective.py", "second_pass_terms")]
+    assert part_of(second, "jit(f)/transpose(jvp())/dot") == Part("second pass", "networks", True)
+    assert part_of([("/a/reconstruct/field/encodings/directional.py", "x")], "") == Part(SAMPLES, "shading", False)
+    assert part_of([("/a/reconstruct/field/encodings/tables.py", "combine")], "") == Part(SAMPLES, "encoding", False)
+    assert (
+        part_of([("/a/optax/transform.py", "update"), ("/a/reconstruct/training/step.py", "_descend")], "").kernel == "optimiser"
+    )
+    assert part_of([], "") == Part("copies", "other", False)
+
+
+def test_containers_are_left_out() -> None:
+    lines = ["  %while.1 = (s32[], /*index=1*/f32[8,8]{1,0}) while(%tuple.1), condition=%c, body=%b",
+             "  ROOT %add.2 = f32[8]{0} add(%x, %y)", "  call.3 = f32[8]{0} call(%x), to_apply=%f"]  # fmt: skip
+    assert list(parts_of("\n".join(lines))) == ["add.2"]
+
+
+def test_a_compiled_program_is_told_by_its_code(tmp_path) -> None:
+    network = Mlp.create(jax.random.key(0), channels=8, width=32, depth=1, outputs=2)
+
+    def loss(network, x):
+        return jax.lax.fori_loop(0, 3, lambda i, total: total + jnp.sum(jnp.square(network(x + i))), 0.0)
+
+    program = jax.jit(jax.grad(lambda n, x: jnp.sum(jnp.square(n(x))))).lower(network, jnp.ones((8, 4096))).compile()
+    parts = parts_of(program.as_text())
+    assert {part.backward for part in parts.values() if part.kernel == "networks"} == {True, False}
+    looped = jax.jit(loss).lower(network, jnp.ones((8, 4096))).compile()
+    parts = parts_of(looped.as_text())
+    with jax.profiler.trace(str(tmp_path)):
+        looped(network, jnp.ones((8, 4096))).block_until_ready()
+    spent = durations_us(tmp_path)
+    own = sum(microseconds for name, microseconds in spent.items() if name in parts)
+    assert own > 0
+    assert any(parts[name].kernel == "networks" for name in spent if name in parts)

@@ -1,0 +1,129 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from datasets.core.errors import UsageError
+from datasets.imaging import images
+from datasets.scene import View
+from reconstruct.field.appearance import Material, Shading
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.field import Field
+from reconstruct.output import evaluate
+from reconstruct.output.restored import Trained
+from reconstruct.rendering.model import Model
+
+STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
+"""A ray is cut into 192 steps through a box of 0.2 m; along its diagonal a step is this long."""
+
+
+def test_a_model_that_is_the_truth_scores_as_one(ball: Trained) -> None:
+    """What error there is comes from steps of about 1 mm at the rim, where a ray through a pixel's centre stands for all of it."""
+    result = evaluate.evaluate(ball)
+    found = result["mean"]
+    assert result["views"] == 2 and result["size"] == [48, 40] and result["split"] == "test"
+    assert found["psnr"] > 25 and found["ssim"] > 0.93
+    assert found["normal_mae_alpha_acc_deg"] < 1.5 and found["normal_pred_mae_deg"] < 1.5
+    assert found["depth_median_mm"] < STEP_MM and found["depth_rmse_mm"] < 5 * STEP_MM
+    assert found["disparity_rmse"] < 5e-3
+    assert found["diffuse_psnr"] > 25 and found["specular_psnr"] > 25
+    assert result["mesh"]["chamfer_mm"] < STEP_MM and result["mesh"]["f_score"] > 0.99
+    written = json.loads((ball.run.path / "metrics.json").read_text())
+    assert written["mean"] == found and set(found) <= set(written["definitions"])
+    assert written["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in written["per_view"]]))
+    shown = evaluate.table(result)
+    assert "2 test views at 48x40" in shown and "mesh, Chamfer distance [mm]" in shown and "depth, median error [mm]" in shown
+    assert result["mesh_stands_on"] is None and "any side but" not in shown
+
+
+class Walled(Field):
+    """Another field with a wall along the -y side of the object's box; its colours are the other's."""
+
+    inner: Field
+
+    @classmethod
+    def around(cls, inner: Field) -> "Walled":
+        return cls(inner.encoding, inner.spatial, inner.appearance, inner.density_bias, inner)
+
+    def density(self, cloud: Cloud) -> jax.Array:
+        return jnp.maximum(self.inner.density(cloud), 2000 * jax.nn.sigmoid((-0.9 - cloud.points[1]) / 0.002))
+
+    def __call__(self, cloud: Cloud) -> tuple[jax.Array, Material]:
+        return self.density(cloud), self.inner(cloud)[1]
+
+    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+        return self.inner.shade(material, viewdirs, normals)
+
+
+@pytest.mark.slow
+def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_stands_on(ball: Trained) -> None:
+    truth = Path(ball.run.scene_path) / evaluate.TRUE_SURFACE
+    grid = ball.state.occupancy
+    state = eqx.tree_at(
+        lambda s: (s.model, s.occupancy), ball.state,
+        (Model(Walled.around(ball.state.model.field), ()), grid.with_occupied(jnp.ones_like(grid.occupied))),
+    )  # fmt: skip
+    walled = replace(ball, state=state)
+    assert evaluate.compare_surface(walled, truth)["accuracy_mm"] > 10
+    alone = evaluate.compare_surface(walled, truth, "-z")
+    assert alone["accuracy_mm"] < STEP_MM and alone["completeness_mm"] < STEP_MM
+
+
+def test_missing_split_is_misuse(ball: Trained) -> None:
+    with pytest.raises(UsageError, match="no val views"):
+        evaluate.evaluate(ball, split="val")
+
+
+def test_truth_keeps_its_meaning_at_another_size(ball: Trained) -> None:
+    view = ball.scene.split("test")[0]
+    full = evaluate.read_truth(view, view.camera)
+    half = evaluate.read_truth(view, view.camera.scaled(24, 20))
+    length = np.linalg.norm(half["normals"], axis=-1)
+    shown = half["alpha"][..., 0] == 1
+    assert shown.any() and np.allclose(length[shown], 1, atol=1e-5)
+    block = full["depth"].reshape(20, 2, 24, 2).mean((1, 3))
+    assert np.allclose(half["depth"][shown, 0], block[shown], atol=1e-6)
+    rim = (half["depth"][..., 0] > 0) & ~shown
+    known = full["depth"][full["depth"] > 0]
+    assert rim.any() and (half["depth"][rim] >= known.min() - 1e-6).all(), "no mean with pixels that have no depth"
+    assert np.allclose(half["alpha"][..., 0], full["alpha"].reshape(20, 2, 24, 2).mean((1, 3)))
+
+
+def test_picture_is_laid_over_white_and_gives_the_alpha(ball: Trained) -> None:
+    view = ball.scene.split("train")[0]
+    truth = evaluate.read_truth(view, view.camera)
+    assert not view.truth and set(truth) == {"rgb", "alpha"}
+    assert (truth["rgb"][truth["alpha"][..., 0] == 0] == 1).all()
+
+
+def test_without_truth_only_the_picture_is_compared(ball: Trained) -> None:
+    view: View = ball.scene.split("train")[0]
+    found = evaluate.compare(vars(ball.picture(view)), evaluate.read_truth(view, view.camera), metric=True)
+    assert set(found) == {"psnr", "ssim"}
+
+
+def test_mean_leaves_out_what_a_view_lacks() -> None:
+    found = evaluate.mean([{"psnr": 20.0, "ssim": None}, {"psnr": 30.0, "ssim": 0.5, "depth_rmse_mm": 2.0}])
+    assert found == {"psnr": 25.0, "ssim": 0.5, "depth_rmse_mm": 2.0}
+
+
+def test_the_separation_of_light_is_measured_on_the_object_alone() -> None:
+    """A wall behind the object whose parts are all wrong does not count; on the object an error of 0.1 in sRGB is 20 dB."""
+    alpha = np.zeros((4, 4, 1), np.float32)
+    alpha[1:3, 1:3] = 1
+    true, off = (images.linear_from_srgb(np.full((4, 4, 3), value, np.float32)) for value in (0.5, 0.6))
+    truth = {"rgb": true, "alpha": alpha, "diffuse": true, "specular": true}
+    shown = {"rgb": true, "diffuse": np.where(alpha > 0, off, 0), "specular": np.where(alpha > 0, true, 9)}
+    found = evaluate.compare(shown, truth, metric=True)
+    assert found["diffuse_psnr"] == pytest.approx(20, abs=1e-3) and found["specular_psnr"] == pytest.approx(100)
+
+
+def test_normals_that_nobody_predicts_are_not_measured() -> None:
+    up = np.broadcast_to(np.array([0, 0, 1], np.float32), (4, 4, 3))
+    found = evaluate.compare({"rgb": up, "normals": up, "normals_pred": 0 * up}, {"rgb": up, "normals": up}, metric=False)
+    assert found["normal_mae_deg"] == 0 and "normal_pred_mae_deg" not in found

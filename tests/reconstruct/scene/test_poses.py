@@ -1,0 +1,187 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from datasets import pose
+from datasets.core.console import progress
+from datasets.core.errors import DatasetError
+from datasets.scene import Scene, View
+from reconstruct.config import Config
+from reconstruct.models import merged_config
+from reconstruct.output.restored import Trained
+from reconstruct.run import Run
+from reconstruct.sampling.hull import cells_in_masks
+from reconstruct.scene import poses
+from reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
+from reconstruct.scene.twists import moved
+from reconstruct.training import step
+from reconstruct.training.step import StepFunctions
+
+SIGMA_M, SIGMA_RAD, STEPS = 2e-3, 4e-3, 100
+REFINED = {"poses": {"enabled": True, "sigma_m": SIGMA_M, "sigma_rad": SIGMA_RAD, "start": 0.0, "rate": 0.05, "final_rate": 0.05}}
+
+
+@pytest.fixture
+def config(small_config: Config) -> Config:
+    """A training of 40 steps that refines poses."""
+    tree = {
+        "train": {"steps": 40},
+        "sampler": {"rays": 128, "samples": 2048},
+        "surface": {"rays": 16, "first_period": 16, "last_period": 4},
+    }
+    return merged_config(small_config, tree | REFINED)
+
+
+def perturbed(views: tuple[View, ...], seed: int = 0) -> tuple[View, ...]:
+    """Views whose poses are off by one standard deviation along each axis."""
+    rng = np.random.default_rng(seed)
+    twists = rng.normal(size=(len(views), 6)) * ([SIGMA_M] * 3 + [SIGMA_RAD] * 3)
+    return tuple(
+        replace(view, world_from_camera=poses.corrected(view.world_from_camera, twist, 1.0))
+        for view, twist in zip(views, twists, strict=True)
+    )
+
+
+def test_a_corrected_pose_sees_the_moved_rays(ball_scene: tuple[Scene, Path]) -> None:
+    """Poses in float64 and rays in float32 on the device are two ways to one place."""
+    scene = ball_scene[0]
+    view, normalisation = scene.views[1], Normalisation.of(scene)
+    twist = np.array([0.03, -0.02, 0.05, 0.1, -0.2, 0.15])
+    origins, directions, radii = view_rays(view, normalisation)
+    rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(radii), jnp.int32))
+    found = moved(rays, jnp.asarray(twist[None], jnp.float32))
+    after = replace(view, world_from_camera=poses.corrected(view.world_from_camera, twist, normalisation.scale))
+    expected = view_rays(after, normalisation)
+    np.testing.assert_allclose(found.origins, expected[0], atol=1e-6)
+    np.testing.assert_allclose(found.directions, expected[1], atol=1e-6)
+    changed = poses.change(view, after, scene.box)
+    assert changed["turned_deg"] == pytest.approx(np.rad2deg(np.linalg.norm(twist[3:])))
+    assert changed["moved_mm"] == pytest.approx(
+        1e3 * np.linalg.norm(after.world_from_camera[:3, 3] - view.world_from_camera[:3, 3])
+    )
+    assert changed["moved_px"] > 70 * 0.1, "0.27 rad move the object by more than a tenth of the focal length"
+
+
+def test_perturbed_poses_are_recovered_from_the_pictures(
+    painted: Trained, config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The true field, pictures of it from true poses, and poses that are off: steps of the training itself bring them back.
+
+    What remains is of the gauge (seven of 24 directions, in which the perturbation is kept) and of 40 x 48 pixels.
+    """
+    true = painted.scene.split("train")
+    pictures = np.concatenate([np.asarray(painted.picture(view).rgb).reshape(-1, 3) for view in true])
+    views, normalisation = perturbed(true), painted.run.normalisation
+    with progress("reading", len(views)) as shown:
+        pixels = Pixels.load(views, normalisation, 1.0, shown)
+    colour = np.concatenate([pictures, np.ones_like(pictures[:, :1])], -1)
+    pixels = eqx.tree_at(lambda p: p.colour, pixels, jnp.asarray(colour, jnp.float16))
+    wide = {
+        "sampler": {"rays": 1024, "samples": 8192, "max_per_ray": 12},
+        "surface": {"enabled": False},
+        "train": {"rate": 1e-12, "final_rate": 1e-12},
+    }
+    functions = StepFunctions(merged_config(config, wide), normalisation)
+    fresh = functions.initial(jax.random.key(0), None, len(views))
+    model = eqx.tree_at(lambda m: m.field, fresh.model, painted.state.model.field)
+    state = replace(fresh, model=model, occupancy=painted.state.occupancy, optimiser=functions._adam().init(model))
+    # white is behind the pictures, which carry no alpha here
+    monkeypatch.setattr(step.jax.random, "uniform", _white(jax.random.uniform))
+    arguments = lambda i: (pixels, jnp.asarray(0), jnp.asarray(i / STEPS), jnp.asarray(False))  # noqa: E731
+    one = jax.jit(functions._step).lower(state, *arguments(0.0)).compile(compiler_options={"xla_backend_optimization_level": 0})
+    for i in range(STEPS):
+        state, terms = one(state, *arguments(i))
+    assert int(state.skipped) == 0 and float(terms["mse"]) < 1e-3
+    found = [
+        poses.corrected(v.world_from_camera, t, normalisation.scale)
+        for v, t in zip(views, np.asarray(state.model.poses), strict=True)
+    ]
+    box = painted.scene.box
+    before = [poses.change(a, b, box)["moved_px"] for a, b in zip(true, views, strict=True)]
+    after = [
+        poses.change(a, replace(b, world_from_camera=f), box)["moved_px"] for a, b, f in zip(true, views, found, strict=True)
+    ]
+    assert np.mean(before) > 0.4 and np.mean(after) < 0.5 * np.mean(before), (before, after)
+
+
+def _white(uniform: Callable) -> Callable:
+    """Random numbers, but ones where colours of backgrounds are drawn."""
+    return lambda key, shape=(), *args, **kwargs: (
+        jnp.ones(shape) if len(shape) == 2 and shape[-1] == 3 else uniform(key, shape, *args, **kwargs)
+    )
+
+
+def test_what_is_off_is_not_there(ball_scene: tuple[Scene, Path], config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without refinement the step is the same program, instruction for instruction, as one that has no word of it."""
+    off = merged_config(config, {"poses": {"enabled": False}})
+    functions = StepFunctions(off, Normalisation.of(ball_scene[0]))
+    state = functions.initial(jax.random.key(0), None, 4)
+    assert state.model.poses is None
+    with progress("reading", 4) as shown:
+        pixels = Pixels.load(ball_scene[0].split("train"), functions.normalisation, 1.0, shown)
+    program = lambda: str(jax.make_jaxpr(functions._step)(state, pixels, jnp.asarray(0), jnp.asarray(0.5), jnp.asarray(True)))  # noqa: E731
+    with_the_words = program()
+    for name in ("moved", "followed"):
+        monkeypatch.setattr(step, name, lambda rays, twists: rays)
+    monkeypatch.setattr(step, "without_gauge", None)
+    assert program() == with_the_words
+
+
+def test_refined_poses_are_written_down(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
+    scene, normalisation = ball_scene[0], Normalisation.of(ball_scene[0])
+    twists = jnp.asarray(np.random.default_rng(0).normal(size=(4, 6)) * 0.01, jnp.float32)
+    poses.write(tmp_path, scene, normalisation, twists)
+    content, given, better = (
+        poses.read(tmp_path),
+        scene.split("train"),
+        poses.refined(scene, normalisation, twists).split("train"),
+    )
+    assert [view["name"] for view in content["views"]] == [view.name for view in given]
+    for view, old, new in zip(content["views"], given, better, strict=True):
+        stored = view["world_from_camera"]
+        read = pose.from_quaternion(stored["quaternion_wxyz"], stored["translation_m"])
+        np.testing.assert_allclose(read, new.world_from_camera, atol=1e-12)
+        distance, angle = pose.difference(old.world_from_camera, new.world_from_camera)
+        assert view["moved_mm"] == pytest.approx(1e3 * distance) and view["turned_deg"] == pytest.approx(np.rad2deg(angle))
+        assert set(content["definitions"]) == view.keys() - {"name"}
+    assert "poses of 4 training views were refined by" in poses.summary(tmp_path)
+    for old, new in zip(scene.split("test"), poses.refined(scene, normalisation, twists).split("test"), strict=True):
+        assert new is old, "views that nobody trained on keep their poses"
+    with pytest.raises(DatasetError, match="scene has changed"):
+        poses.refined(scene.with_views(scene.views[2:]), normalisation, twists)
+
+
+def test_poses_that_were_not_refined_are_those_given(make_run: Callable[..., Run]) -> None:
+    trained = Trained.open(make_run().path)
+    assert poses.summary(trained.run.path) == "" and poses.read(trained.run.path) is None
+    for old, new in zip(trained.run.scene().views, trained.scene.views, strict=True):
+        np.testing.assert_array_equal(old.world_from_camera, new.world_from_camera)
+
+
+def test_masks_rule_out_less_where_cameras_may_have_moved(ball_scene: tuple[Scene, Path], config: Config) -> None:
+    """Cameras moved by five standard deviations cut off what the true ones see; with that slack the hull keeps it."""
+    scene = ball_scene[0]
+    config = merged_config(config, {"poses": {"sigma_m": SIGMA_M / 5, "sigma_rad": SIGMA_RAD / 5}})
+    views, normalisation = scene.split("train"), Normalisation.of(scene)
+    away = tuple(
+        replace(
+            view,
+            world_from_camera=poses.corrected(view.world_from_camera, sign * np.array([SIGMA_M, 0, 0, 0, SIGMA_RAD, 0]), 1.0),
+        )
+        for view, sign in zip(views, (1, -1, 1, -1), strict=True)
+    )
+    with progress("reading", len(views)) as shown:
+        pixels = Pixels.load(views, normalisation, 1.0, shown)
+    true, cut, kept = (
+        cells_in_masks(pixels, those, normalisation, 64, 1.0, slack=slack)
+        for those, slack in ((views, (0.0, 0.0)), (away, (0.0, 0.0)), (away, poses.slack(config.poses, normalisation)))
+    )
+    assert (true & ~cut).sum() > 0 and not (true & ~kept).any()
+    assert kept.sum() < 0.9 * kept.size, "it still rules out"
+    assert poses.slack(merged_config(config, {"poses": {"enabled": False}}).poses, normalisation) == (0, 0)

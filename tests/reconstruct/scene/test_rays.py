@@ -1,0 +1,84 @@
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from datasets.scene import Scene
+from reconstruct.scene.rays import Normalisation, Pixels, Rays, direction_of_cameras, read_scaled, scaled_camera, view_rays
+
+
+class Silent:
+    """A progress that nobody looks at; counts."""
+
+    count = 0
+
+    def advance(self) -> None:
+        self.count += 1
+
+
+@pytest.mark.parametrize("mask", [False, True])
+def test_the_box_comes_into_the_cube_or_the_ball(make_scene: Callable[..., Scene], mask: bool) -> None:
+    scene = make_scene(mask=mask)
+    normalisation = Normalisation.of(scene)
+    corners = np.stack(np.meshgrid(*scene.box.T, indexing="ij"), -1).reshape(-1, 3)
+    inside = (corners - normalisation.centre) * normalisation.scale
+    assert normalisation.bounded is mask
+    reach = np.abs(inside).max() if mask else np.linalg.norm(inside, axis=-1).max()
+    np.testing.assert_allclose(reach, 1, atol=1e-9)
+    np.testing.assert_allclose(normalisation.near, scene.near * normalisation.scale)
+    assert normalisation.near < normalisation.far <= 1e3
+
+
+def test_rays_project_back_to_their_pixels(make_scene: Callable[..., Scene]) -> None:
+    """A point at t along a pixel's ray, back in the world and the camera, lies at depth t / scale and on the pixel's centre."""
+    scene = make_scene()
+    view, normalisation = scene.views[2], Normalisation.of(scene)
+    origins, directions, radii = view_rays(view, normalisation)
+    t = np.linspace(0.5, 3, len(origins))[:, None]
+    world = (origins + t * directions.astype(np.float64)) / normalisation.scale + normalisation.centre
+    local = (world - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+    np.testing.assert_allclose(local[:, 2], t[:, 0] / normalisation.scale, rtol=1e-5)
+    np.testing.assert_allclose(
+        view.camera.project(local), view.camera.pixel_centres().reshape(-1, 2), atol=1e-3
+    )  # float32 of 90 px
+    np.testing.assert_allclose(radii, 2 / np.sqrt(12) / 90, rtol=1e-6)
+
+
+def test_pixels_come_with_their_own_ray_and_colour(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(count=4, mask=True)
+    normalisation, progress = Normalisation.of(scene), Silent()
+    pixels = Pixels.load(scene.views, normalisation, 0.5, progress)
+    assert progress.count == 4
+    size = 48 * 36
+    assert pixels.colour.shape == (4 * size, 4)
+    index = np.array([0, size - 1, size, 3 * size + 77])
+    rays, colour = pixels.take(jnp.asarray(index))
+    assert isinstance(rays, Rays)
+    for row, i in enumerate(index):
+        view = scene.views[i // size]
+        picture = read_scaled(view, 0.5).reshape(size, -1)
+        np.testing.assert_allclose(colour[row, : picture.shape[1]], picture[i % size], atol=1e-3)  # float16
+        origins, directions, _ = view_rays(view, normalisation, scaled_camera(view, 0.5))
+        np.testing.assert_allclose(rays.origins[row], origins[i % size], atol=1e-6)
+        np.testing.assert_allclose(rays.directions[row], directions[i % size], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(rays.viewdirs, axis=-1), 1, atol=1e-6)
+
+
+def test_held_out_pixels_are_not_among_the_others(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(count=2)
+    pixels = Pixels.load(scene.views, Normalisation.of(scene), 0.5, Silent())
+    rest, held = pixels.held_out(20)
+    assert len(held.directions) == 20 and len(rest.directions) == len(pixels.directions) - 20
+    keys = lambda p: {(int(v), *d.tolist()) for v, d in zip(p.view, np.asarray(p.directions), strict=True)}  # noqa: E731
+    assert not keys(rest) & keys(held) and keys(rest) | keys(held) == keys(pixels)
+    assert keys(pixels.held_out(20)[1]) == keys(held), "the same ones when a training is resumed"
+    assert len(pixels.held_out(10**6)[1].directions) == len(pixels.directions) // 100
+
+
+def test_a_ring_of_cameras_above_lies_above(make_scene: Callable[..., Scene]) -> None:
+    """Each camera of the ring, 0.4 m wide, stands 0.19 to 0.35 m above the box's centre; around, they cancel."""
+    scene = make_scene()
+    x, y, z = direction_of_cameras(scene.views, Normalisation.of(scene))
+    assert np.hypot(x, y) < 0.1
+    assert np.sin(np.arctan2(0.19, 0.4)) < z < np.sin(np.arctan2(0.35, 0.4))

@@ -1,0 +1,97 @@
+"""The bookkeeping of sweeps; the trainings themselves are stand-ins here."""
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets.core.errors import UsageError
+from datasets.scene import Scene
+from reconstruct.errors import ReconstructError
+from reconstruct.studies import sweep
+from reconstruct.studies.recipe import Recipe
+
+
+def stand_in(path: Path, recipe: Recipe, changes: Any) -> None:
+    """A run on disk as training and evaluation leave it; of `zipnerf` it fails while a file named `broken` lies beside."""
+    if recipe.model == "zipnerf" and (path.parents[3] / "broken").exists():
+        raise ReconstructError("training does not stay finite")
+    path.mkdir(parents=True)
+    normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
+    run = {"format": "koala-run", "version": 1, "scene": recipe.scene, "scene_name": Path(recipe.scene).name,
+           "config": recipe.config(changes).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
+    (path / "run.json").write_text(json.dumps(run))
+    metrics = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 20.0}, "per_view": []}
+    (path / "metrics.json").write_text(json.dumps(metrics))
+
+
+@pytest.fixture
+def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("reconstruct.backend.cache_compilations", lambda: None)
+
+
+def test_a_failure_does_not_cost_the_others_and_can_be_mended(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(sweep, "finish", stand_in)
+    (tmp_path / "broken").write_text("")
+    out = tmp_path / "sweep"
+    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, out)
+    assert [job.path for job in wanted] == [out / "ball/zipnerf/seed_1", out / "ball/surfnerf/seed_1"]
+    with pytest.raises(ReconstructError, match=r"1 of 2 runs failed \(ball/zipnerf/seed_1: training does not stay finite\)"):
+        sweep.run(wanted, out)
+    assert "surfnerf" in (out / "table.md").read_text() and "zipnerf" not in (out / "table.md").read_text()
+    (tmp_path / "broken").unlink()
+    assert sweep.run(wanted, out) == {"out": str(out), "runs": 2, "trained": 1, "table": str(out / "table.md")}
+    assert "zipnerf" in (out / "table.tex").read_text()
+
+
+def test_seeds_of_a_model_make_one_row(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(sweep, "finish", stand_in)
+    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", [], 5.0, tmp_path, [0, 2])
+    names = [job.name for job in wanted]
+    assert names == ["ball/zipnerf/seed_0", "ball/surfnerf/seed_0", "ball/zipnerf/seed_2", "ball/surfnerf/seed_2"]
+    assert sweep.run(wanted, tmp_path)["runs"] == 4
+    rows = [line for line in (tmp_path / "table.md").read_text().splitlines() if "nerf" in line]
+    assert rows == ["| ball | zipnerf | **20.00 ± 0.00** |", "|  | surfnerf | **20.00 ± 0.00** |"]
+
+
+def test_a_sweep_is_gone_on_with_as_it_was_begun(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(sweep, "finish", stand_in)
+    scene, out = str(ball_scene[1]), tmp_path / "sweep"
+    ask = lambda *request, where=scene: sweep.run(sweep.jobs([where], *request, out), out)  # noqa: E731
+    ask(["zipnerf"], "fast", [], 5.0)
+    with pytest.raises(UsageError, match=r"begun with other settings \(budget_s was 5\.0, and is 3\.0 now\)"):
+        ask(["zipnerf"], "fast", [], 3.0)
+    with pytest.raises(UsageError, match=r"overrides was nothing, and is scale=0\.5 now"):
+        ask(["surfnerf"], "fast", ["scale=0.5"], 5.0)
+    elsewhere = tmp_path / "ball"
+    shutil.copytree(ball_scene[1], elsewhere)
+    with pytest.raises(UsageError, match=r"scenes\.ball was"):
+        ask(["zipnerf"], "fast", [], 5.0, where=str(elsewhere))
+    assert not (out / "ball/surfnerf").exists(), "refused before anything was trained"
+    assert ask(["surfnerf"], "fast", [], 5.0) == {"out": str(out), "runs": 2, "trained": 1, "table": str(out / "table.md")}
+    table = (out / "table.md").read_text()
+    assert "zipnerf" in table and "surfnerf" in table, "models can be added"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="already exists"):
+        sweep.run(sweep.jobs([scene], ["zipnerf"], "fast", [], 5.0, tmp_path / "other"), tmp_path / "other")
+
+
+def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
+    scene = str(ball_scene[1])
+    with pytest.raises(UsageError, match="did you mean 'zipnerf'"):
+        sweep.jobs([scene], ["zipnrf"], "fast", [], None, tmp_path)
+    with pytest.raises(UsageError, match="two scenes have one name"):
+        sweep.jobs([scene, scene], ["zipnerf"], "fast", [], None, tmp_path)
+    if importlib.util.find_spec("ray") is None:
+        with pytest.raises(UsageError, match="Ray is not installed; pip install"):
+            sweep.run(sweep.jobs([scene], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)

@@ -1,0 +1,104 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from datasets.camera_model import Camera
+from datasets.scene import Scene
+from reconstruct.config import Config
+from reconstruct.field.encodings.create import create_encoding
+from reconstruct.models import load_config
+from reconstruct.scene.rays import Normalisation, view_rays
+from reconstruct.training.skipping.facts import Facts
+from reconstruct.training.skipping.plan import lenses, normalisation_of, plan
+from reconstruct.training.skipping.record import NAMES, Skip
+
+FACTS = Facts(bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, poses="koala-scene")
+
+
+def planned(facts: Facts = FACTS, gain: float = 3.0, **skip: bool) -> tuple[Config, dict[str, Skip]]:
+    """A plan for the fast preset with these skips on or off, and its decisions by name."""
+    base = load_config(overrides=[f"skip.{name}={str(value).lower()}" for name, value in skip.items()])
+    config, skips = plan(facts, base, lambda: gain)
+    assert [skip.name for skip in skips] == list(dict.fromkeys(skip.name for skip in skips)), "one decision each"
+    return config, {skip.name: skip for skip in skips}
+
+
+def never() -> float:
+    raise AssertionError("the pilot costs half a minute")
+
+
+def test_every_skip_is_decided_with_evidence_saving_and_cost() -> None:
+    _, skips = planned()
+    assert set(skips) == {*NAMES, "structure_from_motion"}
+    for skip in skips.values():
+        assert skip.evidence and skip.saving and skip.cost
+
+
+def test_what_is_off_changes_nothing() -> None:
+    names = dict.fromkeys(NAMES, False)
+    base = load_config(overrides=[f"skip.{name}=false" for name in names])
+    config, skips = plan(FACTS, base, never)
+    assert config == base
+    assert not any(skip.skipped for skip in skips if skip.name in names and skip.name not in ("surroundings", "multisampling"))
+
+
+@pytest.mark.parametrize(("smallest", "left"), [(1e-3, 8), (0.01, 6), (0.05, 3), (10.0, 1)])
+def test_levels_finer_than_the_smallest_footprint_go(smallest: float, left: int) -> None:
+    before, config = load_config().encoding, planned(replace(FACTS, smallest=smallest), fine_levels=True)[0].encoding
+    assert config.levels == left  # 6 * 1.71^n <= 1 / smallest; the coarsest stays
+    assert config.coarsest == before.coarsest and (left == 1 or config.finest <= 1 / smallest)
+    if 1 < left < 8:
+        growth = (before.finest / before.coarsest) ** (1 / 7)
+        np.testing.assert_allclose(config.finest, before.coarsest * growth ** (left - 1), rtol=1e-6)
+
+
+def test_tables_shrink_with_the_space_that_is_left() -> None:
+    import jax
+
+    rows = []
+    for possible in (1.0, 0.1):
+        config, skips = planned(replace(FACTS, possible=possible), table_size=True)
+        rows.append(create_encoding(jax.random.key(0), config.encoding).table.shape[1])
+        assert skips["table_size"].skipped
+    assert rows[1] < rows[0] < 8 * 2**16
+    assert "%" in skips["table_size"].saving
+
+
+def test_multisampling_goes_where_footprints_are_alike() -> None:
+    base = load_config(preset="paper", overrides=["skip.multisampling=true"])
+    assert plan(FACTS, base, never)[0].sampler.frustum == "gaussian"
+    assert plan(replace(FACTS, largest=0.02), base, never)[0].sampler.frustum == "hexagon"
+    assert planned(multisampling=True)[0].sampler == load_config().sampler, "the fast preset has none"
+
+
+@pytest.mark.parametrize(("gain", "appearance"), [(0.05, "diffuse"), (0.5, "reflection")])
+def test_the_pilot_decides_on_the_reflection(gain: float, appearance: str) -> None:
+    config, skips = planned(gain=gain, reflection=True)
+    assert config.field.appearance == appearance and skips["reflection"].skipped == (appearance == "diffuse")
+    assert (config.surface.bias == config.surface.variation == 0) == (appearance == "diffuse")
+    assert f"{gain:.2f} dB" in skips["reflection"].evidence
+
+
+def test_convergence_is_watched_where_it_is_asked_for() -> None:
+    assert planned()[0].train.patience == 0 and planned(converged=True)[0].train.patience == 0.2
+
+
+def test_a_bounded_scene_may_be_kept_from_losing_its_surroundings(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(mask=True)
+    assert normalisation_of(scene, load_config()) == Normalisation.of(scene) and Normalisation.of(scene).bounded
+    kept = normalisation_of(scene, load_config(overrides=["skip.surroundings=false"]))
+    assert not kept.bounded and kept.backdrop
+    assert not normalisation_of(make_scene(), load_config()).backdrop
+
+
+def test_the_long_way_to_undistort_a_pinhole_gives_the_same_rays(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene()
+    (first, *_), (forced, *_) = scene.views, lenses(scene.views, load_config(overrides=["skip.distortion=false"]))
+    assert lenses(scene.views, load_config()) is scene.views
+    assert not forced.camera.is_pinhole, "Newton's method is taken"
+    for one, other in zip(*(view_rays(view, Normalisation.of(scene)) for view in (first, forced)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-7)
+    bent = replace(first, camera=replace(Camera(96, 72, 90.0, 90.0, 48.0, 36.0), k1=-0.1))
+    assert lenses((bent,), load_config(overrides=["skip.distortion=false"]))[0] is not None

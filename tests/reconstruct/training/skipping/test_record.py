@@ -1,0 +1,60 @@
+from pathlib import Path
+
+import pytest
+
+from datasets.core import files
+from datasets.core.errors import UsageError
+from reconstruct.config import SkipConfig
+from reconstruct.models import load_config
+from reconstruct.training.skipping import outcome, record
+from reconstruct.training.skipping.record import Skip
+
+SKIPS = [Skip.of("empty_rays", True, "masks", "much"), Skip.of("converged", False, "not watched", "the rest"),
+         Skip.of("consistent_passes", True, "all run", "passes")]  # fmt: skip
+
+
+def test_decisions_survive_the_file_as_a_plain_list(tmp_path: Path) -> None:
+    assert record.read(tmp_path) == []
+    record.write(tmp_path, SKIPS)
+    assert record.read(tmp_path) == SKIPS
+    (entry, *_) = files.read_json(tmp_path / "skips.json")
+    assert list(entry) == ["name", "skipped", "evidence", "saving", "cost"]
+
+
+def test_names_are_forced_by_overrides_that_the_configuration_knows() -> None:
+    config = load_config(overrides=record.forced(record.NAMES))
+    assert not any(config.skip.model_dump().values())
+    assert set(record.COSTS) == {*SkipConfig.model_fields, *record.ELSEWHERE}
+
+
+@pytest.mark.parametrize(("name", "answer"), [("fine_level", "fine_levels"), ("structure_from_motion", "calib refine")])
+def test_an_unknown_name_is_answered_with_the_nearest(name: str, answer: str) -> None:
+    with pytest.raises(UsageError, match=answer):
+        record.forced([name])
+
+
+def test_a_person_reads_what_was_left_out_why_and_what_it_saved_and_nothing_else() -> None:
+    beside = Skip.of("multisampling", True, "this model takes one place per sample", record.NOTHING_MORE)
+    elsewhere = Skip.of("structure_from_motion", True, "poses from the scene", "matching the views")
+    assert record.left_out([*SKIPS, beside, elsewhere]) == [
+        "empty space: masks; saves much", "comparing normals that agree already: all run; saves passes"]  # fmt: skip
+    assert not any(name in line for line in record.left_out(SKIPS) for name in record.NAMES), "words, and no names of settings"
+
+
+def test_every_skip_has_words_for_everybody() -> None:
+    assert set(record.PLAIN) == set(record.NAMES)
+
+
+def test_the_end_tells_what_came_of_it() -> None:
+    told = outcome.told(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
+    assert told[0].evidence == "masks; in the end 90% of it was empty"
+    assert told[1] == SKIPS[1], "what was not skipped has no outcome"
+    assert told[2].evidence == "all run; 5 of 8 second passes were left out"
+
+
+def test_passes_grow_rare_while_normals_agree_and_come_back_at_once() -> None:
+    surface = load_config().surface
+    agreed, apart = ({"normal_consistency": surface.normal * value} for value in (1e-4, 3e-4))
+    assert outcome.lenience(1, agreed, surface) == 2 and outcome.lenience(4, agreed, surface) == 4
+    assert outcome.lenience(4, apart, surface) == 1
+    assert outcome.lenience(1, agreed, surface.model_copy(update={"normal": 0.0})) == 1

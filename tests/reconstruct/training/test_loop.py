@@ -1,0 +1,166 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from datasets.core import files
+from datasets.core.errors import UsageError
+from datasets.scene import Scene
+from reconstruct.config import Config
+from reconstruct.errors import ReconstructError
+from reconstruct.models import finetuned, load_config, merged_config
+from reconstruct.output.restored import Trained
+from reconstruct.run import CHECKPOINTS, FAULTS, Run
+from reconstruct.scene.poses import POSES
+from reconstruct.training import checkpoint
+from reconstruct.training.faults import FAULTS as FAULT_BITS
+from reconstruct.training.loop import start, train
+from reconstruct.training.skipping import record
+from reconstruct.training.step import StepFunctions
+
+
+@pytest.fixture
+def config(small_config: Config) -> Config:
+    """A training of 40 steps, the second pass in its last ones."""
+    tree = small_config.model_dump()
+    tree["train"]["steps"] = 40
+    tree["sampler"] |= {"rays": 128, "samples": 2048}
+    tree["surface"] |= {"rays": 16, "first_period": 16, "last_period": 4}
+    return Config.model_validate(tree)
+
+
+def final_leaves(run: Path) -> list[np.ndarray]:
+    """What the newest checkpoint of a run holds, as its arrays."""
+    found = checkpoint.steps(run / CHECKPOINTS)[-1]
+    content = checkpoint._checkpointer().restore(found.resolve())
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(content["state"])]
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_due(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, enabled: bool
+) -> None:
+    """A look at the clock waits for the device: with one at every step a training takes twice as long."""
+    config = merged_config(config, {"surface": {"enabled": enabled, "first_period": 8, "last_period": 8}})
+    training, done = start(ball_scene[0], ball_scene[1], config, tmp_path / "run", budget_s=1e3), []
+
+    def advance(state, pixels, seed, progress, count, second):
+        done.append((int(count), bool(second)))
+        return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
+
+    training._advance, training._look_around = advance, lambda state, seed: state
+    for _ in range(4):
+        training.chunk()
+    assert done == ([(8, True)] * 4 if enabled else [(16, False)] * 4)
+    assert training.clock.step == (32 if enabled else 64)
+
+
+@pytest.mark.slow
+def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
+    scene, folder = ball_scene
+    config = merged_config(config, {"poses": {"enabled": True}})
+    whole = train(scene, folder, config, tmp_path / "whole")
+    assert whole["steps"] == 40 and whole["skipped_steps"] == 0 and np.isfinite(whole["psnr_train"])
+
+    broken = start(scene, folder, config, tmp_path / "broken")
+    broken.compile()
+    while broken.clock.step < 17:
+        broken.chunk()
+    assert broken.clock.step < 40
+    broken.save()
+    resumed = train(scene, folder, config, tmp_path / "broken", resume=True)
+    assert resumed["steps"] == 40
+    for one, other in zip(final_leaves(tmp_path / "whole"), final_leaves(tmp_path / "broken"), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert [line["step"] for line in Run.open(tmp_path / "whole").log()][-1] == 40
+    assert [skip["name"] for skip in whole["skips"]] == [skip.name for skip in record.read(tmp_path / "broken")]
+    assert files.read_json(tmp_path / "whole" / "skips.json") == whole["skips"] == resumed["skips"]
+    assert (tmp_path / "whole" / POSES).read_text() == (tmp_path / "broken" / POSES).read_text()
+    trained = Trained.open(tmp_path / "whole")
+    assert np.abs(trained.state.model.poses).max() > 0
+    apart = [
+        np.abs(old.world_from_camera - new.world_from_camera).max()
+        for old, new in zip(scene.views, trained.scene.views, strict=True)
+    ]
+    assert [bool(size) for size in apart] == [view.split == "train" for view in scene.views], "unseen views keep their poses"
+
+
+def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_recur(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, folder = ball_scene
+    training = start(scene, folder, config, tmp_path / "run")
+    once = eqx.tree_at(lambda s: s.skipped, training.state, jnp.asarray(1, jnp.int32))
+    before, training.state = training.state, once
+    training._heed(1, {"photometric": jnp.ones(())})
+    assert "gradient of field.encoding" in capsys.readouterr().err, "one is shown with its cause, and goes by"
+    training.state = before
+    training.pixels = eqx.tree_at(lambda p: p.colour, training.pixels, jnp.full_like(training.pixels.colour, jnp.nan))
+    start_leaves = [np.asarray(leaf).copy() for leaf in jax.tree.leaves((before.model, before.optimiser))]
+    training.compile()
+    with pytest.raises(ReconstructError, match=r"does not stay finite.*16 steps.*gradient of field\.encoding.*loss photometric"):
+        training.chunk()
+    for leaf, kept in zip(jax.tree.leaves((training.state.model, training.state.optimiser)), start_leaves, strict=True):
+        if leaf.ndim:  # the blur is part of the schedule, not learned
+            np.testing.assert_array_equal(leaf, kept)
+    lines = (tmp_path / "run" / FAULTS).read_text().splitlines()
+    assert len(lines) == 2 and '"skipped": 16' in lines[1]
+
+
+def test_a_training_that_cannot_start_leaves_nothing(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
+    scene, folder = ball_scene
+    with pytest.raises(UsageError, match="no train views"):
+        train(scene.with_views(()), folder, config, tmp_path / "run")
+    with pytest.raises(UsageError, match="not a positive time"):
+        train(scene, folder, config, tmp_path / "run", budget_s=0.0)
+    with pytest.raises(UsageError, match="is not a run"):
+        train(scene, folder, config, tmp_path / "run", resume=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_fine_tuning_begins_with_what_the_run_has_learned(
+    ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], tmp_path: Path
+) -> None:
+    scene, folder = ball_scene
+    run = make_run(merged_config(make_run_config(), {"surface": {"enabled": False}}))
+    before = checkpoint.load(
+        run.path / CHECKPOINTS, StepFunctions(run.config, run.normalisation).initial(jax.random.key(0), None)
+    )[0]
+    tuned = finetuned(run.config, ["train.steps=3"])
+    training = start(scene, folder, tuned, tmp_path / "tuned", None, run)
+    for one, other in zip(jax.tree.leaves(before.model), jax.tree.leaves(training.state.model), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert int(training.state.step) == 0 and training.clock.steps == 3
+    assert training.run.config.field.towards == run.config.field.towards, "what was learned was added to these normals"
+    assert (
+        training.run.config.surface.enabled and training.run.config.train.rate == training.run.config.train.final_rate == 3.25e-4
+    )
+    assert Run.open(tmp_path / "tuned").content["from"] == str(run.path)
+    with pytest.raises(ReconstructError, match="does not fit"):
+        start(scene, folder, merged_config(tuned, {"encoding": {"levels": 5}}), tmp_path / "other", None, run)
+    assert not (tmp_path / "other").exists()
+
+
+def make_run_config() -> Config:
+    """The fast preset with everything made small."""
+    return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "sampler.grid=16"])
+
+
+def test_a_training_stops_when_held_out_pixels_stop_improving(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path
+) -> None:
+    scene, folder = ball_scene
+    training = start(scene, folder, merged_config(config, {"train": {"patience": 0.2}}), tmp_path / "run")
+    assert training.held is not None and not training.exhausted
+    size = scene.views[0].camera.width * scene.views[0].camera.height
+    assert len(training.held.directions) + training.pixels.directions.shape[0] == 4 * size, "held out, not doubled"
+    for progress, psnr in ((0.1, 20.0), (0.2, 21.0), (0.3, 21.01), (0.35, 20.5)):
+        training.run.append_log({"progress": progress, "psnr_held_out": psnr})
+        assert not training.exhausted
+    training.run.append_log({"progress": 0.4, "psnr_held_out": 21.015})
+    assert training.exhausted, "0.015 dB in a fifth of the training is not worth going on"
+    assert not start(scene, folder, config, tmp_path / "other").exhausted, "without patience nothing is held out"
