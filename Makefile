@@ -1,6 +1,8 @@
 # make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 10 minutes on 2 cores)
 # make test    the test suite
 # make docs    the pages of docs/ as HTML in build/docs
+# make lock    refresh constraints/, the versions that make installs
+# make install-check  install and use Koala with every Python on this machine
 # make figures every picture of README.md and docs/, from the code (needs the demonstration; 25 minutes more for the calibration benchmark)
 # Everything is installed into .venv; again only when pyproject.toml has changed.
 
@@ -16,14 +18,15 @@ define step
 @printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
 endef
 
-.PHONY: demo test test-all check types format docs figures clean
+.PHONY: demo test test-all check types format docs figures lock install-check clean
 .DEFAULT_GOAL := test
 
-$(READY): pyproject.toml
+$(READY): pyproject.toml $(wildcard constraints/*.txt)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "error: $(PYTHON) is older than 3.11; give a newer one: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --editable '.[test,docs]'
+	@lock=constraints/$$($(BIN)/python -c 'import sys; print("python%d.%d.txt" % sys.version_info[:2])'); \
+	  $(BIN)/python -m pip install --quiet --editable '.[all,test,docs]' $$(test ! -f $$lock || echo --constraint $$lock)
 	@touch $@
 
 demo: $(READY)
@@ -48,6 +51,7 @@ test-all: $(READY)
 check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(MAKE) types
 	$(MAKE) test
 
 types: $(READY)
@@ -60,6 +64,14 @@ format: $(READY)
 docs: $(READY)
 	$(BIN)/mkdocs build --quiet --strict
 	@echo build/docs/index.html
+
+lock: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[lock]'
+	for version in 3.11 3.12 3.13 3.14; do $(BIN)/uv pip compile --quiet --universal --no-header --no-annotate --upgrade \
+	  --python-version $$version --extra all --extra test --extra docs --output-file constraints/python$$version.txt pyproject.toml || exit 1; done
+
+install-check:
+	$(PYTHON) tests/install/check.py $(VERSIONS)
 
 figures: $(DEMO)/report/strip.png build/calibration_bench
 	$(BIN)/python docs/make_figures.py $(DEMO) docs/pictures

@@ -18,6 +18,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from datasets.core.errors import KoalaError
+from datasets.core.extras import not_installed
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Port = Annotated[
@@ -63,6 +64,9 @@ def run(app: typer.Typer) -> None:
         _fail(str(error), error.exit_code, error)
     except OSError as error:
         _fail(_os_error(error), 1, error)
+    except ModuleNotFoundError as error:
+        missing = not_installed(error)
+        _fail(str(missing) if missing else f"{error}; run again with --debug and report it", 1, error)
     except Exception as error:  # the last line of defence: a person sees a sentence, --debug the traceback
         _fail(f"unexpected {type(error).__name__}: {error}; run again with --debug and report it", 1, error)
     sys.exit(result if isinstance(result, int) else 0)
