@@ -27,7 +27,7 @@ SYSTEMS = {
     "macOS ARM": [f"macosx_{major}_0_{kind}" for major in range(15, 10, -1) for kind in ("arm64", "universal2")],
 }
 """Wheel tags of each system, newest first: glibc 2.35 (Ubuntu 22.04), macOS 15."""
-NOT_SHIPPED = ("test", "docs")
+NOT_SHIPPED = ("test", "docs", "lock")
 """Extras for the people who work on the project; the table leaves them out."""
 
 
