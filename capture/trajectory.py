@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from capture.rig.description import PoseDescription, Vector
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
+from datasets.board import Board
 from datasets.core.schema import Schema, load_yaml
 
 FORMAT, VERSION = "koala-trajectory", 1
@@ -95,25 +96,6 @@ class Safety(Schema):
     workspace: Box | None = Field(default=None, description="the camera stays inside this box; null: anywhere")
 
 
-class CharucoTarget(Schema):
-    """A flat ChArUco calibration board."""
-
-    kind: Literal["charuco"] = Field(description="kind of target")
-    squares_x: int = Field(ge=3, description="squares along the board's x axis")
-    squares_y: int = Field(ge=3, description="squares along the board's y axis")
-    square_length_m: float = Field(gt=0, description="side of a square [m]")
-    marker_length_m: float = Field(gt=0, description="side of a marker [m]")
-    dictionary: str = Field(default="DICT_5X5_100", description="OpenCV's name of the marker dictionary")
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.marker_length_m >= self.square_length_m:
-            raise ValueError(
-                f"marker_length_m {self.marker_length_m} must be smaller than square_length_m {self.square_length_m}"
-            )
-        return self
-
-
 class Trajectory(Schema):
     """A repeatable session: views, split, camera settings, motion, and what stands where."""
 
@@ -131,7 +113,7 @@ class Trajectory(Schema):
         default="+z", description="the base's axis that points up: -z for an arm that hangs upside down"
     )
     object: Box | None = Field(default=None, description="the object's volume; the object stands in the middle of its bottom")
-    target: CharucoTarget | None = Field(default=None, description="calibration target, for a calibration session")
+    target: Board | None = Field(default=None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(
         default=None,
         description="base_from_board, roughly. The simulator puts the board exactly here; nothing else reads it. "
@@ -145,6 +127,8 @@ class Trajectory(Schema):
             raise ValueError(f"split asks for {self.split.train} + {self.split.test} views, but views give {count}")
         if self.split is not None and self.target is not None:
             raise ValueError("a session with a target has no split: leave out 'split' or 'target'")
+        if self.target is not None and self.target.kind != "charuco":
+            raise ValueError(f"target: sessions are recorded of ChArUco boards only, not of kind {self.target.kind!r}")
         return self
 
     @model_validator(mode="after")

@@ -158,16 +158,9 @@ def _manifest(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         "trajectory": trajectory.model_dump(mode="json"), "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
         "camera": camera, "robot": rig.robot.description(),
         "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
-        "board": _board(trajectory), "object": None if volume is None else
+        "board": trajectory.target.to_json() if trajectory.target else None, "object": None if volume is None else
         {"centre": list(volume.centre), "size": list(volume.size), "box": volume.corners.tolist()},
     }  # fmt: skip
-
-
-def _board(trajectory: Trajectory) -> dict[str, Any] | None:
-    if trajectory.target is None:
-        return None
-    described = trajectory.target.model_dump(mode="json")
-    return {"type": described.pop("kind"), **described}
 
 
 def _comparable(value: Any) -> Any:

@@ -117,7 +117,7 @@ def test_board_is_described_for_a_calibration(configs, rig, tmp_path):
     recording = record(trajectory, rig, tmp_path / "rec", planned=views)
     assert recording.manifest["board"] == {
         "type": "charuco", "squares_x": 9, "squares_y": 7, "square_length_m": 0.03, "marker_length_m": 0.022,
-        "dictionary": "DICT_5X5_100",
+        "dictionary": "DICT_5X5_100", "legacy_pattern": False, "first_id": 0,
     }  # fmt: skip
     assert recording.frames[0].split == "calibration"
 
