@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import verify
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty
+from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty, verify
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from calib.targets import screening
 from datasets import pose
 from datasets.calibration import Calibration
@@ -100,7 +99,7 @@ class Solution:
 
     def start(self) -> State:
         """Where the refinement of the kept views begins."""
-        return State(projection.vector(self.first.camera), self.closed.flange_from_camera, self.closed.base_from_board,
+        return State(projection.vector(self.first.camera), self.closed.mount_from_camera, self.closed.stand_from_board,
                      np.zeros((int(self.keep.sum()), 6)))  # fmt: skip
 
 
@@ -113,7 +112,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
-    start = State(projection.vector(first.camera), closed.flange_from_camera, closed.base_from_board, np.zeros((keep.sum(), 6)))
+    start = State(projection.vector(first.camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((keep.sum(), 6)))
     fit = outliers.refine_without(first.session.chosen(keep), start, first.free, first.known, accuracy, sigma_px=first.sigma_px,
                                   fisheye=first.camera.fisheye)  # fmt: skip
     return Solution(first, boards, closed, keep, fit)
@@ -131,11 +130,11 @@ def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.Ha
     """A start and the views that agree with it; refuses weak motion, and mistakes about the arm's poses."""
     try:
         uncertainty.check_motion(session.base_from_flange)
-        closed, keep = closed_forms.solve_robustly(session.mount_poses, boards)
+        closed, keep = closed_forms.solve_robustly(session.stand_from_mount, boards)
     except CalibrationError:
-        mistakes.explain(session.mount_poses, boards)
+        mistakes.explain(session.stand_from_mount, boards)
         raise
-    mistakes.explain(session.mount_poses, boards)
+    mistakes.explain(session.stand_from_mount, boards)
     return closed, keep
 
 
@@ -215,7 +214,7 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
     """What the closed form said, and how far the refinement moved from it."""
-    distance, angle = pose.difference(closed.flange_from_camera, refined.state.flange_from_camera)
+    distance, angle = pose.difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),

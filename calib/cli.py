@@ -68,8 +68,8 @@ def verify_command(
 
     Best a recording that it was not made from; only the target's place is fitted.
     """
-    from calib.page.words import describe_verification
-    from calib.verify import verify
+    from calib.handeye.verify import verify
+    from calib.page.summary import describe_verification
     from datasets.calibration import Calibration
 
     result = verify(pictures.observe()[0], Calibration.load(calibration))
@@ -89,14 +89,14 @@ def report_command(
     Residuals over the image, errors of each view, coverage, error ellipses. Calibrates as 'calib handeye' does.
     """
     from calib import calibrate
-    from calib.page import report_page
+    from calib.page import report
 
     accuracy = rig.accuracy(joint_deg)
     _check_out(out)
     session, given = rig.read()
     solution = calibrate.solve(session, given, accuracy, rig.lens)
     calibration = calibrate.finished(solution, accuracy, given is not None)
-    report_page.write(out, calibration, solution, made_by=console.command_line())
+    report.write(out, calibration, solution, made_by=console.command_line())
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
@@ -142,16 +142,16 @@ def plan_command(
     Within the box of the recorded camera positions; 'capture plan' judges whether the arm can take them.
     """
     from calib import calibrate
-    from calib.study import advice
+    from calib.study import next_views
     from datasets.recording import Recording
 
     accuracy = rig.accuracy()
     _check_out(out)
     session, given = rig.read()
     solution = calibrate.solve(session, given, accuracy, rig.lens)
-    found = advice.advise(solution, count, grow_m=1e-3 * grow_mm)
+    found = next_views.plan(solution, count, grow_m=1e-3 * grow_mm)
     manifest = Recording.open(rig.recording).manifest if "recording" in session.provenance else {}
-    advice.write_trajectory(out, found, manifest)
+    next_views.write_trajectory(out, found, manifest)
     (before_mm, before_deg), (after_mm, after_deg) = found.before, found.after[-1]
     text = (f"hand-eye pose known to {before_mm:.4f} mm, {before_deg:.5f} deg now; {after_mm:.4f} mm, {after_deg:.5f} deg expected "
             f"with {count} views more\nwritten to {out}")  # fmt: skip
@@ -202,14 +202,14 @@ def board_command(
 ) -> None:
     """A target to print, in true size."""
     from calib.targets import printing
-    from calib.targets.target import Board
+    from calib.targets.detection import read_board
     from datasets.core.errors import UsageError
 
     numbers = squares.lower().split("x")
     if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
         raise UsageError("squares are given as 9x7", where="--squares", why=f"{squares!r} given")
     marker = 0.0 if kind == "chessboard" else round(0.73 * square_mm, 1) if marker_mm is None else marker_mm
-    board = Board.from_json({"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "square_length_m": 1e-3 * square_mm,
+    board = read_board({"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "square_length_m": 1e-3 * square_mm,
                              "marker_length_m": 1e-3 * marker, "dictionary": dictionary, "first_id": first_id}, where="board")  # fmt: skip
     printing.write(board, out)
     width, height = printing.page_mm(board)
@@ -255,13 +255,13 @@ def study_command(
 
     On the simulated Koala rig; prints a table (Markdown).
     """
-    from calib.study import study
+    from calib.study import variants
 
-    with console.progress("simulating", len(study.VARIANTS), "kinds of session") as bar:
-        outcomes = list(study.run(sessions, seed, done=lambda outcome: bar.advance()))
+    with console.progress("simulating", len(variants.VARIANTS), "kinds of session") as bar:
+        outcomes = list(variants.run(sessions, seed, done=lambda outcome: bar.advance()))
     rows = [{"session": o.variant.name, "failures": o.failures, **dict(zip(("refinement", "park", "stated"), o.medians(), strict=True))}
             for o in outcomes if len(o.refined)]  # fmt: skip
-    console.report({"sessions": sessions, "aim": study.AIM, "kinds": rows}, as_json=json, text=study.markdown(outcomes))
+    console.report({"sessions": sessions, "aim": variants.AIM, "kinds": rows}, as_json=json, text=variants.markdown(outcomes))
 
 
 def _check_out(out: Path) -> None:
@@ -276,7 +276,7 @@ def _check_out(out: Path) -> None:
 
 def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
     """Write a calibration and say what is in it."""
-    from calib.page.words import describe_calibration, notes
+    from calib.page.summary import describe_calibration, notes
 
     calibration.save(out)
     result: dict[str, Any] = {

@@ -15,7 +15,7 @@ from datasets.core.errors import UsageError, nearest
 
 if TYPE_CHECKING:
     from calib.handeye.model import Accuracy
-    from calib.session import TargetSession
+    from calib.sessions.session import TargetSession
     from datasets.calibration import Calibration
 
 RecordingPath = Annotated[
@@ -65,8 +65,8 @@ class Pictures:
 
     def observe(self) -> "tuple[TargetSession, Calibration | None]":
         """Find the target in every frame, with a progress bar; and the camera, where an imported session brings its own."""
-        from calib import importer
-        from calib.session import observe_recording
+        from calib.sessions import importer
+        from calib.sessions.session import observe_recording
         from datasets.calibration import Calibration
         from datasets.recording import Recording
 
@@ -116,7 +116,8 @@ def check_lens(lens: str) -> None:
 
 def spread(command: Callable[..., None]) -> Callable[..., None]:
     """`command` with each parameter that is one of these classes spread out into its fields, as typer reads them."""
-    grouped: dict[str, type] = {name: kind for name, kind in get_type_hints(command).items() if is_dataclass(kind)}
+    hints = get_type_hints(command)
+    grouped: dict[str, type] = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
     parameters: dict[str, inspect.Parameter] = {}
     for name, parameter in inspect.signature(command).parameters.items():
         for option in _options(grouped[name]) if name in grouped else [parameter]:

@@ -152,7 +152,9 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
     )
     with pycolmap.Database.open(database) as stored:
         for index, name in enumerate(names):
-            number = stored.read_image_with_name(name).image_id
+            found = stored.read_image_with_name(name)
+            assert found is not None  # its features have just been stored
+            number = found.image_id
             image = pycolmap.Image(name, stored.read_keypoints(number)[:, :2], 1, number)
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.inverse(scene.views[index].world_from_camera)[:3]))
     settings = pycolmap.IncrementalPipelineOptions()

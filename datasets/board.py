@@ -35,11 +35,18 @@ class Board(Schema):
 
     @classmethod
     def of(
-        cls, kind: Kind, squares_x: int, squares_y: int, square_length_m: float, marker_length_m: float = 0.0, **others: Any
+        cls,
+        kind: Kind,
+        squares_x: int,
+        squares_y: int,
+        square_length_m: float,
+        marker_length_m: float = 0.0,
+        dictionary: str = "DICT_5X5_100",
+        first_id: int = 0,
     ) -> Self:
-        """A board by its sizes [m]; `others` are the remaining fields by name."""
-        sizes = {"squares_x": squares_x, "squares_y": squares_y, "square_length_m": square_length_m}
-        return cls.model_validate({"kind": kind, **sizes, "marker_length_m": marker_length_m, **others})
+        """A board by what is printed on it: kind, squares, their side, that of a marker, dictionary, number of the first tag."""
+        values = (kind, squares_x, squares_y, square_length_m, marker_length_m, dictionary, False, first_id)
+        return cls.model_validate(dict(zip(cls.model_fields, values, strict=True)))
 
     @model_validator(mode="after")
     def _can_exist(self) -> Self:

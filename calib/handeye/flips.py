@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.core.errors import KoalaError
 
@@ -30,16 +30,16 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
     views = np.arange(len(camera_from_board))
     best, best_score = None, np.inf
     for reference in views[: min(len(views), 5)]:
-        turned = _by_angle(session.mount_poses, both, reference)
+        turned = _by_angle(session.stand_from_mount, both, reference)
         for _ in range(5):
             try:
-                answer, keep = closed_forms.solve_robustly(session.mount_poses, both[turned, views])
+                answer, keep = closed_forms.solve_robustly(session.stand_from_mount, both[turned, views])
             except KoalaError:
                 break
             score = answer.score(keep) / max(keep.mean(), 1e-9)
             if score < best_score:
                 best, best_score = turned, score
-            following = _by_place(session.mount_poses, both, answer)
+            following = _by_place(session.stand_from_mount, both, answer)
             if (following == turned).all():
                 break
             turned = following
@@ -59,15 +59,15 @@ def half_turn(session: TargetSession) -> Array:
     return pose.from_rotation_vector([0, 0, np.pi], [x, y, 0])
 
 
-def _by_angle(mount_poses: Array, both: Array, reference: int) -> NDArray[np.int64]:
+def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> NDArray[np.int64]:
     """(views,) 1 where the other reading turns by the angle that the arm turned by since the reference view."""
-    arm = pose.rotation_angle(pose.inverse(mount_poses[reference]) @ mount_poses)
+    arm = pose.rotation_angle(pose.inverse(stand_from_mount[reference]) @ stand_from_mount)
     seen = pose.rotation_angle(both @ pose.inverse(both[0, reference]))
     return np.abs(seen - arm).argmin(0)
 
 
-def _by_place(mount_poses: Array, both: Array, answer: closed_forms.HandEye) -> NDArray[np.int64]:
+def _by_place(stand_from_mount: Array, both: Array, answer: closed_forms.HandEye) -> NDArray[np.int64]:
     """(views,) 1 where the other reading puts the board nearer to where the answer has it."""
-    places = mount_poses @ answer.flange_from_camera @ both
-    distance, angle = pose.difference(places, answer.base_from_board)
+    places = stand_from_mount @ answer.mount_from_camera @ both
+    distance, angle = pose.difference(places, answer.stand_from_board)
     return np.hypot(distance, 0.5 * angle).argmin(0)

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import verify
 from calib.errors import CalibrationError
-from calib.handeye import refine
+from calib.handeye import refine, verify
 from calib.handeye.model import OFFSET_JOINTS, Accuracy, Session
 from calib.handeye.refine import Refined
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import kinematics, pose
 from datasets.calibration import JointOffsets
 

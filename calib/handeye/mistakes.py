@@ -23,8 +23,8 @@ FITS = 0.05
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
-def _turned(base_from_flange: Array, wxyz: Array) -> Array:
-    return np.stack([pose.from_quaternion(q, t) for q, t in zip(wxyz, base_from_flange[:, :3, 3], strict=True)])
+def _turned(stand_from_mount: Array, wxyz: Array) -> Array:
+    return np.stack([pose.from_quaternion(q, t) for q, t in zip(wxyz, stand_from_mount[:, :3, 3], strict=True)])
 
 
 def _orientations(given: Array) -> dict[str, Array]:
@@ -32,7 +32,7 @@ def _orientations(given: Array) -> dict[str, Array]:
     quaternions, vectors = pose.quaternion(given), pose.rotation_vector(given)
     found = {
         "": given,
-        "the arm's poses are inverse (flange_from_base instead of base_from_flange)": pose.inverse(given),
+        "the arm's poses are inverse (flange_from_base instead of stand_from_mount)": pose.inverse(given),
         "the arm's rotations are transposed (columns read as rows)": pose.rigid(np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3]),
         "quaternions are x y z w, but were read as w x y z": _turned(given, np.roll(quaternions, 1, -1)),
         "quaternions are w x y z, but were read as x y z w": _turned(given, np.roll(quaternions, -1, -1)),
@@ -50,26 +50,26 @@ _LENGTHS = {
 }
 
 
-def explain(base_from_flange: Array, camera_from_board: Array) -> None:
+def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
     """Raise a CalibrationError that names the mistake, where one explains why arm and pictures disagree; else return."""
-    found = recognise(base_from_flange, camera_from_board)
+    found = recognise(stand_from_mount, camera_from_board)
     if found:
         raise CalibrationError("pictures and arm poses do not fit together", why=f"it looks as if {found}",
                                remedy="correct the poses and run again")  # fmt: skip
 
 
-def recognise(base_from_flange: Array, camera_from_board: Array) -> str:
+def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
     """The mistake that explains the disagreement best, in words; empty where there is none, or none of those that are known.
 
     Args:
-        base_from_flange: (views, 4, 4) as given.
+        stand_from_mount: (views, 4, 4) as given.
         camera_from_board: (views, 4, 4) as seen.
     """
-    given = _disagreement(base_from_flange, camera_from_board)
+    given = _disagreement(stand_from_mount, camera_from_board)
     if given < POOR:
         return ""
     scores = {}
-    for (words, poses), (length_words, factor) in product(_orientations(base_from_flange).items(), _LENGTHS.items()):
+    for (words, poses), (length_words, factor) in product(_orientations(stand_from_mount).items(), _LENGTHS.items()):
         if words or length_words:
             scaled = pose.rigid(poses[:, :3, :3], factor * poses[:, :3, 3])
             scores["; and ".join(w for w in (words, length_words) if w)] = _disagreement(scaled, camera_from_board)
@@ -78,17 +78,17 @@ def recognise(base_from_flange: Array, camera_from_board: Array) -> str:
     return best if scores[best] * BETTER < given and scores[best] < FITS else ""
 
 
-def _disagreement(base_from_flange: Array, camera_from_board: Array) -> float:
+def _disagreement(stand_from_mount: Array, camera_from_board: Array) -> float:
     """Median disagreement of the views about the board's place, the arm's travel being 1 (and half a radian of rotation)."""
     scale = max(
-        np.linalg.norm(np.ptp(base_from_flange[:, :3, 3], axis=0)),
+        np.linalg.norm(np.ptp(stand_from_mount[:, :3, 3], axis=0)),
         np.linalg.norm(np.ptp(camera_from_board[:, :3, 3], axis=0)),
         1e-9,
     )
     best = np.inf
     for method in ("park", "shah"):
         try:
-            answer = closed_forms.solve(base_from_flange, camera_from_board, method)
+            answer = closed_forms.solve(stand_from_mount, camera_from_board, method)
         except KoalaError:
             continue
         each = np.hypot(answer.translation_residual_m / scale, 2 * answer.rotation_residual_rad)

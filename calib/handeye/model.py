@@ -10,10 +10,15 @@ beside, a small motion of the flange about its own origin. Corner k of that view
     project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
     project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
 
-Both are project(inverse(camera_pose) @ A[i] @ board_pose @ point[k]) with A[i] the pose of what carries the board in the frame of what
-carries the camera: inverse(flange[i]), or flange[i]. A small motion of the flange is then one of what is mounted on it.
+Both are one equation. The camera's `mount` is what carries it: the flange, or the base with the camera beside the arm. The board's
+`stand` is what carries the board: the base, or the flange. With these names corner k is predicted at
+
+    project(inverse(mount_from_camera) @ mount_from_stand[i] @ stand_from_board @ point[k]),
+
+where mount_from_stand[i] is inverse(flange[i]) or flange[i]. A small motion of the flange is one of what is mounted on it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -22,6 +27,7 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
 from calib.intrinsics import projection
+from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
 
@@ -95,7 +101,7 @@ class Session:
 
     @property
     def pose_names(self) -> tuple[str, str]:
-        """What camera_pose and board_pose are called here."""
+        """What mount_from_camera and stand_from_board are in this session."""
         return ("base_from_camera", "flange_from_board") if self.eye_to_hand else ("flange_from_camera", "base_from_board")
 
     @property
@@ -108,18 +114,26 @@ class Session:
         return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
 
 
+def measured(
+    session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
+) -> Session:
+    """All corners of a target session in one list."""
+    counts = [len(o.ids) for o in session.observations]
+    view = np.repeat(np.arange(len(counts)), counts)
+    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in session.observations), strict=True))
+    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints)
+    return Session(session.base_from_flange, view, pixels, points, *options)
+
+
 @dataclass(frozen=True)
 class State:
-    """The unknowns. Global parameters are ordered: free intrinsics, joint offsets, camera_pose (6), board_pose (6).
-
-    With the camera beside the arm, `flange_from_camera` holds base_from_camera and `base_from_board` holds flange_from_board.
-    """
+    """The unknowns. Global parameters are ordered: free intrinsics, joint offsets, mount_from_camera (6), stand_from_board (6)."""
 
     intrinsics: Array
     """(12,) in the order of `projection.NAMES`."""
-    flange_from_camera: Array
+    mount_from_camera: Array
     """(4, 4); perturbed from the left, translation first."""
-    base_from_board: Array
+    stand_from_board: Array
     """(4, 4); perturbed from the left, translation first."""
     corrections: Array
     """(views, 6): translation [m] and rotation vector [rad] of C[i]."""
@@ -132,8 +146,8 @@ class State:
         intrinsics[columns] += step[: len(columns)]
         offsets[OFFSET_JOINTS[: len(turns)]] += turns
         return replace(
-            self, intrinsics=intrinsics, flange_from_camera=perturbed(self.flange_from_camera, step[-12:-6]),
-            base_from_board=perturbed(self.base_from_board, step[-6:]), corrections=self.corrections + view_steps, offsets=offsets,
+            self, intrinsics=intrinsics, mount_from_camera=perturbed(self.mount_from_camera, step[-12:-6]),
+            stand_from_board=perturbed(self.stand_from_board, step[-6:]), corrections=self.corrections + view_steps, offsets=offsets,
         )  # fmt: skip
 
 
@@ -152,10 +166,10 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     if not chain.in_camera[:, 2].min() > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
     pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.fisheye)
-    by_camera_mount = by_camera @ chain.camera_from_mount
-    by_board_mount = by_camera_mount @ chain.mount_from_mount[view]
-    by_camera_pose = -by_motion(by_camera_mount, chain.on_camera_mount)
-    by_board_pose = by_motion(by_board_mount, chain.on_board_mount)
+    by_mount = by_camera @ chain.camera_from_mount
+    by_stand = by_mount @ chain.mount_from_stand[view]
+    by_camera_pose = -by_motion(by_mount, chain.on_mount)
+    by_board_pose = by_motion(by_stand, chain.on_stand)
     by_flange = by_board_pose if session.eye_to_hand else by_camera_pose
     rotation, right_jacobian = exponential(state.corrections[:, 3:])
     own = np.concatenate([by_flange[..., :3] @ np.swapaxes(rotation, 1, 2)[view], by_flange[..., 3:] @ right_jacobian[view]], -1)
@@ -173,11 +187,11 @@ def camera_points(session: Session, state: State) -> Array:
 class _Chain:
     """Corners (n, 3) in the frames from board to camera [m], and the rotations between what carries the two."""
 
-    on_board_mount: Array
-    on_camera_mount: Array
+    on_stand: Array
+    on_mount: Array
     in_camera: Array
-    mount_from_mount: Array
-    """(views, 3, 3) of A: camera's mount from board's mount."""
+    mount_from_stand: Array
+    """(views, 3, 3)."""
     camera_from_mount: Array
     """(3, 3)."""
 
@@ -186,11 +200,11 @@ def _chain(session: Session, state: State) -> _Chain:
     rotation, _ = exponential(state.corrections[:, 3:])
     flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
     mounts = flange if session.eye_to_hand else pose.inverse(flange)
-    camera_from_mount = pose.inverse(state.flange_from_camera)
-    on_board_mount = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
-    on_camera_mount = rotate(mounts[session.view, :3, :3], on_board_mount) + mounts[session.view, :3, 3]
-    in_camera = on_camera_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
-    return _Chain(on_board_mount, on_camera_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
+    camera_from_mount = pose.inverse(state.mount_from_camera)
+    on_stand = session.points @ state.stand_from_board[:3, :3].T + state.stand_from_board[:3, 3]
+    on_mount = rotate(mounts[session.view, :3, :3], on_stand) + mounts[session.view, :3, 3]
+    in_camera = on_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
+    return _Chain(on_stand, on_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
 
 
 def _reported(session: Session, state: State) -> Array:

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.handeye import refine, uncertainty
+from calib.handeye import model, refine, uncertainty
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 
 LIMIT = 6.0
 """Correction in usual sizes from which on a view is left out; an honest one gets there once in ten million times."""
@@ -47,7 +47,7 @@ def refine_without(
     while True:
         check_enough(session.observations, 0 if not free else MIN_TOTAL_CORNERS)
         uncertainty.check_motion(session.base_from_flange)
-        measured = session.measured(free, known, accuracy, fisheye)
+        measured = model.measured(session, free, known, accuracy, fisheye)
         refined = refine.refine(measured, start, sigma_px=sigma_px)
         bad = disagreeing(refined, accuracy)
         if not bad.any() or len(left_out) + bad.sum() > allowed:

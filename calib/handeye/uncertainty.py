@@ -77,9 +77,9 @@ def covariance(session: Session, refined: Refined) -> Array:
 
 
 def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPose, UncertainPose]:
-    """(flange_from_camera, base_from_board) with their (6, 6) covariances out of the `joint` (p, p) one."""
+    """(mount_from_camera, stand_from_board) with their (6, 6) covariances out of the `joint` (p, p) one."""
     state = refined.state
-    return UncertainPose(state.flange_from_camera, joint[-12:-6, -12:-6]), UncertainPose(state.base_from_board, joint[-6:, -6:])
+    return UncertainPose(state.mount_from_camera, joint[-12:-6, -12:-6]), UncertainPose(state.stand_from_board, joint[-6:, -6:])
 
 
 def _units(session: Session) -> Array:

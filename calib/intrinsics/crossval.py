@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib.intrinsics import estimate
 from calib.intrinsics.estimate import Lens
-from calib.targets.target import Observation
+from calib.targets.detection import Observation
 from datasets import pose
 from datasets.camera_model import Camera
 

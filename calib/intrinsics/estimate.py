@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.intrinsics import bundle, projection
 from calib.targets import screening
-from calib.targets.target import Observation
+from calib.targets.detection import Observation
 from datasets import conventions, pose
 from datasets.camera_model import Camera
 

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import calibrate, verify
+from calib import calibrate
 from calib.calibrate import Solution
 from calib.errors import CalibrationError
+from calib.handeye import verify
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate, projection
 from calib.page import figures
-from calib.session import TargetSession, observe_recording
+from calib.sessions.session import TargetSession, observe_recording
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError

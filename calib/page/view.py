@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from calib.errors import CalibrationError
 from calib.page import figures
 from calib.page.evidence import AFTER, Evidence, Sighting, gather, recording_of
-from calib.page.words import describe_calibration
-from calib.targets.target import Board
+from calib.page.summary import describe_calibration
+from calib.targets.detection import read_board
+from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
@@ -62,7 +63,7 @@ class CalibrationView:
         place = np.eye(4) if self.calibration.base_from_board is None else self.calibration.base_from_board.matrix
         content = self.calibration.provenance.get("board")
         if content is not None and not self.beside:
-            add_board(self.page, "/target", Board.from_json(content, where="calibration file, board"), place)
+            add_board(self.page, "/target", read_board(content, where="calibration file, board"), place)
         if self.calibration.base_from_camera is not None:
             place = self.calibration.base_from_camera.matrix
             shapes.add_camera(self.page, "/camera", place, self.calibration.camera, colour=shapes.colour_of("train"), length=0.1)

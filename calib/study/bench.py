@@ -24,13 +24,13 @@ from calib.intrinsics import bundle
 from calib.study import ratios
 from calib.study.ratios import Ratio
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
 
 Array = NDArray[np.float64]
-RIG = replace(KOALA, board=Board("chessboard", 7, 6, 0.04))
+RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
 """The Koala rig with a board of 30 corners, seen whole."""
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
 FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
@@ -212,7 +212,7 @@ def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, 
     drawn = simulate(rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm,
                      free=point.free)  # fmt: skip
     drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
-    methods[DRAWN].add(drawn.truth.flange_from_camera, efficient(drawn, sigmas), 0.0)
+    methods[DRAWN].add(drawn.truth.mount_from_camera, efficient(drawn, sigmas), 0.0)
     _compare(drawn, point, methods)
     return bound(drawn, sigmas)
 
@@ -229,17 +229,17 @@ def _compare(drawn: Simulated, point: Point, methods: dict[str, Errors]) -> None
         except KoalaError:
             methods[name].failures += 1
             continue
-        methods[name].add(truth.flange_from_camera, answer.flange_from_camera, time.process_time() - start)
+        methods[name].add(truth.mount_from_camera, answer.mount_from_camera, time.process_time() - start)
         answers.append(answer)
     best = min(answers, key=lambda answer: answer.score(np.ones(point.views, bool)))
     start = time.process_time()
-    first = State(seen.intrinsics, best.flange_from_camera, best.base_from_board, np.zeros((point.views, 6)))
+    first = State(seen.intrinsics, best.mount_from_camera, best.stand_from_board, np.zeros((point.views, 6)))
     try:
         refined = refine.refine(session, first, sigma_px=_spread(seen.residuals, point.views, len(point.free)))
     except KoalaError:
         methods[REFINED].failures += 1
         return
-    methods[REFINED].add(truth.flange_from_camera, refined.state.flange_from_camera, time.process_time() - start)
+    methods[REFINED].add(truth.mount_from_camera, refined.state.mount_from_camera, time.process_time() - start)
 
 
 def _spread(residuals: Array, views: int, free: int) -> float:
@@ -250,11 +250,11 @@ def _spread(residuals: Array, views: int, free: int) -> float:
 def efficient(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     """(4, 4) the hand-eye pose of the truth plus one Gauss-Newton step on the session's noise: what an efficient estimator finds."""
     step, _ = refine.linear_system(drawn.session, drawn.truth, sigmas).step(0.0)
-    return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).flange_from_camera
+    return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).mount_from_camera
 
 
 def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     """(2,) variances of the hand-eye pose over all axes that a session allows: translation [m^2], rotation [rad^2]."""
     inverse = np.linalg.inv(refine.linear_system(drawn.session, drawn.truth, sigmas).root)
-    stated = UncertainPose(drawn.truth.flange_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
+    stated = UncertainPose(drawn.truth.mount_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
     return np.array([np.sum((1e-3 * stated.translation_std_mm) ** 2), np.sum(np.deg2rad(stated.rotation_std_deg) ** 2)])

@@ -114,7 +114,7 @@ def write(folder: Path, results: Sequence[Result]) -> None:
     """Write bench.csv, bench.md and bench.png into a new folder."""
     with files.atomic_folder(folder) as temporary:
         text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, restval="")
+        writer: csv.DictWriter[str] = csv.DictWriter(text, COLUMNS, restval="")
         writer.writeheader()
         writer.writerows(rows(results))
         files.write_text(temporary / "bench.csv", text.getvalue())

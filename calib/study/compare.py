@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib import calibrate, verify
+from calib import calibrate
 from calib.calibrate import STATED
-from calib.handeye import closed_forms, refine
+from calib.handeye import closed_forms, model, refine, verify
 from calib.handeye.model import Accuracy, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
@@ -51,7 +51,7 @@ def compare(
     solution = calibrate.solve(session, given, accuracy, lens)
     first, fit = solution.first, solution.fit
     session, boards, camera = first.session, solution.boards, first.camera
-    measured = session.measured(first.free, first.known, accuracy, camera.fisheye)
+    measured = model.measured(session, first.free, first.known, accuracy, camera.fisheye)
     rows = [_closed_form(name, session, boards, measured, projection.vector(camera)) for name in closed_forms.METHODS]
     start = replace(solution.start(), corrections=np.zeros((len(boards), 6)))
     rows.append(
@@ -65,8 +65,8 @@ def compare(
 
 
 def _refined(name: str, session: TargetSession, boards: Array, measured: Session, refined: Refined) -> Judged:
-    pose_found = refined.state.flange_from_camera
-    residual = _residual(session.mount_poses, boards, pose_found)
+    pose_found = refined.state.mount_from_camera
+    residual = _residual(session.stand_from_mount, boards, pose_found)
     held_out = verify.held_out(measured, refined)
     pixels, millimetres = (np.nan if value is None else value for value in (held_out["held_out_px"], held_out["held_out_mm"]))
     return Judged(name, pose_found, *residual, pixels, millimetres, len(boards))
@@ -74,14 +74,14 @@ def _refined(name: str, session: TargetSession, boards: Array, measured: Session
 
 def _closed_form(name: str, session: TargetSession, boards: Array, measured: Session, camera: Array) -> Judged:
     """A closed form on all views, and fold by fold on those that it has not seen."""
-    mount, views = session.mount_poses, len(boards)
+    mount, views = session.stand_from_mount, len(boards)
     try:
         answer = closed_forms.solve(mount, boards, name)
         errors = []
         for fold in range(verify.FOLDS):
             seen = np.arange(views) % min(verify.FOLDS, views) != fold
             part = closed_forms.solve(mount[seen], boards[seen], name)
-            state = State(camera, part.flange_from_camera, part.base_from_board, np.zeros((views, 6)))
+            state = State(camera, part.mount_from_camera, part.stand_from_board, np.zeros((views, 6)))
             rest = measured.some(~seen[measured.view])
             if len(rest.view):
                 errors.append(verify.errors(rest, state))
@@ -90,8 +90,8 @@ def _closed_form(name: str, session: TargetSession, boards: Array, measured: Ses
     pixels, millimetres = (np.concatenate([e[i] for e in errors]) for i in (0, 1))
     return Judged(
         name,
-        answer.flange_from_camera,
-        *_residual(mount, boards, answer.flange_from_camera),
+        answer.mount_from_camera,
+        *_residual(mount, boards, answer.mount_from_camera),
         verify.rms(pixels),
         verify.rms(millimetres),
         views,

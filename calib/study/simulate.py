@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from calib.handeye import model
 from calib.handeye.model import Accuracy, Session, State
 from calib.intrinsics import projection
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation
 from datasets import pose
+from datasets.board import Board
 from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Pattern:
 
 KOALA = Rig(
     Camera(1920, 1080, 1700.0, 1698.0, 968.0, 534.0, -0.08, 0.05, 0.0006, -0.0004, 0.0),
-    Board("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
+    Board.of("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
     pose.from_rotation_vector([np.deg2rad(45), 0, 0], [0.0, 0.06, 0.08]),
     pose.from_rotation_vector([np.pi, 0.0, 0.0], [0.265, 0.105, 0.003]),
 )

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.targets.target import Board
+from datasets.board import Board
 from datasets.core import files
 from datasets.core.errors import UsageError
 
@@ -23,29 +23,29 @@ POINTS_PER_MM = 72 / 25.4
 def dark_rectangles(board: Board) -> Array:
     """(n, 4) x, y, width, height [m] in the board frame of everything that is printed black."""
     side, found = board.square_length_m, []
-    if board.type != "tags":
+    if board.kind != "tags":
         found += [
             (x * side, y * side, side, side)
             for y in range(board.squares_y)
             for x in range(board.squares_x)
             if _is_dark(board, x, y)
         ]
-    if board.type != "chessboard":
+    if board.kind != "chessboard":
         margin = (side - board.marker_length_m) / 2
         for number, (x, y) in enumerate(_marker_squares(board)):
-            cells = _marker(board, board.first_id + number if board.type == "tags" else number)
+            cells = _marker(board, board.first_id + number if board.kind == "tags" else number)
             found += _cells(cells, x * side + margin, y * side + margin, board.marker_length_m / len(cells))
     return np.array(found)
 
 
 def _is_dark(board: Board, x: int, y: int) -> bool:
-    return (x + y + (board.squares_y % 2 == 0 and board.type == "charuco" and board.legacy_pattern)) % 2 == 0
+    return (x + y + (board.squares_y % 2 == 0 and board.kind == "charuco" and board.legacy_pattern)) % 2 == 0
 
 
 def _marker_squares(board: Board) -> list[tuple[int, int]]:
     """(column, row) of the squares that hold markers, in the order of their numbers."""
     squares = [(x, y) for y in range(board.squares_y) for x in range(board.squares_x)]
-    return squares if board.type == "tags" else [(x, y) for x, y in squares if not _is_dark(board, x, y)]
+    return squares if board.kind == "tags" else [(x, y) for x, y in squares if not _is_dark(board, x, y)]
 
 
 def _marker(board: Board, number: int) -> NDArray[np.bool_]:
@@ -81,9 +81,9 @@ def page_mm(board: Board) -> tuple[float, float]:
 
 
 def _label(board: Board) -> str:
-    marker = f", markers {1e3 * board.marker_length_m:g} mm {board.dictionary}" if board.type != "chessboard" else ""
-    first = f" from {board.first_id}" if board.type == "tags" else ""
-    return f"{board.type} {board.squares_x}x{board.squares_y}, squares {1e3 * board.square_length_m:g} mm{marker}{first}; bar: 100 mm"
+    marker = f", markers {1e3 * board.marker_length_m:g} mm {board.dictionary}" if board.kind != "chessboard" else ""
+    first = f" from {board.first_id}" if board.kind == "tags" else ""
+    return f"{board.kind} {board.squares_x}x{board.squares_y}, squares {1e3 * board.square_length_m:g} mm{marker}{first}; bar: 100 mm"
 
 
 def _placed(board: Board) -> Array:

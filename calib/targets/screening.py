@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.targets.target import MIN_CORNERS, Observation
+from calib.targets.detection import MIN_CORNERS, Observation
 
 TOLERANCE = 1.0
 """How far, in lengths between neighbouring corners, a lens may bend a flat target's picture away from a homography."""

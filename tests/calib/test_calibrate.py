@@ -3,10 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate, verify
+from calib import calibrate
 from calib.errors import TargetError, Unobservable
+from calib.handeye import verify
 from calib.handeye.model import Accuracy
-from calib.session import TargetSession, observe_recording
+from calib.sessions.session import TargetSession, observe_recording
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError

@@ -7,7 +7,7 @@ from calib.calibrate import calibrate_handeye
 from calib.errors import CalibrationError, Unobservable
 from calib.handeye import mistakes
 from calib.intrinsics import estimate
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import pose
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])

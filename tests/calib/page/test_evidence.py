@@ -9,7 +9,7 @@ import pytest
 from calib import calibrate
 from calib.page.evidence import AFTER, ALONE, BEFORE, gather, recording_of
 from calib.page.view import ARROW, between_green_and_red, decoded, overall, with_arrows
-from calib.session import observe_recording
+from calib.sessions.session import observe_recording
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError

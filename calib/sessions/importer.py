@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from calib.errors import CalibrationError
-from calib.session import TargetSession, observe
-from calib.targets.target import Board
+from calib.sessions.session import TargetSession, observe
+from calib.targets.detection import check_markers
 from datasets import conventions, pose
+from datasets.board import Board
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
@@ -86,7 +87,7 @@ class Description(Schema):
     angle: Literal["rad", "deg"] = Field(default="rad", description="unit of rotation vectors")
     inverse: bool = Field(default=False, description="true where the poses are flange_from_base; else base_from_flange")
     eye_to_hand: bool = Field(default=False, description="true where the camera stands beside the arm and holds still")
-    board: dict[str, Any] = Field(description="the target: type, squares_x, squares_y, square_length_m, ...")
+    board: Board = Field(description="the target: type, squares_x, squares_y, square_length_m, ...")
     camera: CameraNumbers | None = Field(default=None, description="a camera calibrated elsewhere; null: estimated along")
 
     @model_validator(mode="after")
@@ -115,7 +116,7 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
         TargetError: the target is in no image.
     """
     folder = Path(folder)
-    board = Board.from_json(description.board, where="description, board")
+    board = check_markers(description.board, where="description, board")
     images = matching(folder, description.images)
     if not images:
         raise UsageError(

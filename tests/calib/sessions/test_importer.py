@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from calib import importer
 from calib.calibrate import calibrate_handeye
 from calib.errors import CalibrationError
+from calib.sessions import importer
 from datasets import pose
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 

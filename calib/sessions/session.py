@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import TargetError
-from calib.handeye.model import Accuracy, Known, Session
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation, detect, read_board
 from datasets import pose
+from datasets.board import Board
 from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import FRAMES, MANIFEST, Recording
@@ -38,8 +38,8 @@ class TargetSession:
     """(views, 6) joint angles as reported [rad], where the session holds them."""
 
     @property
-    def mount_poses(self) -> NDArray[np.float64]:
-        """(views, 4, 4) of what carries the camera, from what carries the board: base_from_flange or, beside the arm, its inverse."""
+    def stand_from_mount(self) -> NDArray[np.float64]:
+        """(views, 4, 4) base_from_flange or, with the camera beside the arm, its inverse; `calib.handeye.model` defines the names."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
     def chosen(self, keep: NDArray[np.bool_]) -> Self:
@@ -52,14 +52,6 @@ class TargetSession:
         rows = [names.index(o.name) for o in observations]
         joints = None if self.joints is None else self.joints[rows]
         return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows], joints=joints)
-
-    def measured(self, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False) -> Session:
-        """All corners in one list, for the refinement."""
-        counts = [len(o.ids) for o in self.observations]
-        return Session(
-            self.base_from_flange, np.repeat(np.arange(len(counts)), counts), np.concatenate([o.pixels for o in self.observations]),
-            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy, fisheye, self.eye_to_hand, self.joints,
-        )  # fmt: skip
 
 
 def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -95,7 +87,7 @@ def observe(
             raise TargetError("image has another size than the first", where=image,
                               why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
                               remedy="record a session with one camera setting")  # fmt: skip
-        observation = board.detect(picture, name)
+        observation = detect(board, picture, name)
         if observation is None:
             unseen.append(name)
         else:
@@ -113,7 +105,7 @@ def observe(
 def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
     """Find the target of a recording in its frames. Nothing under its truth folder is read."""
     recording = Recording.open(path)
-    board = Board.from_json(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
+    board = read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
     views = [
         (f.name, files.inside(recording.path, f.image, where=f"{path}, frame {f.name}"), f.base_from_flange)
         for f in recording.frames
@@ -131,4 +123,4 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
 
 def describe(board: Board) -> str:
     """A few words on a board."""
-    return f"a {board.squares_x}x{board.squares_y} {board.type} board with squares of {1e3 * board.square_length_m:g} mm"
+    return f"a {board.squares_x}x{board.squares_y} {board.kind} board with squares of {1e3 * board.square_length_m:g} mm"

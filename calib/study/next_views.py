@@ -54,7 +54,7 @@ class Reach:
 
 
 @dataclass(frozen=True)
-class Advice:
+class NextViews:
     """Views to take next, the most useful first."""
 
     base_from_camera: Array
@@ -65,7 +65,7 @@ class Advice:
     """The same after each view, expected."""
 
 
-def advise(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> Advice:
+def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
     """The next `count` views after a session that has been solved, camera on the flange.
 
     Raises:
@@ -75,9 +75,9 @@ def advise(solution: Solution, count: int, *, reach: Reach | None = None, grow_m
     if fit.session.eye_to_hand:
         raise CalibrationError("views are planned for a camera on the flange only", why="this one stands beside the arm")
     state = fit.refined.state
-    flown = fit.session.base_from_flange @ state.flange_from_camera
+    flown = fit.session.base_from_flange @ state.mount_from_camera
     camera = projection.with_vector(solution.first.camera, state.intrinsics)
-    rig = Rig(camera, fit.session.board, state.flange_from_camera, state.base_from_board)
+    rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
     candidates = _candidates(np.random.default_rng(seed), rig, flown, reach or Reach.of(flown, grow_m))
     informations, showing = [], []
     for candidate in candidates:
@@ -94,7 +94,7 @@ def advise(solution: Solution, count: int, *, reach: Reach | None = None, grow_m
         total = total + informations[best]
         chosen.append(showing[best])
         after.append(_deviations(total, state))
-    return Advice(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
+    return NextViews(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
 
 
 def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Reach) -> list[Array]:
@@ -116,7 +116,7 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
     reported = candidate @ pose.inverse(rig.flange_from_camera)
     session = Session(reported[None], np.zeros(len(points), np.int64), np.zeros((len(points), 2)), points, measured.free,
                       accuracy=measured.accuracy, fisheye=measured.fisheye)  # fmt: skip
-    state = State(refined.state.intrinsics, refined.state.flange_from_camera, refined.state.base_from_board, np.zeros((1, 6)))
+    state = State(refined.state.intrinsics, refined.state.mount_from_camera, refined.state.stand_from_board, np.zeros((1, 6)))
     if model.camera_points(session, state)[:, 2].min() <= 1e-3:
         return None
     pixels = model.predict(session, state)[0]
@@ -129,7 +129,7 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:
     """Standard deviations of the hand-eye pose over all axes: translation [mm], rotation [deg]."""
-    stated = UncertainPose(state.flange_from_camera, np.linalg.inv(information)[-12:-6, -12:-6])
+    stated = UncertainPose(state.mount_from_camera, np.linalg.inv(information)[-12:-6, -12:-6])
     return float(np.linalg.norm(stated.translation_std_mm)), float(np.linalg.norm(stated.rotation_std_deg))
 
 
@@ -139,15 +139,19 @@ def _score(information: Array, state: State) -> float:
     return (1e-3 * translation_mm) ** 2 + (LEVER_M * np.deg2rad(rotation_deg)) ** 2
 
 
-def write_trajectory(path: Path, advice: Advice, manifest: dict[str, Any]) -> None:
-    """Write the views as a trajectory file for 'capture plan' and 'capture run', with all else as the recording had it."""
+def write_trajectory(path: Path, found: NextViews, manifest: dict[str, Any]) -> None:
+    """Write the views as a trajectory file for 'capture plan' and 'capture run'; everything else is as in the recording's `manifest`."""
     recorded = manifest.get("trajectory") or {}
     kept = {key: recorded[key] for key in ("camera", "motion", "safety", "target", "board") if recorded.get(key) is not None}
-    views = [{"position": matrix[:3, 3].round(6).tolist(), "quaternion_wxyz": pose.quaternion(matrix).round(9).tolist()}
-             for matrix in advice.base_from_camera]  # fmt: skip
-    content = {"format": "koala-trajectory", "version": 1, "name": f"{recorded.get('name', 'calibration')}_next",
-               "views": [{"kind": "poses", "poses": views}], **kept}  # fmt: skip
-    before, after = advice.before, advice.after[-1]
-    head = (f"# The {len(views)} views that tell most beside those recorded: the hand-eye pose is known to {before[0]:.4f} mm, "
-            f"{before[1]:.5f} deg now,\n# and is expected to be to {after[0]:.4f} mm, {after[1]:.5f} deg with them.\n")  # fmt: skip
-    files.write_text(path, head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=130))
+    poses = [
+        {"position": matrix[:3, 3].round(6).tolist(), "quaternion_wxyz": pose.quaternion(matrix).round(9).tolist()}
+        for matrix in found.base_from_camera
+    ]
+    name = f"{recorded.get('name', 'calibration')}_next"
+    head = {"format": "koala-trajectory", "version": 1, "name": name, "views": [{"kind": "poses", "poses": poses}]}
+    before, after = found.before, found.after[-1]
+    comment = (
+        f"# The {len(poses)} most informative views after those recorded. Standard deviation of the hand-eye pose now:\n"
+        f"# {before[0]:.4f} mm, {before[1]:.5f} deg; expected with these views: {after[0]:.4f} mm, {after[1]:.5f} deg.\n"
+    )
+    files.write_text(path, comment + yaml.safe_dump({**head, **kept}, sort_keys=False, default_flow_style=None, width=130))

@@ -14,11 +14,11 @@ from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate
-from calib.session import TargetSession
-from calib.study import advice
+from calib.sessions.session import TargetSession
+from calib.study import next_views
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
@@ -62,7 +62,7 @@ class Outcome:
 
 
 def _with_board(x: int, y: int, square_m: float) -> Rig:
-    return replace(KOALA, board=Board("charuco", x, y, square_m, 0.73 * square_m, "DICT_5X5_250"))
+    return replace(KOALA, board=Board.of("charuco", x, y, square_m, 0.73 * square_m, "DICT_5X5_250"))
 
 
 A3, DENSE = _with_board(12, 9, 0.03), _with_board(18, 13, 0.02)
@@ -125,9 +125,9 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     assert found.flange_from_camera is not None  # the camera is on the flange
     camera = _plain_camera(session, given)
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
-    truth = simulated.truth.flange_from_camera
+    truth = simulated.truth.mount_from_camera
     stated = found.flange_from_camera
-    return np.array([_error(truth, stated.matrix), _error(truth, park.flange_from_camera),
+    return np.array([_error(truth, stated.matrix), _error(truth, park.mount_from_camera),
                      [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)]])  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def _flown(variant: Variant, rng: np.random.Generator) -> Array:
     if not variant.planned:
         return drawn
     solution = calibrate.solve(target_session(_simulated(variant, rng, drawn)), accuracy=ARM)
-    return np.concatenate([drawn, advice.advise(solution, variant.planned).base_from_camera])
+    return np.concatenate([drawn, next_views.plan(solution, variant.planned).base_from_camera])
 
 
 def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Array) -> Simulated:

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from calib import calibrate
-from calib.page import report_page
-from calib.study import study
+from calib.page import report
+from calib.study import variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 from datasets.calibration import Calibration
@@ -21,18 +21,18 @@ from datasets.reports.html import Number
 
 def solved(given=None):
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=study.ARM)
-    session = study.target_session(simulated)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=variants.ARM)
+    session = variants.target_session(simulated)
     reported = session.base_from_flange.copy()
     reported[5] = reported[5] @ pose.from_rotation_vector([0, 0, 0], [0.01, 0, 0])
-    session = study.TargetSession(session.board, 1920, 1080, session.observations, reported, unseen=("<b>012",))
-    solution = calibrate.solve(session, given, study.ARM)
-    return calibrate.finished(solution, study.ARM, given is not None), solution
+    session = variants.TargetSession(session.board, 1920, 1080, session.observations, reported, unseen=("<b>012",))
+    solution = calibrate.solve(session, given, variants.ARM)
+    return calibrate.finished(solution, variants.ARM, given is not None), solution
 
 
 @pytest.fixture(scope="module")
 def text():
-    return report_page.page(*solved(), made_by="calib report REC --out page.html").render()
+    return report.page(*solved(), made_by="calib report REC --out page.html").render()
 
 
 def pictures(text):
@@ -68,11 +68,11 @@ def test_words_and_names_are_there_and_escaped(text):
 
 
 def test_a_given_camera_is_not_cross_validated():
-    text = report_page.page(*solved(Calibration(KOALA.camera, {}))).render()
+    text = report.page(*solved(Calibration(KOALA.camera, {}))).render()
     assert "The camera was given" in text and len(pictures(text)) == 6
 
 
 def test_nothing_is_overwritten(tmp_path):
     (tmp_path / "page.html").write_text("mine")
     with pytest.raises(UsageError, match="already exists"):
-        report_page.write(tmp_path / "page.html", *solved())
+        report.write(tmp_path / "page.html", *solved())

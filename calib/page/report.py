@@ -8,7 +8,7 @@ from calib.calibrate import Solution
 from calib.errors import CalibrationError
 from calib.intrinsics import crossval, estimate
 from calib.page import figures
-from calib.page.words import notes
+from calib.page.summary import notes
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.reports.html import Number, ReportPage

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms
+from calib.handeye import closed_forms, model
 from calib.handeye.model import Accuracy, Session, State, camera_points, predict
 from calib.handeye.refine import Refined, fit_board, refine
 from calib.intrinsics import estimate, projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
@@ -33,12 +33,15 @@ class Verification:
     """By name of the view [px]."""
     corners: int
     """Corners compared."""
-    base_from_board: Array
+    stand: str
+    """What carries the board: "base" or "flange"."""
+    stand_from_board: Array
     """(4, 4) as fitted."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary."""
-        return {**vars(self), "views": len(self.view_rms_px), "base_from_board": self.base_from_board.tolist()}
+        numbers = {k: v for k, v in vars(self).items() if not k.startswith("stand")}
+        return {**numbers, f"{self.stand}_from_board": self.stand_from_board.tolist(), "views": len(self.view_rms_px)}
 
 
 def verify(session: TargetSession, calibration: Calibration) -> Verification:
@@ -52,14 +55,14 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
         raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     check_size(session, calibration.camera)
     session = _with_joints_corrected(session, calibration)
-    camera, flange_from_camera = calibration.camera, mount.matrix
+    camera, stand = calibration.camera, "flange" if session.eye_to_hand else "base"
     boards = estimate.camera_from_boards(camera, session.observations)
-    board = closed_forms.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
-    measured = session.measured(projection.NAMES, None, Accuracy(), camera.fisheye)
-    state = fit_board(measured, State(projection.vector(camera), flange_from_camera, board, np.zeros((len(boards), 6))))
+    board = closed_forms.assess(session.stand_from_mount, boards, mount.matrix, "given").stand_from_board
+    measured = model.measured(session, projection.NAMES, None, Accuracy(), camera.fisheye)
+    state = fit_board(measured, State(projection.vector(camera), mount.matrix, board, np.zeros((len(boards), 6))))
     residuals, millimetres = errors(measured, state)
     by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}
-    return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), state.base_from_board)
+    return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), stand, state.stand_from_board)
 
 
 def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> TargetSession:

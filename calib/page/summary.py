@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.verify import Verification
+from calib.handeye.verify import Verification
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 
