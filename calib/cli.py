@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.options import Arm, JointDeg, Lens, Pictures, Rig, check_lens, spread
+from calib.options import Arm, Import, JointDeg, Lens, Pictures, Rig, check_lens, spread
 from datasets.core import console
 from datasets.core.console import Json
 
@@ -14,6 +14,12 @@ if TYPE_CHECKING:
 
 app = console.make_app("calib", "Calibrate the camera and its place on the arm from a recording of a target.")
 
+CalibrationFile = Annotated[
+    Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")
+]
+RecordingMoved = Annotated[
+    Path | None, typer.Option("--recording", help="Folder that the calibration was made from; needed only if it was moved.")
+]
 Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSON).")]
 
 
@@ -77,35 +83,33 @@ def verify_command(
 
 
 @app.command("report")
-@spread
 def report_command(
-    rig: Rig,
+    path: CalibrationFile,
     out: Annotated[Path, typer.Option("--out", help="HTML page to write.")],
-    joint_deg: JointDeg = 0.0,
+    recording: RecordingMoved = None,
+    description: Import = None,
     json: Json = False,
 ) -> None:
-    """A page with figures of a calibration.
+    """Write a page about a calibration.
 
-    Residuals over the image, errors of each view, coverage, error ellipses. Calibrates as 'calib handeye' does.
+    It shows residuals over the image, errors of each view, coverage and error ellipses. The calibration is shown as stored; the target
+    is found in the recording again.
     """
-    from calib import calibrate
     from calib.page import report
+    from calib.page.evidence import gather, recording_of
+    from datasets.calibration import Calibration
 
-    accuracy = rig.accuracy(joint_deg)
     _check_out(out)
-    session, given = rig.read()
-    solution = calibrate.solve(session, given, accuracy, rig.lens)
-    calibration = calibrate.finished(solution, accuracy, given is not None)
-    report.write(out, calibration, solution, made_by=console.command_line())
+    calibration = Calibration.load(path)
+    session, _ = Pictures(recording=recording_of(calibration, recording), description=description).observe()
+    report.write(out, gather(calibration, session), made_by=console.command_line())
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
 @app.command("view")
 def view_command(
-    path: Annotated[Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")],
-    recording: Annotated[
-        Path | None, typer.Option("--recording", help="Where its recording is now, if not where it was.")
-    ] = None,
+    path: CalibrationFile,
+    recording: RecordingMoved = None,
     port: console.Port = 8080,
     json: Json = False,
 ) -> None:

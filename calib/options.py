@@ -64,29 +64,18 @@ class Pictures:
     description: Import = None
 
     def observe(self) -> "tuple[TargetSession, Calibration | None]":
-        """Find the target in every frame, with a progress bar; and the camera, where an imported session brings its own."""
-        from calib.sessions import importer
-        from calib.sessions.session import observe_recording
+        """Find the target in every image, with a progress bar; and the camera, where an imported session brings its own."""
+        from calib.sessions.importer import count_views, observe_folder
         from datasets.calibration import Calibration
-        from datasets.recording import Recording
 
-        folder, imported = self.recording, None
-        if importer.describes(folder, self.description):
-            imported = importer.load_description(folder, self.description)
-        elif folder.is_dir() and not (folder / "manifest.json").is_file():
-            raise UsageError("is neither a recording nor a folder to import", where=folder, why="no manifest.json and no import.yaml in it",
-                         remedy="describe images and poses in a file, see docs/calibration.md, and give it as --import")  # fmt: skip
-        number = len(importer.matching(folder, imported.images)) if imported else len(Recording.open(folder).frames)
-        with console.progress("finding the target", number, "views") as bar:
+        with console.progress("finding the target", count_views(self.recording, self.description), "views") as bar:
 
             def seen(words: str) -> None:
                 bar.note(words)
                 bar.advance()
 
-            if imported is None:
-                return observe_recording(folder, seen=seen), None
-            session = importer.import_session(folder, imported, seen=seen)
-            return session, Calibration(imported.camera.camera(), {}) if imported.camera else None
+            session, camera = observe_folder(self.recording, self.description, seen=seen)
+        return session, Calibration(camera, {}) if camera else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,18 +39,35 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
             score = answer.score(keep) / max(keep.mean(), 1e-9)
             if score < best_score:
                 best, best_score = turned, score
-            following = _by_place(session.stand_from_mount, both, answer)
+            following = _by_place(session.stand_from_mount, both, answer.mount_from_camera, answer.stand_from_board)
             if (following == turned).all():
                 break
             turned = following
     if best is None:
         raise CalibrationError("chessboard cannot be read the same way round in all views", remedy="use a board with an odd number "
                                "of squares one way and an even number the other")  # fmt: skip
-    observations = tuple(
-        replace(o, ids=len(session.board.points) - 1 - o.ids, points=session.board.points[len(session.board.points) - 1 - o.ids])
-        if t else o for o, t in zip(session.observations, best, strict=True)
-    )  # fmt: skip
-    return replace(session, observations=observations), both[best, views]
+    return _turned(session, best), both[best, views]
+
+
+def as_placed(
+    session: TargetSession, camera_from_board: Array, mount_from_camera: Array, stand_from_board: Array
+) -> tuple[TargetSession, Array]:
+    """The same where the calibration is known: every view is read as its poses have the board."""
+    if not session.board.is_ambiguous:
+        return session, camera_from_board
+    both = np.stack([camera_from_board, camera_from_board @ half_turn(session)])
+    chosen = _by_place(session.stand_from_mount, both, mount_from_camera, stand_from_board)
+    return _turned(session, chosen), both[chosen, np.arange(len(camera_from_board))]
+
+
+def _turned(session: TargetSession, turned: NDArray[np.int64]) -> TargetSession:
+    """The session with the views of which `turned` (views,) is 1 read the other way round."""
+    points, last = session.board.points, len(session.board.points) - 1
+    observations = [
+        replace(o, ids=last - o.ids, points=points[last - o.ids]) if other else o
+        for o, other in zip(session.observations, turned, strict=True)
+    ]
+    return replace(session, observations=tuple(observations))
 
 
 def half_turn(session: TargetSession) -> Array:
@@ -66,8 +83,7 @@ def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> NDArray[n
     return np.abs(seen - arm).argmin(0)
 
 
-def _by_place(stand_from_mount: Array, both: Array, answer: closed_forms.HandEye) -> NDArray[np.int64]:
+def _by_place(stand_from_mount: Array, both: Array, mount_from_camera: Array, stand_from_board: Array) -> NDArray[np.int64]:
     """(views,) 1 where the other reading puts the board nearer to where the answer has it."""
-    places = stand_from_mount @ answer.mount_from_camera @ both
-    distance, angle = pose.difference(places, answer.stand_from_board)
+    distance, angle = pose.difference(stand_from_mount @ mount_from_camera @ both, stand_from_board)
     return np.hypot(distance, 0.5 * angle).argmin(0)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from calib.errors import CalibrationError
-from calib.sessions.session import TargetSession, observe
+from calib.sessions.session import TargetSession, observe, observe_recording
 from calib.targets.detection import check_markers
 from datasets import conventions, pose
 from datasets.board import Board
@@ -33,6 +33,7 @@ from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.core.schema import Schema, load_yaml
+from datasets.recording import MANIFEST, Recording
 
 Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
@@ -105,6 +106,38 @@ def describes(folder: Path, description: Path | None) -> bool:
 def load_description(folder: Path, description: Path | None = None) -> Description:
     """The description in `description`, or in the folder itself. Raises UsageError where it is missing or wrong."""
     return load_yaml(description or Path(folder) / DESCRIPTION, Description)
+
+
+def observe_folder(
+    folder: Path, description: Path | None = None, *, seen: Callable[[str], None] = lambda words: None
+) -> tuple[TargetSession, Camera | None]:
+    """Find the target in a recording or in a folder to import, and the camera that the import brings.
+
+    Raises:
+        UsageError: the folder is neither.
+        KoalaError: what `observe_recording` and `import_session` raise.
+    """
+    imported = _imported(folder, description)
+    if imported is None:
+        return observe_recording(folder, seen=seen), None
+    return import_session(folder, imported, seen=seen), imported.camera.camera() if imported.camera else None
+
+
+def count_views(folder: Path, description: Path | None = None) -> int:
+    """Number of images that `observe_folder` searches."""
+    imported = _imported(folder, description)
+    return len(Recording.open(folder).frames) if imported is None else len(matching(folder, imported.images))
+
+
+def _imported(folder: Path, description: Path | None) -> Description | None:
+    """How to read a folder to import; None for a recording."""
+    if describes(folder, description):
+        return load_description(folder, description)
+    if folder.is_dir() and not (folder / MANIFEST).is_file():
+        why = f"it has neither {MANIFEST} nor {DESCRIPTION}"
+        remedy = "describe images and poses in a file, see docs/calibration.md, and give it as --import"
+        raise UsageError("is neither a recording nor a folder to import", where=folder, why=why, remedy=remedy)
+    return None
 
 
 def import_session(folder: Path, description: Description, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:

@@ -36,6 +36,8 @@ class TargetSession:
     """Whether the camera stands beside the arm and the target is on the flange."""
     joints: NDArray[np.float64] | None = None
     """(views, 6) joint angles as reported [rad], where the session holds them."""
+    images: dict[str, Path] = field(default_factory=dict)
+    """By name of the view, where there are any."""
 
     @property
     def stand_from_mount(self) -> NDArray[np.float64]:
@@ -95,11 +97,10 @@ def observe(
             poses.append(base_from_flange)
         seen(f"view {name}: {0 if observation is None else len(observation.ids)} corners")
     if size is None or not observations:
-        raise TargetError("calibration target is not in any view", why=f"{len(views)} views searched for {describe(board)}",
-                          remedy="check the board's description and the exposure")  # fmt: skip
-    return TargetSession(
-        board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {}, eye_to_hand
-    )
+        why, remedy = f"{len(views)} views searched for {describe(board)}", "check the board's description and the exposure"
+        raise TargetError("calibration target is not in any view", why=why, remedy=remedy)
+    found = TargetSession(board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {})
+    return replace(found, eye_to_hand=eye_to_hand, images={name: image for name, image, _ in views})
 
 
 def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
