@@ -33,11 +33,17 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
     """Intrinsics from the pictures alone; `lens` is a key of `intrinsics.LENSES`. Raises what `calib.intrinsics.estimate.calibrate` raises."""
     found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
     residuals = {
-        "rms_px": found.rms_px, "held_out_px": found.held_out_px, "views_used": len(found.observations),
-        "views_unseen": list(session.unseen), "views_left_out": list(found.left_out), "why_left_out": found.left_out,
-        "corners": sum(len(o.ids) for o in found.observations), "coverage": found.coverage, "view_rms_px": found.view_rms_px,
+        "rms_px": found.rms_px,
+        "held_out_px": found.held_out_px,
+        "views_used": len(found.observations),
+        "views_unseen": list(session.unseen),
+        "views_left_out": list(found.left_out),
+        "why_left_out": found.left_out,
+        "corners": sum(len(o.ids) for o in found.observations),
+        "coverage": found.coverage,
+        "view_rms_px": found.view_rms_px,
         "camera_correlation": correlation(found.lens.free, found.covariance),
-    }  # fmt: skip
+    }
     return Calibration(found.camera, found.std, residuals=residuals, provenance={**session.provenance, "method": "intrinsics"})
 
 
@@ -99,8 +105,12 @@ class Solution:
 
     def start(self) -> State:
         """Where the refinement of the kept views begins."""
-        return State(projection.vector(self.first.camera), self.closed.mount_from_camera, self.closed.stand_from_board,
-                     np.zeros((int(self.keep.sum()), 6)))  # fmt: skip
+        return State(
+            projection.vector(self.first.camera),
+            self.closed.mount_from_camera,
+            self.closed.stand_from_board,
+            np.zeros((int(self.keep.sum()), 6)),
+        )
 
 
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
@@ -113,8 +123,15 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
     start = State(projection.vector(first.camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((keep.sum(), 6)))
-    fit = outliers.refine_without(first.session.chosen(keep), start, first.free, first.known, accuracy, sigma_px=first.sigma_px,
-                                  fisheye=first.camera.fisheye)  # fmt: skip
+    fit = outliers.refine_without(
+        first.session.chosen(keep),
+        start,
+        first.free,
+        first.known,
+        accuracy,
+        sigma_px=first.sigma_px,
+        fisheye=first.camera.fisheye,
+    )
     return Solution(first, boards, closed, keep, fit)
 
 
@@ -122,8 +139,12 @@ def _check_poses(session: TargetSession) -> None:
     """Raise CalibrationError where an arm's pose is no number, or further away than anything on Earth."""
     for observation, base_from_flange in zip(session.observations, session.base_from_flange, strict=True):
         if not (np.isfinite(base_from_flange).all() and np.abs(base_from_flange[:3, 3]).max() < MAX_DISTANCE_M):
-            raise CalibrationError("arm's pose is not credible", where=f"view {observation.name}",
-                                   why=f"its position is {base_from_flange[:3, 3].tolist()} m", remedy="leave this view out")  # fmt: skip
+            raise CalibrationError(
+                "arm's pose is not credible",
+                where=f"view {observation.name}",
+                why=f"its position is {base_from_flange[:3, 3].tolist()} m",
+                remedy="leave this view out",
+            )
 
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, NDArray[np.bool_]]:
@@ -177,13 +198,22 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     covariance = uncertainty.covariance(measured, refined)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     residuals = {
-        "rms_px": refined.rms_px, **verify.held_out(measured, refined), "settled": refined.settled, "sigma_px": refined.sigmas.pixel,
-        "arm_translation_mm": 1e3 * refined.sigmas.translation_m, "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
-        "views_used": len(session.observations), "views_unseen": list(session.unseen), "views_left_out": list(left_out), "why_left_out": left_out,
-        "corners": int(refined.inliers.sum()), "corners_left_out": int((~refined.inliers).sum()),
+        "rms_px": refined.rms_px,
+        **verify.held_out(measured, refined),
+        "settled": refined.settled,
+        "sigma_px": refined.sigmas.pixel,
+        "arm_translation_mm": 1e3 * refined.sigmas.translation_m,
+        "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
+        "views_used": len(session.observations),
+        "views_unseen": list(session.unseen),
+        "views_left_out": list(left_out),
+        "why_left_out": left_out,
+        "corners": int(refined.inliers.sum()),
+        "corners_left_out": int((~refined.inliers).sum()),
         "coverage": estimate.coverage(session.observations, session.width, session.height),
-        "view_rms_px": _by_view(session, measured, refined), "closed_form": _closed_form_facts(closed, refined),
-    }  # fmt: skip
+        "view_rms_px": _by_view(session, measured, refined),
+        "closed_form": _closed_form_facts(closed, refined),
+    }
     free = first.free
     if free:
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
@@ -191,16 +221,25 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     if offsets is not None:
         residuals |= joints.facts(measured, refined, offsets)
     provenance = {
-        **session.provenance, "method": "hand-eye", "closed_form": closed.method, "intrinsics_given": given,
+        **session.provenance,
+        "method": "hand-eye",
+        "closed_form": closed.method,
+        "intrinsics_given": given,
         "eye_to_hand": session.eye_to_hand,
-        "arm_accuracy_stated": {"translation_mm": 1e3 * accuracy.translation_m, "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
-                                "joint_deg": float(np.rad2deg(accuracy.joint_rad))},
-    }  # fmt: skip
+        "arm_accuracy_stated": {
+            "translation_mm": 1e3 * accuracy.translation_m,
+            "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
+            "joint_deg": float(np.rad2deg(accuracy.joint_rad)),
+        },
+    }
     return Calibration(
         projection.with_vector(first.camera, refined.state.intrinsics).checked(where="estimated camera"),
-        dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)), residuals=residuals, provenance=provenance,
-        joint_offsets=offsets, **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
-    )  # fmt: skip
+        dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)),
+        residuals=residuals,
+        provenance=provenance,
+        joint_offsets=offsets,
+        **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
+    )
 
 
 def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dict[str, float]:
@@ -219,5 +258,6 @@ def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[s
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),
         "rotation_residual_deg": float(np.rad2deg(np.sqrt(np.mean(closed.rotation_residual_rad**2)))),
-        "moved_mm": 1e3 * float(distance), "moved_deg": float(np.rad2deg(angle)),
-    }  # fmt: skip
+        "moved_mm": 1e3 * float(distance),
+        "moved_deg": float(np.rad2deg(angle)),
+    }

@@ -107,12 +107,7 @@ def report_command(
 
 
 @app.command("view")
-def view_command(
-    path: CalibrationFile,
-    recording: RecordingMoved = None,
-    port: console.Port = 8080,
-    json: Json = False,
-) -> None:
+def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: console.Port = 8080, json: Json = False) -> None:
     """Look at a calibration in the browser.
 
     Target and cameras, residuals over the image before and after the refinement, coverage, error ellipses.
@@ -125,8 +120,11 @@ def view_command(
     with open_page(path.stem, port) as page:
         show(page, calibration, recording=recording)
         rms = calibration.residuals.get("rms_px")
-        console.report({"url": page.url, "calibration": str(path), "rms_px": rms}, as_json=json,
-                       text=f"{page.url} shows {path}; Ctrl-C ends it")  # fmt: skip
+        console.report(
+            {"url": page.url, "calibration": str(path), "rms_px": rms},
+            as_json=json,
+            text=f"{page.url} shows {path}; Ctrl-C ends it",
+        )
         page.serve()
 
 
@@ -157,8 +155,10 @@ def plan_command(
     manifest = Recording.open(rig.recording).manifest if "recording" in session.provenance else {}
     next_views.write_trajectory(out, found, manifest)
     (before_mm, before_deg), (after_mm, after_deg) = found.before, found.after[-1]
-    text = (f"hand-eye pose known to {before_mm:.4f} mm, {before_deg:.5f} deg now; {after_mm:.4f} mm, {after_deg:.5f} deg expected "
-            f"with {count} views more\nwritten to {out}")  # fmt: skip
+    text = (
+        f"hand-eye pose known to {before_mm:.4f} mm, {before_deg:.5f} deg now; {after_mm:.4f} mm, {after_deg:.5f} deg expected "
+        f"with {count} views more\nwritten to {out}"
+    )
     console.report({"out": str(out), "before": found.before, "after": found.after}, as_json=json, text=text)
 
 
@@ -186,8 +186,11 @@ def refine_command(
     found = sfm.refine_scene(load_scene(scene), prior=accuracy, enough_px=enough_px)
     if found.used:
         koala.save(found.scene, out)
-    text = f"{found.reason}\n" + (f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}" if found.used
-                                  else "the poses stay; nothing is written")  # fmt: skip
+    text = f"{found.reason}\n" + (
+        f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}"
+        if found.used
+        else "the poses stay; nothing is written"
+    )
     console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
 
 
@@ -213,8 +216,18 @@ def board_command(
     if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
         raise UsageError("squares are given as 9x7", where="--squares", why=f"{squares!r} given")
     marker = 0.0 if kind == "chessboard" else round(0.73 * square_mm, 1) if marker_mm is None else marker_mm
-    board = read_board({"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "square_length_m": 1e-3 * square_mm,
-                             "marker_length_m": 1e-3 * marker, "dictionary": dictionary, "first_id": first_id}, where="board")  # fmt: skip
+    board = read_board(
+        {
+            "type": kind,
+            "squares_x": int(numbers[0]),
+            "squares_y": int(numbers[1]),
+            "square_length_m": 1e-3 * square_mm,
+            "marker_length_m": 1e-3 * marker,
+            "dictionary": dictionary,
+            "first_id": first_id,
+        },
+        where="board",
+    )
     printing.write(board, out)
     width, height = printing.page_mm(board)
     text = f"page of {width:.0f} x {height:.0f} mm; print without fitting to the page, and measure the bar\nwritten to {out}"
@@ -263,8 +276,15 @@ def study_command(
 
     with console.progress("simulating", len(variants.VARIANTS), "kinds of session") as bar:
         outcomes = list(variants.run(sessions, seed, done=lambda outcome: bar.advance()))
-    rows = [{"session": o.variant.name, "failures": o.failures, **dict(zip(("refinement", "park", "stated"), o.medians(), strict=True))}
-            for o in outcomes if len(o.refined)]  # fmt: skip
+    rows = [
+        {
+            "session": o.variant.name,
+            "failures": o.failures,
+            **dict(zip(("refinement", "park", "stated"), o.medians(), strict=True)),
+        }
+        for o in outcomes
+        if len(o.refined)
+    ]
     console.report({"sessions": sessions, "aim": variants.AIM, "kinds": rows}, as_json=json, text=variants.markdown(outcomes))
 
 
@@ -284,15 +304,20 @@ def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
 
     calibration.save(out)
     result: dict[str, Any] = {
-        "out": str(out), "camera": calibration.camera.to_json(), "camera_std": calibration.camera_std,
-        "residuals": calibration.residuals, "notes": notes(calibration),
-    }  # fmt: skip
+        "out": str(out),
+        "camera": calibration.camera.to_json(),
+        "camera_std": calibration.camera_std,
+        "residuals": calibration.residuals,
+        "notes": notes(calibration),
+    }
     for name in ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board"):
         value = getattr(calibration, name)
         if value is not None:
             result[name] = {
-                **value.to_json(), "translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg,
-            }  # fmt: skip
+                **value.to_json(),
+                "translation_std_mm": value.translation_std_mm,
+                "rotation_std_deg": value.rotation_std_deg,
+            }
     if calibration.joint_offsets is not None:
         result["joint_offsets"] = calibration.joint_offsets.to_json()
     console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")

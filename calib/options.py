@@ -126,7 +126,11 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
 def _options(kind: type) -> list[inspect.Parameter]:
     """The fields of a class as parameters."""
     return [
-        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, annotation=field.type,
-                          default=inspect.Parameter.empty if field.default is MISSING else field.default)
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            annotation=field.type,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+        )
         for field in fields(kind)
-    ]  # fmt: skip
+    ]

@@ -81,9 +81,12 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
         tracks = _tracks(model)
         points = int(tracks.point.max(initial=-1)) + 1
         if points < MIN_POINTS:
-            raise CalibrationError("pictures show too few points to judge the poses", where=scene.name,
-                                   why=f"{points} points were found in three views and more, {MIN_POINTS} are needed",
-                                   remedy="put something with texture beside the object")  # fmt: skip
+            raise CalibrationError(
+                "pictures show too few points to judge the poses",
+                where=scene.name,
+                why=f"{points} points were found in three views and more, {MIN_POINTS} are needed",
+                remedy="put something with texture beside the object",
+            )
         given = np.stack([view.world_from_camera for view in scene.views])
         aside = np.random.default_rng(seed).permutation(points)[: max(points // 5, 10)]
         judged = np.isin(tracks.point, aside)
@@ -102,8 +105,16 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
         if better
         else scene
     )
-    return Refinement(result, better, reason, float(np.median(before)), float(np.median(after)), 1e3 * float(np.sqrt(np.mean(distance**2))),
-                      float(np.rad2deg(np.sqrt(np.mean(angle**2)))), points)  # fmt: skip
+    return Refinement(
+        result,
+        better,
+        reason,
+        float(np.median(before)),
+        float(np.median(after)),
+        1e3 * float(np.sqrt(np.mean(distance**2))),
+        float(np.rad2deg(np.sqrt(np.mean(angle**2)))),
+        points,
+    )
 
 
 def _score(errors: Array) -> float:
@@ -114,8 +125,9 @@ def _score(errors: Array) -> float:
 def _one_camera(scene: Scene) -> Camera:
     cameras = {view.camera for view in scene.views}
     if len(cameras) != 1:
-        raise CalibrationError("views have different cameras", where=scene.name, why=f"{len(cameras)} of them",
-                               remedy="refine scenes of one camera")  # fmt: skip
+        raise CalibrationError(
+            "views have different cameras", where=scene.name, why=f"{len(cameras)} of them", remedy="refine scenes of one camera"
+        )
     return cameras.pop()
 
 
@@ -141,8 +153,15 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
         options.mask_path = folder / "masks"
     database = folder / "features.db"
     cpu = pycolmap.Device.cpu
-    pycolmap.extract_features(database, folder / "images", image_names=names, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=options,
-                              extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False), device=cpu)  # fmt: skip
+    pycolmap.extract_features(
+        database,
+        folder / "images",
+        image_names=names,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=options,
+        extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False),
+        device=cpu,
+    )
     pycolmap.match_exhaustive(
         database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False), device=cpu
     )
@@ -243,10 +262,17 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
         if image.num_points3D < MIN_SEEN:
             config.set_constant_rig_from_world_pose(image.frame_id)
         centre = scene.views[_index(image.name)].world_from_camera[:3, 3]
-        priors.append(pycolmap.PosePrior(corr_data_id=image.data_id, position=centre, position_covariance=prior_m**2 * np.eye(3),
-                                         coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN))  # fmt: skip
-    options = pycolmap.BundleAdjustmentOptions(refine_focal_length=False, refine_principal_point=False, refine_extra_params=False,
-                                               print_summary=False)  # fmt: skip
+        priors.append(
+            pycolmap.PosePrior(
+                corr_data_id=image.data_id,
+                position=centre,
+                position_covariance=prior_m**2 * np.eye(3),
+                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+            )
+        )
+    options = pycolmap.BundleAdjustmentOptions(
+        refine_focal_length=False, refine_principal_point=False, refine_extra_params=False, print_summary=False
+    )
     options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, 1.0
     options.ceres.solver_options.num_threads = 1
     adjuster = pycolmap.create_pose_prior_bundle_adjuster(

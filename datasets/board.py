@@ -22,7 +22,7 @@ Kind = Literal["charuco", "chessboard", "tags"]
 class Board(Schema):
     """A flat calibration target: a ChArUco board, a chessboard that must be seen whole, or a grid of tags."""
 
-    kind: Kind = Field(validation_alias=AliasChoices("kind", "type"), description="kind of target; recordings call it type")
+    kind: Kind = Field(validation_alias=AliasChoices("kind", "type"), description="kind of target (type in recordings)")
     squares_x: int = Field(ge=1, description="squares along the board's x axis")
     squares_y: int = Field(ge=1, description="squares along the board's y axis")
     square_length_m: float = Field(gt=0, description="side of a square [m]")

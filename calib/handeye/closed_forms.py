@@ -72,16 +72,22 @@ def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park
     try:
         if method in _RELATIVE:  # OpenCV's gripper2base is stand_from_mount, target2cam camera_from_board
             rotation, translation = cv2.calibrateHandEye(
-                list(stand_from_mount[:, :3, :3]), list(stand_from_mount[:, :3, 3]),
-                list(board_rotation), list(board_translation), method=_RELATIVE[method],
-            )  # fmt: skip
+                list(stand_from_mount[:, :3, :3]),
+                list(stand_from_mount[:, :3, 3]),
+                list(board_rotation),
+                list(board_translation),
+                method=_RELATIVE[method],
+            )
             mount_from_camera = pose.rigid(rotation, translation.ravel())
         else:
             mount_from_stand = pose.inverse(stand_from_mount)
             _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(
-                list(board_rotation), list(board_translation),
-                list(mount_from_stand[:, :3, :3]), list(mount_from_stand[:, :3, 3]), method=_ABSOLUTE[method],
-            )  # fmt: skip
+                list(board_rotation),
+                list(board_translation),
+                list(mount_from_stand[:, :3, :3]),
+                list(mount_from_stand[:, :3, 3]),
+                method=_ABSOLUTE[method],
+            )
             mount_from_camera = pose.inverse(pose.rigid(rotation, translation.ravel()))
     except cv2.error as error:
         raise CalibrationError(f"hand-eye method {method} failed", why=str(error.err)) from None

@@ -44,8 +44,10 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
                 break
             turned = following
     if best is None:
-        raise CalibrationError("chessboard cannot be read the same way round in all views", remedy="use a board with an odd number "
-                               "of squares one way and an even number the other")  # fmt: skip
+        raise CalibrationError(
+            "chessboard cannot be read the same way round in all views",
+            remedy="use a board with an odd number of squares one way and an even number the other",
+        )
     return _turned(session, best), both[best, views]
 
 

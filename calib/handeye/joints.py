@@ -29,14 +29,19 @@ def check(session: TargetSession, accuracy: Accuracy) -> None:
     if accuracy.joint_rad == 0:
         return
     if session.joints is None:
-        raise CalibrationError("joint offsets cannot be estimated", why="the session holds no joint angles",
-                               remedy="leave --joint-deg away, or record with 'capture run'")  # fmt: skip
+        raise CalibrationError(
+            "joint offsets cannot be estimated",
+            why="the session holds no joint angles",
+            remedy="leave --joint-deg away, or record with 'capture run'",
+        )
     distance, angle = pose.difference(kinematics.forward(session.joints), session.base_from_flange)
     if np.median(distance) > MAX_BUILT_M or np.median(angle) > MAX_BUILT_RAD:
         raise CalibrationError(
-            "joint angles are not those of the poses", why=f"by a UR5e's kinematics the flange is {1e3 * np.median(distance):.0f} mm and "
-            f"{np.rad2deg(np.median(angle)):.1f} deg elsewhere", remedy="leave --joint-deg away: another arm has other kinematics",
-        )  # fmt: skip
+            "joint angles are not those of the poses",
+            why=f"by a UR5e's kinematics the flange is {1e3 * np.median(distance):.0f} mm and "
+            f"{np.rad2deg(np.median(angle)):.1f} deg elsewhere",
+            remedy="leave --joint-deg away: another arm has other kinematics",
+        )
 
 
 def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -> JointOffsets | None:

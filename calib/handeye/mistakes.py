@@ -33,11 +33,13 @@ def _orientations(given: Array) -> dict[str, Array]:
     found = {
         "": given,
         "the arm's poses are inverse (flange_from_base instead of stand_from_mount)": pose.inverse(given),
-        "the arm's rotations are transposed (columns read as rows)": pose.rigid(np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3]),
+        "the arm's rotations are transposed (columns read as rows)": pose.rigid(
+            np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3]
+        ),
         "quaternions are x y z w, but were read as w x y z": _turned(given, np.roll(quaternions, 1, -1)),
         "quaternions are w x y z, but were read as x y z w": _turned(given, np.roll(quaternions, -1, -1)),
         "the arm's axes are left-handed": _MIRROR @ given @ _MIRROR,
-    }  # fmt: skip
+    }
     if np.linalg.norm(vectors, axis=1).max() < np.deg2rad(4):
         found["angles are radians, but were read as degrees"] = pose.from_rotation_vector(np.rad2deg(vectors), given[:, :3, 3])
     return found
@@ -54,8 +56,9 @@ def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
     """Raise a CalibrationError that names the mistake, where one explains why arm and pictures disagree; else return."""
     found = recognise(stand_from_mount, camera_from_board)
     if found:
-        raise CalibrationError("pictures and arm poses do not fit together", why=f"it looks as if {found}",
-                               remedy="correct the poses and run again")  # fmt: skip
+        raise CalibrationError(
+            "pictures and arm poses do not fit together", why=f"it looks as if {found}", remedy="correct the poses and run again"
+        )
 
 
 def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:

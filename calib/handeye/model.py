@@ -146,9 +146,13 @@ class State:
         intrinsics[columns] += step[: len(columns)]
         offsets[OFFSET_JOINTS[: len(turns)]] += turns
         return replace(
-            self, intrinsics=intrinsics, mount_from_camera=perturbed(self.mount_from_camera, step[-12:-6]),
-            stand_from_board=perturbed(self.stand_from_board, step[-6:]), corrections=self.corrections + view_steps, offsets=offsets,
-        )  # fmt: skip
+            self,
+            intrinsics=intrinsics,
+            mount_from_camera=perturbed(self.mount_from_camera, step[-12:-6]),
+            stand_from_board=perturbed(self.stand_from_board, step[-6:]),
+            corrections=self.corrections + view_steps,
+            offsets=offsets,
+        )
 
 
 def perturbed(a_from_b: Array, twist: Array) -> Array:

@@ -35,9 +35,15 @@ class Fit:
 
 
 def refine_without(
-    session: TargetSession, start: State, free: tuple[str, ...], known: Known | None, accuracy: Accuracy, *, sigma_px: float,
+    session: TargetSession,
+    start: State,
+    free: tuple[str, ...],
+    known: Known | None,
+    accuracy: Accuracy,
+    *,
+    sigma_px: float,
     fisheye: bool = False,
-) -> Fit:  # fmt: skip
+) -> Fit:
     """Refine from `start`, leaving out views that disagree, one round after another.
 
     Raises:

@@ -40,16 +40,17 @@ def check_motion(base_from_flange: Array) -> None:
     _, spread, axes = np.linalg.svd(np.array(turns) / np.sqrt(len(turns)))
     if spread[0] < MIN_TURN_RAD:
         raise Unobservable(
-            "translation of the hand-eye pose is not observable", why=f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only",
+            "translation of the hand-eye pose is not observable",
+            why=f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only",
             remedy="tilt the camera by 20 degrees and more about two different axes between views",
-        )  # fmt: skip
+        )
     if spread[1] < MIN_TURN_RAD:
         axis = ", ".join(f"{x:.2f}" for x in axes[0] * np.sign(axes[0][np.abs(axes[0]).argmax()]))
         raise Unobservable(
             "translation of the hand-eye pose along the axis of rotation is not observable",
             why=f"the flange turned about one axis only, ({axis}) in the base, and by {np.rad2deg(spread[1]):.2g} deg about others",
             remedy="add views that are tilted about a second axis by 20 degrees and more",
-        )  # fmt: skip
+        )
 
 
 def parameter_names(session: Session) -> list[str]:
@@ -106,5 +107,8 @@ def _check(session: Session, refined: Refined, joint: Array) -> None:
 
 
 def _refuse(session: Session, parameter: int, why: str) -> None:
-    raise Unobservable(f"{parameter_names(session)[parameter]} is not observable", why=why,
-                       remedy="add views that are tilted by 20 degrees and more about two axes, at two distances")  # fmt: skip
+    raise Unobservable(
+        f"{parameter_names(session)[parameter]} is not observable",
+        why=why,
+        remedy="add views that are tilted by 20 degrees and more about two axes, at two distances",
+    )

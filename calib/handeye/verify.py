@@ -104,9 +104,12 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
 def check_size(session: TargetSession, camera: Camera) -> None:
     """Raise UsageError where `camera` is for images of another size than those of `session`."""
     if (camera.width, camera.height) != (session.width, session.height):
-        raise UsageError("calibration is for images of another size", where=session.provenance.get("recording", ""),
-                     why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
-                     remedy="calibrate with the camera setting of the recording")  # fmt: skip
+        raise UsageError(
+            "calibration is for images of another size",
+            where=session.provenance.get("recording", ""),
+            why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
+            remedy="calibrate with the camera setting of the recording",
+        )
 
 
 def rms(vectors: Array) -> float:

@@ -53,8 +53,11 @@ USUAL = BROWN[3]
 RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
 FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
 LENSES: dict[str, tuple[Lens, ...]] = {
-    "auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE,
-}  # fmt: skip
+    "auto": (*BROWN, RATIONAL, *FISHEYE),
+    "brown": BROWN,
+    "rational": (*BROWN, RATIONAL),
+    "fisheye": FISHEYE,
+}
 """Candidates by the name that a person asks for; each next one is kept where it predicts unseen views better."""
 
 
@@ -124,13 +127,23 @@ def _finished(
     covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
     if not relative.max() <= MAX_FOCAL_STD:
-        raise Unobservable("focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it",
-                           remedy=_TILT)  # fmt: skip
+        raise Unobservable(
+            "focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it", remedy=_TILT
+        )
     view = flat(observations)[0]
     by_view = {o.name: _rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
-    return Intrinsics(camera, lens, covariance, _rms(fitted.residuals), held_out_px, by_view,
-                      coverage(observations, camera.width, camera.height), fitted.camera_from_board, tuple(observations),
-                      left_out)  # fmt: skip
+    return Intrinsics(
+        camera,
+        lens,
+        covariance,
+        _rms(fitted.residuals),
+        held_out_px,
+        by_view,
+        coverage(observations, camera.width, camera.height),
+        fitted.camera_from_board,
+        tuple(observations),
+        left_out,
+    )
 
 
 def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
@@ -162,9 +175,10 @@ def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_COR
     corners = sum(len(o.ids) for o in observations)
     if len(observations) < MIN_VIEWS or corners < least:
         raise TargetError(
-            "target is seen too little", why=f"{corners} corners in {len(observations)} views, at least {least} "
-            f"in {MIN_VIEWS} are needed", remedy="record more views with the whole target in the picture, sharp and evenly lit",
-        )  # fmt: skip
+            "target is seen too little",
+            why=f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed",
+            remedy="record more views with the whole target in the picture, sharp and evenly lit",
+        )
 
 
 def _check_directions(camera_from_board: Array) -> None:

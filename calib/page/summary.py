@@ -61,8 +61,10 @@ def notes(calibration: Calibration) -> list[str]:
         found.append(f"joint offsets do not help on unseen views ({without:.3f} px without them): leave --joint-deg away")
     stated = calibration.provenance.get("arm_accuracy_stated")
     if stated and residuals["arm_translation_mm"] > 3 * stated["translation_mm"]:
-        found.append(f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "
-                     f"({stated['translation_mm']:g} mm): check settling, time stamps and the arm's own calibration")  # fmt: skip
+        found.append(
+            f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "
+            f"({stated['translation_mm']:g} mm): check settling, time stamps and the arm's own calibration"
+        )
     return found
 
 

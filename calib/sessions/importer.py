@@ -38,9 +38,7 @@ from datasets.recording import MANIFEST, Recording
 Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-LAYOUTS = {
-    "x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16,
-}  # fmt: skip
+LAYOUTS = {"x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16}
 """How many numbers each layout has; a matrix may also be given by its upper three rows."""
 
 
@@ -159,8 +157,11 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
     views = [
         (name, path, as_pose(numbers[name], description, where=f"{folder}, pose of view {name}")) for name, path in images.items()
     ]
-    provenance = {"folder": str(folder.resolve()), "board": board.to_json(),
-                  "frames_sha256": "+".join(files.sha256(path)[:12] for path in images.values())}  # fmt: skip
+    provenance = {
+        "folder": str(folder.resolve()),
+        "board": board.to_json(),
+        "frames_sha256": "+".join(files.sha256(path)[:12] for path in images.values()),
+    }
     return observe(board, views, provenance=provenance, seen=seen, eye_to_hand=description.eye_to_hand)
 
 
@@ -190,8 +191,12 @@ def _numbers(folder: Path, description: Description, images: dict[str, Path]) ->
         found = {by_file.get(Path(name).name, name): values for name, values in found.items()}
     missing = [name for name in images if name not in found]
     if missing:
-        raise UsageError("images without a pose", where=folder, why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
-                     remedy=f"correct 'poses' ({description.poses})")  # fmt: skip
+        raise UsageError(
+            "images without a pose",
+            where=folder,
+            why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
+            remedy=f"correct 'poses' ({description.poses})",
+        )
     result = {}
     for name in images:
         try:
@@ -229,8 +234,12 @@ def _table(content: Any, path: Path) -> dict[str, Any]:
     try:
         return {str(entry["image"]): entry["pose"] for entry in content}
     except (TypeError, KeyError) as error:
-        raise DatasetError("is no list of poses", where=path, why=f"{type(error).__name__} {error}",
-                           remedy="write entries {image: NAME, pose: [...]}") from None  # fmt: skip
+        raise DatasetError(
+            "is no list of poses",
+            where=path,
+            why=f"{type(error).__name__} {error}",
+            remedy="write entries {image: NAME, pose: [...]}",
+        ) from None
 
 
 def _csv(path: Path, description: Description) -> dict[str, list[str]]:
@@ -267,8 +276,12 @@ def as_pose(numbers: Sequence[float], description: Description, *, where: object
     matrix = matrix.copy()
     matrix[:3, 3] *= unit
     if np.abs(matrix[:3, 3]).max() > 20:
-        raise CalibrationError("arm's position is not credible", where=where, why=f"{np.abs(matrix[:3, 3]).max():.4g} m from its base",
-                               remedy="millimetres? then say length: mm")  # fmt: skip
+        raise CalibrationError(
+            "arm's position is not credible",
+            where=where,
+            why=f"{np.abs(matrix[:3, 3]).max():.4g} m from its base",
+            remedy="millimetres? then say length: mm",
+        )
     return pose.inverse(matrix) if description.inverse else matrix
 
 
@@ -276,13 +289,21 @@ def _from_vector(values: Array, description: Description, where: object) -> Arra
     if description.layout == "x y z rx ry rz":
         turn = np.deg2rad(values[3:]) if description.angle == "deg" else values[3:]
         if np.linalg.norm(turn) > 2 * np.pi + 1e-6:
-            raise CalibrationError("rotation vector is longer than a full turn", where=where, why=f"{np.linalg.norm(turn):.4g} rad",
-                                   remedy="degrees? then say angle: deg")  # fmt: skip
+            raise CalibrationError(
+                "rotation vector is longer than a full turn",
+                where=where,
+                why=f"{np.linalg.norm(turn):.4g} rad",
+                remedy="degrees? then say angle: deg",
+            )
         return pose.from_rotation_vector(turn, values[:3])
     quaternion = values[3:] if description.layout.endswith("qz") else np.roll(values[3:], 1)
     if abs(np.linalg.norm(quaternion) - 1) > 1e-2:
-        raise CalibrationError("quaternion is not of unit length", where=where, why=f"its length is {np.linalg.norm(quaternion):.4g}",
-                               remedy="check layout and file")  # fmt: skip
+        raise CalibrationError(
+            "quaternion is not of unit length",
+            where=where,
+            why=f"its length is {np.linalg.norm(quaternion):.4g}",
+            remedy="check layout and file",
+        )
     return pose.from_quaternion(quaternion, values[:3])
 
 

@@ -86,9 +86,12 @@ def observe(
         picture = grey(images.read(image))
         size = size or picture.shape
         if picture.shape != size:
-            raise TargetError("image has another size than the first", where=image,
-                              why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
-                              remedy="record a session with one camera setting")  # fmt: skip
+            raise TargetError(
+                "image has another size than the first",
+                where=image,
+                why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
+                remedy="record a session with one camera setting",
+            )
         observation = detect(board, picture, name)
         if observation is None:
             unseen.append(name)
@@ -114,9 +117,11 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
     provenance = {
-        "recording": str(Path(path).resolve()), "frames_sha256": files.sha256(Path(path) / FRAMES), "board": board.to_json(),
+        "recording": str(Path(path).resolve()),
+        "frames_sha256": files.sha256(Path(path) / FRAMES),
+        "board": board.to_json(),
         "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},
-    }  # fmt: skip
+    }
     session = observe(board, views, provenance=provenance, seen=seen)
     joints = {frame.name: frame.joints for frame in recording.frames}
     return replace(session, joints=np.stack([joints[o.name] for o in session.observations]))

@@ -170,8 +170,11 @@ EXACT = (1e-4, 1e-5)
 def full_grid() -> list[Point]:
     """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views; with known intrinsics, and around the Koala rig estimated along."""
     known = [Point(*levels) for levels in product((0.0, 0.1, 1.0), (0.0, 0.03, 1.0), (0.0, 0.005, 0.1), (5, 10, 20, 50))]
-    along = [Point(px, mm, deg, views, ESTIMATED)
-             for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1)) for views in (10, 20, 50)]  # fmt: skip
+    along = [
+        Point(px, mm, deg, views, ESTIMATED)
+        for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1))
+        for views in (10, 20, 50)
+    ]
     return known + along
 
 
@@ -209,8 +212,9 @@ def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG,
 def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, Errors]) -> Array:
     """(2,) what `bound` says of one session, whose errors are counted."""
     sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm,
-                     free=point.free)  # fmt: skip
+    drawn = simulate(
+        rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm, free=point.free
+    )
     drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
     methods[DRAWN].add(drawn.truth.mount_from_camera, efficient(drawn, sigmas), 0.0)
     _compare(drawn, point, methods)

@@ -22,8 +22,21 @@ ROUNDING = 1e-4
 """An arm without error is stated as one of a micrometre and of a ten-thousandth of a degree: smaller differences are of that."""
 CLOSE = 1.10
 """How near to the bound the refinement is wanted."""
-COLUMNS = ("sigma_px", "arm_mm", "arm_deg", "views", "intrinsics", "trials", "method", "rms_mm", "rms_deg", "median_mm", "median_deg",
-           "time_ms", "failures")  # fmt: skip
+COLUMNS = (
+    "sigma_px",
+    "arm_mm",
+    "arm_deg",
+    "views",
+    "intrinsics",
+    "trials",
+    "method",
+    "rms_mm",
+    "rms_deg",
+    "median_mm",
+    "median_deg",
+    "time_ms",
+    "failures",
+)
 
 
 def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
@@ -32,16 +45,32 @@ def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
     for result in results:
         for name, errors in result.methods.items():
             (rms_mm, rms_deg), (median_mm, median_deg) = errors.rms, errors.median
-            found.append({**_place(result), "method": name, "rms_mm": rms_mm, "rms_deg": rms_deg, "median_mm": median_mm,
-                          "median_deg": median_deg, "time_ms": _time(errors), "failures": errors.failures})  # fmt: skip
+            found.append(
+                {
+                    **_place(result),
+                    "method": name,
+                    "rms_mm": rms_mm,
+                    "rms_deg": rms_deg,
+                    "median_mm": median_mm,
+                    "median_deg": median_deg,
+                    "time_ms": _time(errors),
+                    "failures": errors.failures,
+                }
+            )
         found.append({**_place(result), "method": BOUND, "rms_mm": result.bound[0], "rms_deg": result.bound[1]})
     return found
 
 
 def _place(result: Result) -> dict[str, Any]:
     point = result.point
-    return {"sigma_px": point.sigma_px, "arm_mm": point.arm_mm, "arm_deg": point.arm_deg, "views": point.views,
-            "intrinsics": "estimated" if point.free else "given", "trials": result.trials}  # fmt: skip
+    return {
+        "sigma_px": point.sigma_px,
+        "arm_mm": point.arm_mm,
+        "arm_deg": point.arm_deg,
+        "views": point.views,
+        "intrinsics": "estimated" if point.free else "given",
+        "trials": result.trials,
+    }
 
 
 def _time(errors: Errors) -> float:
@@ -53,15 +82,18 @@ def summary(results: Sequence[Result]) -> dict[str, Any]:
     best, bound = (_table(results, kind) for kind in (Result.against_best, Result.against_bound))
     plain = np.array([result.plainly_against_bound() for result in results if max(result.methods[REFINED].rms) > EXACT[0]])
     return {
-        "points": len(results), "trials": [min(r.trials for r in results), max(r.trials for r in results)],
+        "points": len(results),
+        "trials": [min(r.trials for r in results), max(r.trials for r in results)],
         "failures_of_refinement": sum(r.methods[REFINED].failures for r in results),
-        "at_or_below_best": int((best[..., 0] <= TIE).all(1).sum()), "worst_against_best": best[..., 0].max(0).tolist(),
+        "at_or_below_best": int((best[..., 0] <= TIE).all(1).sum()),
+        "worst_against_best": best[..., 0].max(0).tolist(),
         "surely_above_best": int((best[..., 1] > 1 + ROUNDING).any(1).sum()),
-        "within_tenth_of_bound": int((bound[..., 0] <= CLOSE).all(1).sum()), "worst_against_bound": bound[..., 0].max(0).tolist(),
+        "within_tenth_of_bound": int((bound[..., 0] <= CLOSE).all(1).sum()),
+        "worst_against_bound": bound[..., 0].max(0).tolist(),
         "surely_within_tenth_of_bound": int((bound[..., 2] <= CLOSE).all(1).sum()),
         "worst_upper_end_against_bound": bound[..., 2].max(0).tolist(),
         "worst_plainly_against_bound": plain.max(0, initial=0.0).tolist(),
-    }  # fmt: skip
+    }
 
 
 def _table(results: Sequence[Result], kind: Callable[[Result], tuple[Ratio, Ratio]]) -> Array:

@@ -116,6 +116,8 @@ def markdown(rows: Sequence[Judged]) -> str:
             continue
         place = ", ".join(f"{v:.2f}" for v in 1e3 * row.camera_pose[:3, 3])
         turn = ", ".join(f"{v:.2f}" for v in np.rad2deg(pose.rotation_vector(row.camera_pose)))
-        lines.append(f"| {row.name} | {row.views} | {place} | {turn} | {row.residual_mm:.2f} mm, {row.residual_deg:.3f}° "
-                     f"| {row.held_out_px:.2f} px = {row.held_out_mm:.2f} mm |")  # fmt: skip
+        lines.append(
+            f"| {row.name} | {row.views} | {place} | {turn} | {row.residual_mm:.2f} mm, {row.residual_deg:.3f}° "
+            f"| {row.held_out_px:.2f} px = {row.held_out_mm:.2f} mm |"
+        )
     return "\n".join(lines)

@@ -114,8 +114,15 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
     """(p, p) information of one view more, or None where it shows too little of the board."""
     points = rig.board.points
     reported = candidate @ pose.inverse(rig.flange_from_camera)
-    session = Session(reported[None], np.zeros(len(points), np.int64), np.zeros((len(points), 2)), points, measured.free,
-                      accuracy=measured.accuracy, fisheye=measured.fisheye)  # fmt: skip
+    session = Session(
+        reported[None],
+        np.zeros(len(points), np.int64),
+        np.zeros((len(points), 2)),
+        points,
+        measured.free,
+        accuracy=measured.accuracy,
+        fisheye=measured.fisheye,
+    )
     state = State(refined.state.intrinsics, refined.state.mount_from_camera, refined.state.stand_from_board, np.zeros((1, 6)))
     if model.camera_points(session, state)[:, 2].min() <= 1e-3:
         return None

@@ -109,8 +109,14 @@ def simulate(
     reported = base_from_camera @ pose.inverse(rig.flange_from_camera) @ pose.inverse(missed)
     points = rig.board.points
     truth = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, errors)
-    every = Session(reported, np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2)),
-                    np.tile(points, (views, 1)), free, accuracy=arm)  # fmt: skip
+    every = Session(
+        reported,
+        np.repeat(np.arange(views), len(points)),
+        np.zeros((views * len(points), 2)),
+        np.tile(points, (views, 1)),
+        free,
+        accuracy=arm,
+    )
     pixels = projection.project(model.camera_points(every, truth), truth.intrinsics)[0]
     inside = ((pixels > 2) & (pixels < [rig.camera.width - 2, rig.camera.height - 2])).all(1)
     session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside)

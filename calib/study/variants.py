@@ -108,8 +108,14 @@ def run(
 def target_session(simulated: Simulated, name: str = "simulated") -> TargetSession:
     """A simulated session as if its pictures had been searched."""
     camera = simulated.rig.camera
-    return TargetSession(simulated.rig.board, camera.width, camera.height, tuple(simulated.observations()),
-                         simulated.session.base_from_flange, provenance={"frames_sha256": name})  # fmt: skip
+    return TargetSession(
+        simulated.rig.board,
+        camera.width,
+        camera.height,
+        tuple(simulated.observations()),
+        simulated.session.base_from_flange,
+        provenance={"frames_sha256": name},
+    )
 
 
 def _once(variant: Variant, rng: np.random.Generator) -> Array:
@@ -127,8 +133,13 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
     truth = simulated.truth.mount_from_camera
     stated = found.flange_from_camera
-    return np.array([_error(truth, stated.matrix), _error(truth, park.mount_from_camera),
-                     [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)]])  # fmt: skip
+    return np.array(
+        [
+            _error(truth, stated.matrix),
+            _error(truth, park.mount_from_camera),
+            [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)],
+        ]
+    )
 
 
 def _flown(variant: Variant, rng: np.random.Generator) -> Array:
@@ -163,6 +174,8 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
             continue
         refined, park, stated = outcome.medians()
         below = "yes" if (refined <= AIM).all() else "no"
-        lines.append(f"| {outcome.variant.name} | {refined[0]:.3f} mm, {refined[1]:.4f}° | {park[0]:.3f} mm, {park[1]:.4f}° "
-                     f"| {stated[0]:.3f} mm, {stated[1]:.4f}° | {below} |")  # fmt: skip
+        lines.append(
+            f"| {outcome.variant.name} | {refined[0]:.3f} mm, {refined[1]:.4f}° | {park[0]:.3f} mm, {park[1]:.4f}° "
+            f"| {stated[0]:.3f} mm, {stated[1]:.4f}° | {below} |"
+        )
     return "\n".join(lines)

@@ -111,11 +111,12 @@ def _pdf(board: Board) -> bytes:
         ["0 g", *lines, "f", f"BT /F 9 Tf {MARGIN_MM * k:.2f} {(MARGIN_MM - 1) * k:.2f} Td ({_label(board)}) Tj ET"]
     )
     objects = [
-        "<< /Type /Catalog /Pages 2 0 R >>", "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        "<< /Type /Catalog /Pages 2 0 R >>",
+        "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
         f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width * k:.4f} {height * k:.4f}] /Contents 4 0 R "
         "/Resources << /Font << /F << /Type /Font /Subtype /Type1 /BaseFont /Helvetica >> >> >> >>",
         f"<< /Length {len(content)} >>\nstream\n{content}\nendstream",
-    ]  # fmt: skip
+    ]
     data, places = b"%PDF-1.4\n", []
     for number, body in enumerate(objects, 1):
         places.append(len(data))

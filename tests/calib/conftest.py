@@ -38,9 +38,12 @@ class Simulated:
     def session(self, **options) -> model.Session:
         view = np.repeat(np.arange(len(self.observations)), [len(o.ids) for o in self.observations])
         return model.Session(
-            self.reported, view, np.concatenate([o.pixels for o in self.observations]),
-            np.concatenate([o.points for o in self.observations]), **options,
-        )  # fmt: skip
+            self.reported,
+            view,
+            np.concatenate([o.pixels for o in self.observations]),
+            np.concatenate([o.points for o in self.observations]),
+            **options,
+        )
 
     def state(self) -> model.State:
         """The truth as a start."""

@@ -16,9 +16,13 @@ from datasets.core.errors import UsageError
 def target_session(simulated, name="a"):
     """A simulated session as if its pictures had been searched."""
     return TargetSession(
-        simulated.board, simulated.camera.width, simulated.camera.height, tuple(simulated.observations), simulated.reported,
+        simulated.board,
+        simulated.camera.width,
+        simulated.camera.height,
+        tuple(simulated.observations),
+        simulated.reported,
         provenance={"frames_sha256": name},
-    )  # fmt: skip
+    )
 
 
 def errors(found, truth):
@@ -111,7 +115,7 @@ def test_verification_sees_a_hand_eye_error(simulate):
         target_session(other), replace(found, flange_from_camera=replace(found.flange_from_camera, matrix=moved))
     )
     assert wrong.rms_mm > 3 * right.rms_mm
-    distance, _ = pose.difference(right.base_from_board, other.base_from_board)
+    distance, _ = pose.difference(right.stand_from_board, other.base_from_board)
     assert distance < 3e-4
 
 

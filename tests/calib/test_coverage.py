@@ -21,12 +21,18 @@ def inside(truth, stated):
 
 def draw(seed, views):
     rng = np.random.default_rng([9, seed, views])
-    return simulate(rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=variants.SIGMA_PX, arm=variants.ARM, free=ESTIMATED)
+    return simulate(
+        rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=variants.SIGMA_PX, arm=variants.ARM, free=ESTIMATED
+    )
 
 
 def refined_poses(simulated):
-    start = simulated.truth.__class__(simulated.truth.intrinsics, simulated.truth.mount_from_camera, simulated.truth.stand_from_board,
-                                      np.zeros_like(simulated.truth.corrections))  # fmt: skip
+    start = simulated.truth.__class__(
+        simulated.truth.intrinsics,
+        simulated.truth.mount_from_camera,
+        simulated.truth.stand_from_board,
+        np.zeros_like(simulated.truth.corrections),
+    )
     found = refine.refine(simulated.session, start, sigma_px=0.2)
     return uncertainty.poses(simulated.session, found, uncertainty.covariance(simulated.session, found))
 

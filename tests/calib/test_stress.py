@@ -105,8 +105,7 @@ def test_two_poses_many_times_are_refused():
 
 def test_four_poses_many_times_are_worth_four():
     simulated = draw(seed=5, pattern=Pattern((25.0, 45.0)))
-    again = simulate(np.random.default_rng(0), RIG, simulated.base_from_camera[np.arange(15) % 4],
-                     sigma_px=0.1, arm=ARM)  # fmt: skip
+    again = simulate(np.random.default_rng(0), RIG, simulated.base_from_camera[np.arange(15) % 4], sigma_px=0.1, arm=ARM)
     assert right_or_refused(outcome(again), again)
 
 

@@ -51,8 +51,15 @@ def simulated(seed, views=25, offsets=OFFSETS, links=BUILT, noise=1.0, angles=No
         ids = np.flatnonzero(((pixels > 2) & (pixels < [RIG.camera.width - 2, RIG.camera.height - 2])).all(1))
         seen = pixels[ids] + 0.1 * noise * rng.normal(size=(len(ids), 2))
         observations.append(Observation(f"{index:03d}", ids, seen, RIG.board.points[ids]))
-    return TargetSession(RIG.board, RIG.camera.width, RIG.camera.height, tuple(observations), kinematics.forward(angles, links),
-                         provenance={"frames_sha256": f"{seed}"}, joints=angles)  # fmt: skip
+    return TargetSession(
+        RIG.board,
+        RIG.camera.width,
+        RIG.camera.height,
+        tuple(observations),
+        kinematics.forward(angles, links),
+        provenance={"frames_sha256": f"{seed}"},
+        joints=angles,
+    )
 
 
 def calibrated(session, accuracy=ARM):
@@ -149,8 +156,10 @@ def test_offsets_that_no_view_shows_stay_at_their_prior():
 def test_parameters_are_named_in_their_order():
     measured = simulated(70, 4).measured(("fx",), None, ARM)
     assert uncertainty.parameter_names(measured)[:6] == [
-        "fx", *(f"offset of joint {number}" for number in (2, 3, 4, 5)), "flange_from_camera translation x",
-    ]  # fmt: skip
+        "fx",
+        *(f"offset of joint {number}" for number in (2, 3, 4, 5)),
+        "flange_from_camera translation x",
+    ]
 
 
 def test_verification_applies_them():

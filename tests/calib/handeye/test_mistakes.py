@@ -36,7 +36,7 @@ CASES = [
     (lambda p: MIRROR @ p @ MIRROR, "left-handed"),
     (lambda p: pose.from_rotation_vector(np.deg2rad(pose.rotation_vector(p)), p[:, :3, 3]), "radians, but were read as degrees"),
     (lambda p: millimetres(pose.inverse(p)), "inverse.*millimetres"),
-]  # fmt: skip
+]
 NAMES = ["millimetres", "target in millimetres", "inverse", "transposed", "quaternion", "mirror", "radians", "inverse mm"]
 
 

@@ -16,10 +16,11 @@ FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 def disturbed(state, rng):
     """A start as far off as a closed form on a poor arm leaves it."""
     return replace(
-        state, intrinsics=state.intrinsics + np.array([3, -3, 4, -4, 0.01, 0, 0, 0, 0, 0, 0, 0]),
+        state,
+        intrinsics=state.intrinsics + np.array([3, -3, 4, -4, 0.01, 0, 0, 0, 0, 0, 0, 0]),
         mount_from_camera=model.perturbed(state.mount_from_camera, rng.normal(0, 1, 6) * np.repeat([3e-3, 0.01], 3)),
         stand_from_board=model.perturbed(state.stand_from_board, rng.normal(0, 1, 6) * np.repeat([3e-3, 0.01], 3)),
-    )  # fmt: skip
+    )
 
 
 def test_perfect_measurements_give_the_truth(simulate):

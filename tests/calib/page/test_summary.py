@@ -9,14 +9,24 @@ from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
 
 RESIDUALS = {
-    "rms_px": 0.1, "held_out_px": 0.2, "held_out_mm": 0.15, "corners": 900, "views_used": 20, "coverage": 0.5,
-    "views_unseen": [], "views_left_out": [], "arm_translation_mm": 0.05, "arm_rotation_deg": 0.01,
-}  # fmt: skip
+    "rms_px": 0.1,
+    "held_out_px": 0.2,
+    "held_out_mm": 0.15,
+    "corners": 900,
+    "views_used": 20,
+    "coverage": 0.5,
+    "views_unseen": [],
+    "views_left_out": [],
+    "arm_translation_mm": 0.05,
+    "arm_rotation_deg": 0.01,
+}
 CALIBRATION = Calibration(
-    Camera(640, 480, 600.0, 601.0, 320.0, 240.0, -0.1), {"fx": 0.5, "fy": 0.5, "cx": 0.2, "cy": 0.2, "k1": 0.001},
+    Camera(640, 480, 600.0, 601.0, 320.0, 240.0, -0.1),
+    {"fx": 0.5, "fy": 0.5, "cx": 0.2, "cy": 0.2, "k1": 0.001},
     UncertainPose(pose.from_rotation_vector([0, 0, np.pi / 2], [0.01, 0, 0]), np.diag([1e-10] * 3 + [0.0] * 3)),
-    residuals=RESIDUALS, provenance={"arm_accuracy_stated": {"translation_mm": 0.05, "rotation_deg": 0.01}},
-)  # fmt: skip
+    residuals=RESIDUALS,
+    provenance={"arm_accuracy_stated": {"translation_mm": 0.05, "rotation_deg": 0.01}},
+)
 
 
 def test_summary_has_values_with_deviations_and_units():
@@ -48,5 +58,5 @@ def test_notes_name_what_a_person_should_look_at():
 
 
 def test_verification_names_the_worst_view():
-    text = summary.describe_verification(Verification(0.3, 0.2, {"000": 0.1, "001": 0.5}, 80, np.eye(4)))
+    text = summary.describe_verification(Verification(0.3, 0.2, {"000": 0.1, "001": 0.5}, 80, "base", np.eye(4)))
     assert "0.300 px = 0.200 mm" in text and "001: 0.500 px" in text

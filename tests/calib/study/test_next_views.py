@@ -28,7 +28,9 @@ def test_advised_views_bring_what_they_promise(solved):
     # taken for real they leave the uncertainty that was promised: the estimated arm accuracy changes a little
     rng = np.random.default_rng(1)
     both = np.concatenate([simulated.base_from_camera, found.base_from_camera])
-    again = calibrate.solve(variants.target_session(simulate(rng, RIG, both, sigma_px=0.1, arm=variants.ARM)), accuracy=variants.ARM)
+    again = calibrate.solve(
+        variants.target_session(simulate(rng, RIG, both, sigma_px=0.1, arm=variants.ARM)), accuracy=variants.ARM
+    )
     now = next_views._deviations(again.fit.refined.information, again.fit.refined.state)
     assert now[0] == pytest.approx(found.after[-1][0], rel=0.3)
 
@@ -75,8 +77,13 @@ def test_trajectory_is_one_that_capture_reads(solved, tmp_path):
 
     _, solution = solved
     found = next_views.plan(solution, 3, grow_m=0.1)
-    manifest = {"trajectory": {"name": "session", "target": {"kind": "charuco", "squares_x": 12, "squares_y": 9, "square_length_m": 0.03,
-                "marker_length_m": 0.022}, "camera": {"exposure_us": 9000.0}}}  # fmt: skip
+    manifest = {
+        "trajectory": {
+            "name": "session",
+            "target": {"kind": "charuco", "squares_x": 12, "squares_y": 9, "square_length_m": 0.03, "marker_length_m": 0.022},
+            "camera": {"exposure_us": 9000.0},
+        }
+    }
     next_views.write_trajectory(tmp_path / "next.yaml", found, manifest)
     trajectory = load_trajectory(tmp_path / "next.yaml")
     assert trajectory.camera.exposure_us == 9000

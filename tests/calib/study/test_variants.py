@@ -6,12 +6,12 @@ import pytest
 import yaml
 
 from calib.handeye import refine
-from calib.study import bench
+from calib.study import bench, variants
 from calib.study.simulate import Pattern, simulate
 from capture.trajectory import load_trajectory
 from datasets import pose
 
-TRAJECTORY = Path(__file__).resolve().parents[2] / "configs" / "trajectories" / "calibration.yaml"
+TRAJECTORY = Path(__file__).resolve().parents[3] / "configs" / "trajectories" / "calibration.yaml"
 
 
 def test_a_larger_board_is_known_to_be_better():
@@ -25,7 +25,9 @@ def test_a_larger_board_is_known_to_be_better():
 
 
 def test_intrinsics_of_their_own_help():
-    alone, along = variants.run(1, 1, variants=[variants.Variant("own", variants.KOALA, separate=40), variants.Variant("along", variants.KOALA)])
+    alone, along = variants.run(
+        1, 1, variants=[variants.Variant("own", variants.KOALA, separate=40), variants.Variant("along", variants.KOALA)]
+    )
     assert np.median(alone.stated[:, 1]) < np.median(along.stated[:, 1])
 
 
@@ -37,7 +39,12 @@ def test_failures_are_counted():
 
 def test_planned_views_help():
     drawn, planned = variants.run(
-        1, 2, variants=[variants.Variant("drawn", variants.KOALA, views=15), variants.Variant("planned", variants.KOALA, views=15, planned=5)]
+        1,
+        2,
+        variants=[
+            variants.Variant("drawn", variants.KOALA, views=15),
+            variants.Variant("planned", variants.KOALA, views=15, planned=5),
+        ],
     )
     assert (np.median(planned.stated, axis=0) < np.median(drawn.stated, axis=0)).all()
 
@@ -45,9 +52,8 @@ def test_planned_views_help():
 def test_the_calibration_trajectory_reaches_the_aim():
     """Its 25 views with the board that it names, on the Koala rig, and an efficient estimator."""
     content = yaml.safe_load(TRAJECTORY.read_text())
-    target = {"type": "charuco", **{key: value for key, value in content["target"].items() if key != "kind"}}
     base_from_board = pose.from_rotation_vector(np.deg2rad(content["board"]["rotation_deg"]), content["board"]["position"])
-    rig = replace(variants.KOALA, board=read_board(target, where=TRAJECTORY), base_from_board=base_from_board)
+    rig = replace(variants.KOALA, board=Board.model_validate(content["target"]), base_from_board=base_from_board)
     views = np.stack([view.base_from_camera for view in load_trajectory(TRAJECTORY).viewpoints()])
     assert len(views) == 25
     sigmas, errors = refine.Sigmas(variants.SIGMA_PX, variants.ARM.translation_m, variants.ARM.rotation_rad), []
@@ -61,7 +67,9 @@ def test_the_calibration_trajectory_reaches_the_aim():
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("variant", [variants.VARIANTS[6], *variants.VARIANTS[-2:]], ids=["A3 board", "near and tilted", "planned"])
+@pytest.mark.parametrize(
+    "variant", [variants.VARIANTS[6], *variants.VARIANTS[-2:]], ids=["A3 board", "near and tilted", "planned"]
+)
 def test_koala_rig_reaches_its_aims(variant):
     """0.03 mm / 0.005 deg repeatability, 0.1 px corners, 25 views, intrinsics estimated along."""
     (outcome,) = variants.run(60, 0, variants=[variant])

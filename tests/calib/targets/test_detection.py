@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from calib.errors import TargetError
+from calib.targets.detection import detect, read_board
 from datasets import pose
 from datasets.board import Board
 from datasets.camera_model import Camera
@@ -95,23 +96,21 @@ def test_corners_on_one_line_are_not_enough(board_picture):
     assert detect(strip, picture, "view") is None
 
 
-def test_board_survives_its_description():
+def test_a_board_is_read_from_a_manifest():
     for board in (CHARUCO, CHESSBOARD):
-        assert read_board({**board.to_json(), "maker": "unknown keys are passed over"}, where="manifest") == board
+        assert read_board({**board.to_json(), "maker": "unknown keys are ignored"}, where="manifest") == board
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"type": "charucco"}, "did you mean 'charuco'"),
+        ({"type": "charucco"}, "'charuco', 'chessboard' or 'tags'"),
         ({"dictionary": "DICT_5X5_10"}, "did you mean 'DICT_5X5_100'"),
         ({"squares_x": 2}, "2x6 squares"),
-        ({"squares_x": "many"}, "not described completely"),
         ({"squares_x": None}, "squares_x"),
-        ({"square_length_m": float("nan")}, "squares of nan m"),
-        ({"marker_length_m": 0.04}, "markers of 0.04 m in squares of 0.03 m"),
-        ({"dictionary": "DICT_4X4_50", "squares_x": 15, "squares_y": 10}, "75 markers, DICT_4X4_50 has 50"),
-        ({"type": "tags", "first_id": 99}, "markers, DICT_5X5_100 has 100"),
+        ({"marker_length_m": 0.04}, "marker_length_m 0.04"),
+        ({"dictionary": "DICT_4X4_50", "squares_x": 15, "squares_y": 10}, "75 markers are needed, DICT_4X4_50 has 50"),
+        ({"type": "tags", "first_id": 99}, "markers are needed, DICT_5X5_100 has 100"),
     ],
 )
 def test_impossible_boards_are_refused_in_one_line(change, message):

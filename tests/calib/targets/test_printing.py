@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from calib.targets import printing
+from calib.targets.detection import detect
 from datasets.board import Board
 from datasets.core.errors import UsageError
 
