@@ -23,14 +23,14 @@ from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 MIN_CORNERS_GIVEN = 20
-"""Corners in all, where the camera is known already: one tag in five views."""
+"""Fewest corners of a session whose camera is known: one tag in five views."""
 MAX_DISTANCE_M = 1e7
 STATED = Accuracy()
-"""What a UR5e is taken to keep within, where nobody says otherwise."""
+"""Accuracy that is assumed of a UR5e."""
 
 
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
-    """Intrinsics from the pictures alone; `lens` is a key of `intrinsics.LENSES`. Raises what `calib.intrinsics.estimate.calibrate` raises."""
+    """Intrinsics from the pictures alone; `lens` is a key of `estimate.LENSES`. Raises what `estimate.calibrate` raises."""
     found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
     residuals = {
         "rms_px": found.rms_px,
@@ -56,13 +56,15 @@ def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
 def calibrate_handeye(
     session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
 ) -> Calibration:
-    """Hand-eye pose, board pose and intrinsics together; with the camera beside the arm, its place there and the board's on the flange.
+    """Hand-eye pose, board pose and intrinsics together.
+
+    With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange.
 
     Args:
-        given: intrinsics from another session; they enter with their covariance. From the same session they are
-            only the start, since its corners must not count twice.
+        given: intrinsics from another session; they count with their covariance. From the same session they are
+            only the start, because corners must not count twice.
         accuracy: of the arm, as stated.
-        lens: a key of `intrinsics.LENSES`.
+        lens: a key of `estimate.LENSES`.
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
@@ -73,7 +75,7 @@ def calibrate_handeye(
 
 @dataclass(frozen=True)
 class First:
-    """What is known before the arm's poses are looked at."""
+    """What is known before the arm's poses are used."""
 
     session: TargetSession
     camera: Camera
@@ -103,15 +105,6 @@ class Solution:
         grossly = {o.name: "arm and picture disagree grossly" for o in self.first.session.chosen(~self.keep).observations}
         return {**self.first.left_out, **grossly, **self.fit.left_out}
 
-    def start(self) -> State:
-        """Where the refinement of the kept views begins."""
-        return State(
-            projection.vector(self.first.camera),
-            self.closed.mount_from_camera,
-            self.closed.stand_from_board,
-            np.zeros((int(self.keep.sum()), 6)),
-        )
-
 
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
@@ -122,33 +115,27 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
-    start = State(projection.vector(first.camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((keep.sum(), 6)))
-    fit = outliers.refine_without(
-        first.session.chosen(keep),
-        start,
-        first.free,
-        first.known,
-        accuracy,
-        sigma_px=first.sigma_px,
-        fisheye=first.camera.fisheye,
-    )
+    start, chosen = start_from(first.camera, closed, int(keep.sum())), first.session.chosen(keep)
+    options = {"sigma_px": first.sigma_px, "fisheye": first.camera.fisheye}
+    fit = outliers.refine_without(chosen, start, first.free, first.known, accuracy, **options)
     return Solution(first, boards, closed, keep, fit)
 
 
+def start_from(camera: Camera, closed: closed_forms.HandEye, views: int) -> State:
+    """Where the refinement of a number of views begins."""
+    return State(projection.vector(camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((views, 6)))
+
+
 def _check_poses(session: TargetSession) -> None:
-    """Raise CalibrationError where an arm's pose is no number, or further away than anything on Earth."""
+    """Raise CalibrationError where a pose of the arm is not finite or impossibly far away."""
     for observation, base_from_flange in zip(session.observations, session.base_from_flange, strict=True):
         if not (np.isfinite(base_from_flange).all() and np.abs(base_from_flange[:3, 3]).max() < MAX_DISTANCE_M):
-            raise CalibrationError(
-                "arm's pose is not credible",
-                where=f"view {observation.name}",
-                why=f"its position is {base_from_flange[:3, 3].tolist()} m",
-                remedy="leave this view out",
-            )
+            where, why = f"view {observation.name}", f"its position is {base_from_flange[:3, 3].tolist()} m"
+            raise CalibrationError("arm's pose is not credible", where=where, why=why, remedy="leave this view out")
 
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, NDArray[np.bool_]]:
-    """A start and the views that agree with it; refuses weak motion, and mistakes about the arm's poses."""
+    """A start and the views that agree with it. Raises CalibrationError for weak motion and for mistakes in the arm's poses."""
     try:
         uncertainty.check_motion(session.base_from_flange)
         closed, keep = closed_forms.solve_robustly(session.stand_from_mount, boards)
@@ -160,7 +147,7 @@ def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.Ha
 
 
 def _first(session: TargetSession, given: Calibration | None, lens: str) -> First:
-    """Camera to start from, and the views whose corners make sense."""
+    """The camera to start from, and the views with plausible corners."""
     if given is None:
         found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
         chosen = session.with_observations(found.observations)
@@ -172,15 +159,14 @@ def _first(session: TargetSession, given: Calibration | None, lens: str) -> Firs
     free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
     same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
     boards = estimate.camera_from_boards(given.camera, observations)
-    residuals = np.concatenate(
-        [estimate.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, observations, strict=True)]
-    )
+    pairs = zip(boards, observations, strict=True)
+    residuals = np.concatenate([estimate.reproject(given.camera, board, o) - o.pixels for board, o in pairs])
     sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
     return First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
 
 
 def _known(given: Calibration, free: tuple[str, ...]) -> Known:
-    """Intrinsics of another session with their covariance; independent where the file does not hold their correlation."""
+    """Intrinsics of another session with their covariance; independent where the file lacks their correlation."""
     std, stored = np.array([given.camera_std[name] for name in free]), given.residuals.get("camera_correlation", {})
     among = np.eye(len(free))
     if set(free) <= set(stored.get("names", ())):
@@ -192,7 +178,7 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
 
 
 def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration:
-    """The calibration with its uncertainty, its errors on unseen views and where it came from."""
+    """The calibration with its uncertainty, its held-out errors and its provenance."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
     covariance = uncertainty.covariance(measured, refined)
@@ -243,7 +229,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
 
 
 def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dict[str, float]:
-    """Rms [px] by name of the view, outliers left out; views of outliers alone are left out too."""
+    """Rms [px] of the inliers by name of the view; views without inliers are missing."""
     return {
         o.name: verify.rms(refined.residuals[chosen])
         for i, o in enumerate(session.observations)
@@ -252,7 +238,7 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
-    """What the closed form said, and how far the refinement moved from it."""
+    """The closed form's residuals, and how far the refinement moved from it."""
     distance, angle = pose.difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,

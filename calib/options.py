@@ -1,4 +1,4 @@
-"""Options that several `calib` commands share, each written once: a command that takes one of these classes has all its options."""
+"""Options that several `calib` commands share. A command with a parameter of one of these classes has all options of that class."""
 
 import inspect
 import math
@@ -22,16 +22,17 @@ RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
 ]
 Import = Annotated[
-    Path | None, typer.Option("--import", help="How to read a folder of images and poses (YAML); default: import.yaml in it.")
+    Path | None, typer.Option("--import", help="Description of a folder of images and poses (YAML). Default: import.yaml in it.")
 ]
-Lens = Annotated[str, typer.Option("--lens", help="auto, brown, rational or fisheye.")]
+Lens = Annotated[str, typer.Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
 Intrinsics = Annotated[
-    Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
+    Path | None, typer.Option("--intrinsics", help="Calibration file with the camera. Default: estimate the camera as well.")
 ]
 ArmMm = Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
 ArmDeg = Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
 JointDeg = Annotated[
-    float, typer.Option("--joint-deg", help="Stated accuracy of the joints' zeros [deg]; above 0 their offsets are estimated.")
+    float,
+    typer.Option("--joint-deg", help="Stated accuracy of the joint angles' zeros [deg]. Above 0, joint offsets are estimated."),
 ]
 
 
@@ -43,7 +44,7 @@ class Arm:
     arm_deg: ArmDeg = 0.01
 
     def accuracy(self, joint_deg: float = 0.0) -> "Accuracy":
-        """The arm's accuracy as given on the command line. Raises UsageError where it cannot be."""
+        """The arm's accuracy as given on the command line. Raises UsageError where it is impossible."""
         from calib.handeye.model import Accuracy
 
         for name, value, least in (
@@ -80,13 +81,13 @@ class Pictures:
 
 @dataclass(frozen=True, kw_only=True)
 class Rig(Arm, Pictures):
-    """A session from which the whole rig is to be found."""
+    """A session to calibrate the whole rig from."""
 
     intrinsics: Intrinsics = None
     lens: Lens = "auto"
 
     def read(self) -> "tuple[TargetSession, Calibration | None]":
-        """The session, and the camera that is given for it; what is wrong with the options is said before the pictures are searched."""
+        """The session, and the camera that is given for it. Options are checked before the pictures are searched."""
         from datasets.calibration import Calibration
 
         check_lens(self.lens)

@@ -2,7 +2,8 @@
 
 Two views i, j give A X = X B with A = flange_i_from_flange_j, B = camera_i_from_camera_j and X = mount_from_camera
 (Tsai 1989, Park 1994, Horaud 1995, Andreff 1999, Daniilidis 1999); Shah 2013 and Li 2010 solve for X and
-stand_from_board together. All treat the poses as exact: they start the refinement, they do not end it.
+stand_from_board together. All treat the poses as exact, so they serve as a start of the refinement. `calib.handeye.model` defines mount
+and stand; with the camera on the flange they are flange and base.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,7 @@ SUBSETS = 40
 
 @dataclass(frozen=True)
 class HandEye:
-    """A closed-form answer and how well the views agree with it."""
+    """A closed-form solution and how well the views agree with it."""
 
     method: str
     mount_from_camera: Array
@@ -111,7 +112,7 @@ def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera:
 
 
 def _near_the_middle(quaternions: Array) -> NDArray[np.bool_]:
-    """(views,) the half of the rotations nearest to the one that is nearest to most others (a medoid, no average to be spoilt)."""
+    """(views,) the half of the rotations nearest to their medoid, which outliers cannot spoil as they spoil a mean."""
     likeness = np.abs(quaternions @ quaternions.T)
     middle = np.median(likeness, axis=1).argmax()
     return likeness[middle] >= np.median(likeness[middle])
@@ -121,8 +122,8 @@ def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[H
     """The best closed-form answer by `score`, and which views agree with it, (views,).
 
     A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984): up to
-    two fifths of the views may be wrong. A view disagrees where it is further than 5 medians (and 2 mm or 0.5 degrees) from the others:
-    a picture taken in motion, a board that was moved or read the wrong way round. It is left out and the answer computed again.
+    two fifths of the views may be wrong. A view disagrees if it is further than 5 medians (and 2 mm or 0.5 degrees) from the others,
+    for instance because the arm or the board was moving. Such views are left out, and the answer is computed again.
 
     Raises:
         CalibrationError: no method found an answer.
@@ -142,7 +143,7 @@ def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[H
 def _answers(
     stand_from_mount: Array, camera_from_board: Array, groups: Sequence[NDArray[Any]], methods: Sequence[str]
 ) -> list[HandEye]:
-    """What the methods make of each group of views, assessed on all views; methods that fail are left out.
+    """The answers of all methods from each group of views, assessed on all views; methods that fail are left out.
 
     Raises:
         CalibrationError: all of them fail.
@@ -180,6 +181,6 @@ def _distance(answer: HandEye) -> Array:
 
 
 def _agreeing(answer: HandEye) -> NDArray[np.bool_]:
-    """(views,) which are not far from the rest, by what is usual among all: with few views, the best of them are no measure."""
+    """(views,) whose disagreement is not far above the median of all views."""
     distances, angles = answer.translation_residual_m, answer.rotation_residual_rad
     return (distances <= max(5 * np.median(distances), 2e-3)) & (angles <= max(5 * np.median(angles), np.deg2rad(0.5)))

@@ -1,7 +1,7 @@
-"""A chessboard with both numbers of squares even, or both odd, looks the same when it is turned by 180 degrees.
+"""Chessboards that look the same after half a turn: both numbers of squares are even, or both are odd.
 
-Each view then has two readings. The arm tells which go together: whatever the hand-eye pose is, arm and camera turn by the same angle
-between two views, and in the end every view must put the board in the same place.
+Each view then has two readings, and the arm tells which ones belong together. Whatever the hand-eye pose is, arm and camera turn by the
+same angle between two views, and all views must put the board in the same place.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
-    """The session with all views read the same way round, and their (views, 4, 4) poses; boards that are not ambiguous come back as given.
+    """The session with all views read the same way round, and their (views, 4, 4) poses. Other boards are returned as given.
 
     Raises:
         CalibrationError: no reading of the views fits the arm.

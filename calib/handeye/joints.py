@@ -1,7 +1,8 @@
-"""Angles by which an arm's joints stand further than it knows: whether they can be estimated, and what came out.
+"""Joint offsets of the arm: true angle minus reported angle. Can they be estimated, and what was found?
 
-An offset moves the flange differently in every view, but by the same law; `calib.handeye.model` estimates those of `OFFSET_JOINTS` beside all
-else, with the stated accuracy of a joint's zero as their prior. What the views do not show stays at the prior, and is said.
+An offset moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the offsets of `OFFSET_JOINTS`
+with everything else. The stated accuracy of the joints is their prior; an offset that the views do not determine stays at the prior and
+is reported as such.
 """
 
 from dataclasses import replace
@@ -19,13 +20,13 @@ from datasets import kinematics, pose
 from datasets.calibration import JointOffsets
 
 MAX_BUILT_M, MAX_BUILT_RAD = 0.05, float(np.deg2rad(3))
-"""How far an arm as built may be from the nominal one; what is further away is another arm, or another pose."""
+"""Largest credible distance of the flange from the nominal kinematics; beyond it, it is another arm or another pose."""
 SHOWN = 0.7
-"""An offset whose standard deviation is more than this share of the prior's is not shown by the views."""
+"""The views do not determine an offset whose standard deviation is more than this share of its prior."""
 
 
 def check(session: TargetSession, accuracy: Accuracy) -> None:
-    """Raise CalibrationError where joint offsets are asked for and the session's joint angles are missing or not those of its poses."""
+    """Raise CalibrationError where joint offsets are requested and the joint angles are missing or do not match the poses."""
     if accuracy.joint_rad == 0:
         return
     if session.joints is None:
@@ -54,7 +55,7 @@ def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -
 
 
 def facts(session: Session, refined: Refined, offsets: JointOffsets) -> dict[str, Any]:
-    """For the calibration file: joints of whose offsets the views say nothing, and the error on unseen views without any offsets."""
+    """For the calibration file: joints whose offsets the views do not determine, and the held-out error without offsets."""
     stated = session.accuracy.joint_rad
     plain = replace(session, joints=None)
     start = replace(refined.state, offsets=np.zeros(6), corrections=0 * refined.state.corrections)

@@ -1,6 +1,6 @@
-"""Mistakes that people make with arm poses, recognised by what would make arm and pictures agree.
+"""Common mistakes in arm poses, recognised by what would make arm and pictures agree.
 
-Each is undone in turn; where the poses then fit the pictures many times better, that is what went wrong, and it is said.
+Each mistake is undone in turn. If the poses then fit the pictures many times better, the mistake is reported.
 """
 
 from itertools import product
@@ -15,11 +15,11 @@ from datasets.core.errors import KoalaError
 
 Array = NDArray[np.float64]
 BETTER = 5.0
-"""Undoing a mistake must make the views agree so many times better."""
+"""Factor by which undoing a mistake must improve the agreement of the views."""
 POOR = 0.02
-"""Median disagreement of the views, in units of the distance that they cover, below which nothing is suspected."""
+"""No mistake is suspected if the median disagreement of the views, in units of the distance they cover, is below this."""
 FITS = 0.05
-"""The same, below which undoing a mistake counts as an explanation: arms have been seen that scatter by a fiftieth."""
+"""A mistake explains the disagreement if it falls below this when undone: some arms scatter by a fiftieth."""
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -28,7 +28,7 @@ def _turned(stand_from_mount: Array, wxyz: Array) -> Array:
 
 
 def _orientations(given: Array) -> dict[str, Array]:
-    """The poses with one mistake about orientation undone each."""
+    """The poses, by the mistake in orientation that was undone."""
     quaternions, vectors = pose.quaternion(given), pose.rotation_vector(given)
     found = {
         "": given,
@@ -48,12 +48,12 @@ def _orientations(given: Array) -> dict[str, Array]:
 _LENGTHS = {
     "": 1.0,
     "the arm's positions are in millimetres, not metres": 1e-3,
-    "lengths of arm and target differ by a factor of 1000: the target's size is in millimetres, or the arm's positions were divided by 1000": 1e3,
+    "lengths of arm and target differ by a factor of 1000: the target is in millimetres, or the arm's positions were divided by 1000": 1e3,
 }
 
 
 def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
-    """Raise a CalibrationError that names the mistake, where one explains why arm and pictures disagree; else return."""
+    """Raise a CalibrationError that names the mistake, if one explains why arm and pictures disagree."""
     found = recognise(stand_from_mount, camera_from_board)
     if found:
         raise CalibrationError(
@@ -62,7 +62,7 @@ def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
 
 
 def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
-    """The mistake that explains the disagreement best, in words; empty where there is none, or none of those that are known.
+    """The mistake that explains the disagreement best, in words; empty if there is none.
 
     Args:
         stand_from_mount: (views, 4, 4) as given.

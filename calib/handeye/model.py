@@ -4,14 +4,14 @@ The flange of view i is truly at
 
     flange[i] = base_from_flange[i] @ D(q[i], offsets) @ C[i],
 
-where D is what the arm's joints do to the flange when they stand further by `offsets` than it knows, and C[i] is what its report missed
-beside, a small motion of the flange about its own origin. Corner k of that view is predicted at
+where D is the motion of the flange due to joint `offsets` (true minus reported angle), and C[i] is the remaining error of the report: a
+small motion of the flange about its own origin. Corner k of that view is predicted at
 
     project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
     project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
 
-Both are one equation. The camera's `mount` is what carries it: the flange, or the base with the camera beside the arm. The board's
-`stand` is what carries the board: the base, or the flange. With these names corner k is predicted at
+Both are one equation. The `mount` carries the camera: it is the flange, or the base if the camera stands beside the arm. The
+`stand` carries the board: it is the base, or the flange. Corner k is then predicted at
 
     project(inverse(mount_from_camera) @ mount_from_stand[i] @ stand_from_board @ point[k]),
 
@@ -33,8 +33,8 @@ from datasets import kinematics, pose
 
 Array = NDArray[np.float64]
 OFFSET_JOINTS = [1, 2, 3, 4]
-"""The joints between the first and the last. An offset of the first turns the whole base, one of the last the flange about its own axis:
-the two unknown poses take them up exactly, so that they are zero by convention."""
+"""Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last rotates the
+flange: the two unknown poses absorb them exactly, so they are zero by convention."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Accuracy:
     translation_m: float = 5e-5
     rotation_rad: float = float(np.deg2rad(0.01))
     joint_rad: float = 0.0
-    """Of the angle at which a joint says that it stands at zero, which is the same in all views; 0: the joints are right."""
+    """Of each joint's offset, which is the same in all views; 0: the joints have no offsets."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Known:
 
 @dataclass(frozen=True)
 class Session:
-    """What was measured: corners of all views in one list, and the arm's word for each view."""
+    """What was measured: corners of all views in one list, and the arm's report for each view."""
 
     base_from_flange: Array
     """(views, 4, 4) as reported."""
@@ -96,7 +96,7 @@ class Session:
 
     @property
     def turning(self) -> list[int]:
-        """Joints whose offsets are estimated: `OFFSET_JOINTS` where the arm is stated to have any, else none."""
+        """Joints whose offsets are estimated: `OFFSET_JOINTS` if the stated accuracy asks for them, else none."""
         return OFFSET_JOINTS if self.accuracy.joint_rad > 0 and self.joints is not None else []
 
     @property
@@ -127,7 +127,7 @@ def measured(
 
 @dataclass(frozen=True)
 class State:
-    """The unknowns. Global parameters are ordered: free intrinsics, joint offsets, mount_from_camera (6), stand_from_board (6)."""
+    """The unknowns. Order of the global ones: free intrinsics, joint offsets, mount_from_camera (6), stand_from_board (6)."""
 
     intrinsics: Array
     """(12,) in the order of `projection.NAMES`."""
@@ -141,7 +141,7 @@ class State:
     """(6,) of the joints: true angle minus reported angle [rad]."""
 
     def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
-        """The state after a step of the global parameters and of the (views, 6) corrections; `columns` are the free intrinsics."""
+        """The state after a step of the global parameters and the (views, 6) corrections; `columns` are the free intrinsics."""
         intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
         intrinsics[columns] += step[: len(columns)]
         offsets[OFFSET_JOINTS[: len(turns)]] += turns
@@ -212,7 +212,7 @@ def _chain(session: Session, state: State) -> _Chain:
 
 
 def _reported(session: Session, state: State) -> Array:
-    """(views, 4, 4) base_from_flange @ D: what the arm would have reported, had it known its joints."""
+    """(views, 4, 4) base_from_flange @ D: the report with joint offsets corrected."""
     if session.joints is None or not state.offsets.any():
         return session.base_from_flange
     return kinematics.turned(session.base_from_flange, session.joints, state.offsets)

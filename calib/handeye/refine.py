@@ -1,15 +1,14 @@
-"""The most likely rig: everything unknown in a target session, refined together on what the pictures show.
+"""Refinement of the whole rig: everything unknown in a target session, estimated together by maximum likelihood.
 
-With the predictions and the corrections C[i] of `calib.handeye.model`, minimised is
+With the predictions and the corrections C[i] of `calib.handeye.model`, Levenberg-Marquardt with analytic derivatives minimises
 
     sum huber(|seen - predicted| / sigma_px)  +  sum |translation(C[i]) / sigma_t|^2 + |rotation(C[i]) / sigma_r|^2
-    + what is known of the intrinsics beforehand, and |offset / its stated deviation|^2 of each joint,
+    + prior knowledge of the intrinsics, and |offset / its stated deviation|^2 of each joint.
 
-by Levenberg-Marquardt with analytic derivatives. A view's correction touches its own corners alone and is eliminated view by view
-(`calib.solver.elimination`).
-Where no residual is further out than chance would have it, the loss is the plain square, which wastes nothing; Huber's
-is for sessions in which some are. The three sigmas are estimated along with the rest (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r
-starting from the arm's stated accuracy, which counts as `PRIOR_VIEWS` views' worth of evidence.
+A view's correction affects its own corners only and is eliminated view by view (`calib.solver.elimination`). If no residual is larger
+than expected from Gaussian noise, the loss is the plain square, which is most efficient; Huber's loss is for sessions with outliers.
+The three sigmas are estimated as well (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r starting from the
+stated accuracy of the arm, which counts as much as `PRIOR_VIEWS` views.
 """
 
 from dataclasses import dataclass, replace
@@ -25,16 +24,16 @@ from calib.solver.levenberg_marquardt import Limits, minimise
 
 Array = NDArray[np.float64]
 HUBER = 3.0
-"""Residual in sigmas from which on a corner pulls with constant force, in a session with outliers; a good one gets there once in 90 times."""
+"""Width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times."""
 CHANCE = 0.01
-"""Share of honest sessions that are taken to hold outliers: those whose largest residual is a rare one."""
+"""Share of sessions without outliers that are taken to have some, because their largest residual is rare."""
 OUTLIER = 6.0
-"""Residual in sigmas from which on a corner is left out."""
+"""Corners with larger residuals are left out [sigmas]."""
 MIN_SIGMA_PX = 1e-4
-"""No corner is taken to be more certain than this: what is left then is rounding."""
+"""Lower limit of a corner's standard deviation: smaller residuals are rounding errors."""
 LIMITS = Limits(max_steps=50, tolerance=1e-9, least_cost=1.0, min_damping=1e-12)
 PRIOR_VIEWS = 4.0
-"""How many views' worth of evidence the arm's stated accuracy is."""
+"""The stated accuracy of the arm counts as much as this number of views."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Sigmas:
     translation_m: float
     rotation_rad: float
     width: float = np.inf
-    """Residual in sigmas from which on a corner pulls with constant force; infinite: all of them look Gaussian."""
+    """Width of Huber's loss [sigmas]; infinite: all residuals look Gaussian."""
 
     @property
     def correction(self) -> Array:
@@ -55,7 +54,7 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Refined:
-    """The answer and its verdict."""
+    """The solution and whether it converged."""
 
     state: State
     sigmas: Sigmas
@@ -65,15 +64,15 @@ class Refined:
     residuals: Array
     """(n, 2) seen minus predicted, outliers too [px]."""
     inliers: NDArray[np.bool_]
-    """(n,) corners that took part."""
+    """(n,) corners that were used."""
     steps: int
     """Accepted steps in all."""
     settled: bool
-    """Whether sigmas and outliers stopped changing; if not, the answer may still move."""
+    """Whether sigmas and outliers stopped changing; if not, the solution may still move."""
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the corners that took part [px]."""
+        """Root mean square distance of the corners that were used [px]."""
         return float(np.sqrt(np.mean(np.sum(self.residuals[self.inliers] ** 2, -1))))
 
 
@@ -133,12 +132,12 @@ def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined:
 
 
 def _look_gaussian(distances: Array) -> bool:
-    """Whether the largest of (n,) residuals, in sigmas, is no further out than Gaussian ones come: exp(-d^2 / 2) of them pass d."""
+    """Whether the largest of (n,) residuals [sigmas] is within what Gaussian noise gives: a share exp(-d^2 / 2) exceeds d."""
     return bool(distances.max(initial=0.0) <= np.sqrt(2 * np.log(max(len(distances), 1) / CHANCE)))
 
 
 def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
-    """`state` with the board where the corners want it, all else kept: Gauss-Newton with Huber's weights."""
+    """`state` with the pose of the board fitted to the corners, by Gauss-Newton with Huber's weights."""
     for _ in range(max_steps):
         pixels, by_global, _ = predict(session, state)
         residuals = session.pixels - pixels
@@ -190,8 +189,8 @@ class _Point:
     def stepped(self, damping: float) -> "_Point":
         """The point after one damped step.
 
-        Where the cost has not fallen, the corrections follow once more: the more certain the corners, the narrower and more bent the
-        valley along which corrections and global unknowns must move together (a second-order correction; Nocedal & Wright, 15.6).
+        If the cost has not fallen, the corrections are solved once more. The more certain the corners, the narrower and more
+        bent the valley in which corrections and global unknowns must move together (a second-order correction; Nocedal & Wright, 15.6).
         """
         candidate = _Point(self.session, self.state.moved(self.session.columns, *self.system.step(damping)), self.sigmas)
         for _ in range(2):
@@ -213,7 +212,7 @@ def linear_system(session: Session, state: State, sigmas: Sigmas) -> Eliminated:
 
 
 def _known_rows(session: Session, state: State) -> Array:
-    """(k, p + 1) what is known of the global unknowns beforehand, whitened: derivatives, and how far `state` is from it."""
+    """(k, p + 1) prior knowledge of the global unknowns, whitened: derivatives, and the deviation of `state` from it."""
     names, turning, known = session.free, session.turning, session.known
     rows = np.zeros((len(turning), len(names) + len(turning) + 13))
     rows[range(len(turning)), range(len(names), len(names) + len(turning))] = 1.0
@@ -228,7 +227,7 @@ def _known_rows(session: Session, state: State) -> Array:
 
 
 def _estimated_sigmas(point: _Point) -> Sigmas:
-    """Sigmas that explain what is left: sums of squares over the degrees of freedom that the fit left to each kind of error."""
+    """Sigmas that explain the residuals: for each kind of error, the sum of squares over its degrees of freedom."""
     session, state, sigmas, system = point.session, point.state, point.sigmas, point.system
     inverse = np.linalg.pinv(system.root)
     of_views = system.own_covariances(inverse @ inverse.T)

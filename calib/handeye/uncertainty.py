@@ -1,7 +1,7 @@
-"""How well the rig is known, and what a session cannot know at all.
+"""Uncertainty of the rig, and what a session cannot determine at all.
 
-Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are
-the inverse of the information that corners, the arm's accuracy and known intrinsics give together.
+Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are the inverse of the
+information that corners, the arm's accuracy and known intrinsics give together.
 """
 
 from itertools import combinations
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 MIN_TURN_RAD = float(np.deg2rad(3))
 """Rms angle about an axis below which the flange counts as not having turned about it."""
 MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
-"""A pose less certain than this is refused: no reconstruction could use it."""
+"""A pose less certain than this is useless for a reconstruction and refused."""
 
 
 def check_motion(base_from_flange: Array) -> None:
@@ -48,7 +48,7 @@ def check_motion(base_from_flange: Array) -> None:
         axis = ", ".join(f"{x:.2f}" for x in axes[0] * np.sign(axes[0][np.abs(axes[0]).argmax()]))
         raise Unobservable(
             "translation of the hand-eye pose along the axis of rotation is not observable",
-            why=f"the flange turned about one axis only, ({axis}) in the base, and by {np.rad2deg(spread[1]):.2g} deg about others",
+            why=f"the flange turned about one axis, ({axis}) in the base, and only by {np.rad2deg(spread[1]):.2g} deg about others",
             remedy="add views that are tilted about a second axis by 20 degrees and more",
         )
 
@@ -84,7 +84,7 @@ def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPo
 
 
 def _units(session: Session) -> Array:
-    """(p,) sizes that make parameters comparable: what an error would have to be to matter."""
+    """(p,) errors that would matter: scales that make the parameters comparable."""
     of_camera, of_joints = np.where(np.array(session.columns) < 4, 10.0, 0.1), np.full(len(session.turning), MAX_STD_RAD)
     return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 

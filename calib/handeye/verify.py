@@ -1,4 +1,4 @@
-"""How well a calibration predicts pictures that it was not made from. A small residual of the fit proves nothing of the kind."""
+"""How well a calibration predicts pictures that it was not made from. A small residual of the fit does not show that."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,12 +18,12 @@ from datasets.core.errors import UsageError
 
 Array = NDArray[np.float64]
 FOLDS = 5
-"""Parts into which a session is divided to be predicted by the rest."""
+"""Parts into which a session is divided; each is predicted from the rest."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """How well a calibration predicts a session whose arm poses are taken as reported; the board's place alone is fitted."""
+    """Errors of a calibration on a session, with arm poses as reported. Only the pose of the board is fitted."""
 
     rms_px: float
     """Between seen and predicted corner [px]."""
@@ -66,7 +66,7 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
 
 
 def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> TargetSession:
-    """The session with the flange where the calibration's joint offsets say that it was."""
+    """The session with flange poses corrected by the joint offsets of the calibration."""
     if calibration.joint_offsets is None:
         return session
     if session.joints is None:
@@ -75,10 +75,10 @@ def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> 
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
-    """Error on views that the refinement has not seen, in up to five folds: `held_out_px`, `held_out_mm`.
+    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`.
 
-    The arm's poses are taken as reported, so that the figures hold what the arm adds: they are what a reconstruction
-    will meet. None where a fold could not be fitted.
+    The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction. They
+    are None if a fold could not be fitted.
     """
     views = len(session.base_from_flange)
     folds = min(FOLDS, views)

@@ -1,6 +1,6 @@
-"""Poses of a target in all views at once, with or without the camera: least squares in pixels, without an arm.
+"""Poses of a target in all views, with or without the camera, by least squares in pixels without an arm.
 
-What Zhang (2000) minimises in his section 3.3, by Levenberg-Marquardt with analytic derivatives.
+This is the problem of Zhang (2000), section 3.3, solved by Levenberg-Marquardt with analytic derivatives.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bundle:
-    """The answer."""
+    """The solution."""
 
     intrinsics: Array
     """(12,) in the order of `projection.NAMES`."""

@@ -1,4 +1,4 @@
-"""What pages show of a calibration beside its file: the stored values held against the recording. No calibration is estimated here."""
+"""A stored calibration held against its recording: what pages show beside the file. No calibration is estimated here."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -11,6 +11,7 @@ from calib.errors import CalibrationError
 from calib.handeye import flips, model, refine, verify
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import estimate, projection
+from calib.page.summary import POSES
 from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
@@ -19,7 +20,6 @@ from datasets.core.errors import UsageError
 Array = NDArray[np.float64]
 CORRECTED, REPORTED, ALONE = "arm corrected", "arm as reported", "camera alone"
 """Kinds of residuals: each view with the correction that its corners ask for; with the arm's pose as reported; without an arm."""
-POSES = ("flange_from_camera", "base_from_camera", "base_from_board", "flange_from_board")
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import numpy as np
 from calib.errors import CalibrationError
 from calib.intrinsics import crossval, estimate
 from calib.page import figures
-from calib.page.evidence import POSES, Evidence
-from calib.page.summary import notes
+from calib.page.evidence import Evidence
+from calib.page.summary import POSES, notes
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.reports.html import Number, ReportPage

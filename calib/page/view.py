@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from calib.errors import CalibrationError
 from calib.handeye import verify
 from calib.page import figures
-from calib.page.evidence import CORRECTED, POSES, Evidence, Sighting, gather, recording_of
-from calib.page.summary import describe_calibration
+from calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
+from calib.page.summary import POSES, describe_calibration
 from calib.sessions.importer import observe_folder
 from calib.targets.detection import read_board
 from datasets.board import Board
@@ -158,7 +158,7 @@ class _Stopped(Exception):
 
 
 def in_markdown(words: str) -> str:
-    """Lines of `describe_calibration`, a name and a value each, as Markdown that a narrow panel can break; indented ones as a list."""
+    """The lines of `describe_calibration` as Markdown that wraps in a narrow panel; indented lines as a list."""
     shown = []
     for line in words.splitlines():
         name, _, value = line.strip().partition("  ")

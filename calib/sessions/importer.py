@@ -1,17 +1,17 @@
-"""Sessions that other programs recorded: a folder of images and the arm's poses in CSV, YAML or JSON.
+"""Sessions that other programs recorded: a folder of images with the arm's poses in CSV, YAML or JSON.
 
-A description says how they are written; by default it is `import.yaml` in the folder itself:
+A description states the conventions. By default it is `import.yaml` in the folder:
 
     format: koala-import
     version: 1
-    images: "image-*.png"            # what * stands for names the view
+    images: "image-*.png"            # the part matched by * is the name of the view
     poses: "pose-*.yaml"             # a file for each image, or one file for all
     key: data                        # where in a YAML or JSON file; a.b for b inside a
     layout: x y z rx ry rz           # or: x y z qw qx qy qz; x y z qx qy qz qw; matrix; matrix by columns
     board: {type: chessboard, squares_x: 10, squares_y: 7, square_length_m: 0.0236}
 
-One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), or a YAML
-or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
+One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), a YAML or
+JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
 """
 
 import csv

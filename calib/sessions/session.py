@@ -1,4 +1,4 @@
-"""From a recording to what calibration works on: corners per view, the arm's word per view, and where they came from."""
+"""Target sessions: the corners of each view, the pose that the arm reported, and the provenance of both."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,7 +41,7 @@ class TargetSession:
 
     @property
     def stand_from_mount(self) -> NDArray[np.float64]:
-        """(views, 4, 4) base_from_flange or, with the camera beside the arm, its inverse; `calib.handeye.model` defines the names."""
+        """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; `calib.handeye.model` defines the names."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
     def chosen(self, keep: NDArray[np.bool_]) -> Self:

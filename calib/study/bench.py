@@ -1,13 +1,13 @@
 """Run time against error: every closed form and the refinement on simulated sessions, beside the Cramér-Rao bound.
 
-A point of the benchmark is a noise level and a number of views; each trial is one simulated session, whose board poses come from
-its corners by least squares. The bound is the smallest covariance that any unbiased method can reach: the inverse information
-at the truth. What a sample of finite size shows of it scatters by several percent, so that the efficient estimator, which is the
-truth plus one Gauss-Newton step on the same noise and known only to a simulation, is measured along: it tells how lucky the draws
-were (`calib.study.ratios`). Times are the processor's: what else the machine does is not counted.
+A point of the benchmark is a noise level and a number of views. Each trial is one simulated session, whose board poses come from its
+corners by least squares. The bound is the smallest covariance of any unbiased method: the inverse information at the truth. Errors of a
+finite sample scatter around it by several percent. The efficient estimator, known only to a simulation, is therefore measured as well:
+it is the truth plus one Gauss-Newton step on the same noise, and shows how lucky the draws were (`calib.study.ratios`). Times are those
+of the processor.
 
-The best of seven closed forms in a few hundred trials is partly the luckiest. So the one that is compared with was the best in the other
-half of the trials, and a point where the two are nearly equal gets more trials.
+The best of seven closed forms in a few hundred trials is partly the luckiest. The refinement is therefore compared with the one that was
+best in the other half of the trials, and points where the two are nearly equal get more trials.
 """
 
 import time
@@ -34,7 +34,7 @@ RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
 """The Koala rig with a board of 30 corners, seen whole."""
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
 FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
-"""An arm without error is stated to be this accurate: nobody would claim more."""
+"""Stated accuracy of an arm without error."""
 GIVEN: tuple[str, ...] = ()
 ESTIMATED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
@@ -48,22 +48,22 @@ class Point:
     arm_deg: float
     views: int
     free: tuple[str, ...] = GIVEN
-    """Intrinsics that are estimated along; for the closed forms from the pictures alone."""
+    """Intrinsics that are estimated; for the closed forms from the pictures alone."""
 
     @property
     def arm(self) -> Accuracy:
-        """Of the arm, truly."""
+        """True accuracy of the arm."""
         return Accuracy(1e-3 * self.arm_mm, float(np.deg2rad(self.arm_deg)))
 
     @property
     def stated(self) -> Accuracy:
-        """Of the arm, as the refinement is told."""
+        """Stated accuracy of the arm."""
         return Accuracy(max(self.arm.translation_m, FLOOR.translation_m), max(self.arm.rotation_rad, FLOOR.rotation_rad))
 
 
 @dataclass
 class Errors:
-    """What one method did at one point, a value per trial that it finished."""
+    """Errors of one method at one point, a value per successful trial."""
 
     translation_mm: list[float] = field(default_factory=list)
     rotation_deg: list[float] = field(default_factory=list)
@@ -104,7 +104,7 @@ class Result:
     methods: dict[str, Errors]
     """By name: closed forms, `REFINED`, `DRAWN`."""
     bound: tuple[float, float]
-    """Rms error that no unbiased method undercuts (translation [mm], rotation [deg])."""
+    """Smallest rms error of an unbiased method (translation [mm], rotation [deg])."""
 
     @property
     def best(self) -> tuple[str, str]:
@@ -129,7 +129,7 @@ class Result:
         return self._both(lambda axis: ratios.of_errors(self.methods[REFINED].of(axis), self._best_elsewhere(axis)))
 
     def _best_elsewhere(self, axis: int) -> Array:
-        """(trials,) errors, in every second trial of the closed form that is best in the others; empty where all of them failed."""
+        """(trials,) errors: in each half of the trials, of the closed form that is best in the other half; empty if all failed."""
         closed = [self.methods[name] for name in closed_forms.METHODS if name in self.methods and not self.methods[name].failures]
         if not closed:
             return np.empty(0)
@@ -168,7 +168,7 @@ EXACT = (1e-4, 1e-5)
 
 
 def full_grid() -> list[Point]:
-    """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views; with known intrinsics, and around the Koala rig estimated along."""
+    """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views, intrinsics given; around the Koala rig also estimated."""
     known = [Point(*levels) for levels in product((0.0, 0.1, 1.0), (0.0, 0.03, 1.0), (0.0, 0.005, 0.1), (5, 10, 20, 50))]
     along = [
         Point(px, mm, deg, views, ESTIMATED)
@@ -187,7 +187,7 @@ def quick_grid() -> list[Point]:
 def run(
     points: Sequence[Point], trials: int, seed: int, *, rig: Rig = RIG, done: Callable[[Result], None] = lambda result: None
 ) -> Iterator[Result]:
-    """Measure `points` with `trials` sessions each, and `MORE` times as many where it is a close call; the same seed gives the same."""
+    """Measure `points` with `trials` sessions each, and with `MORE` times as many where the result is close."""
     for number, point in enumerate(points):
         result = measure(point, trials, np.random.default_rng([seed, number]), rig, more=MORE)
         done(result)
@@ -195,8 +195,7 @@ def run(
 
 
 def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG, *, more: int = 1) -> Result:
-    """Measure every method at one point, with `trials` sessions, or `more` times as many where refinement and best closed form are
-    nearly equal then."""
+    """Measure every method at one point with `trials` sessions, or `more` times as many if refinement and best closed form are close."""
     methods = {name: Errors() for name in (*closed_forms.METHODS, REFINED, DRAWN)}
     variances: list[Array] = []
     while True:
@@ -252,7 +251,7 @@ def _spread(residuals: Array, views: int, free: int) -> float:
 
 
 def efficient(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
-    """(4, 4) the hand-eye pose of the truth plus one Gauss-Newton step on the session's noise: what an efficient estimator finds."""
+    """(4, 4) hand-eye pose of an efficient estimator: the truth plus one Gauss-Newton step on the session's noise."""
     step, _ = refine.linear_system(drawn.session, drawn.truth, sigmas).step(0.0)
     return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).mount_from_camera
 

@@ -1,7 +1,7 @@
-"""All methods on one session, judged by views that they have not seen.
+"""All methods on one session, judged by views held out of their fit.
 
-For each of five folds a method sees the other views; the board is then where that method puts it, the arm's poses are taken as
-reported, and the corners of the views left out are predicted. That is the error that a reconstruction meets.
+Each method is fitted to four of five folds and predicts the corners of the fifth, with its own pose of the board and the arm's poses
+as reported. A reconstruction has to expect this error.
 """
 
 from collections.abc import Sequence
@@ -31,14 +31,14 @@ class Judged:
 
     name: str
     camera_pose: Array | None
-    """(4, 4) from all views; None where it found no answer."""
+    """(4, 4) from all views; None if the method failed."""
     residual_mm: float
-    """Rms disagreement of the board's place by view [mm]; the figure that others publish."""
+    """Rms disagreement of the board's place by view [mm]; the figure that is usually published."""
     residual_deg: float
     held_out_px: float
     held_out_mm: float
     views: int
-    """That took part."""
+    """Used."""
 
 
 def compare(
@@ -53,7 +53,7 @@ def compare(
     session, boards, camera = first.session, solution.boards, first.camera
     measured = model.measured(session, first.free, first.known, accuracy, camera.fisheye)
     rows = [_closed_form(name, session, boards, measured, projection.vector(camera)) for name in closed_forms.METHODS]
-    start = replace(solution.start(), corrections=np.zeros((len(boards), 6)))
+    start = calibrate.start_from(camera, solution.closed, len(boards))
     rows.append(
         _refined("refinement, all views", session, boards, measured, refine.refine(measured, start, sigma_px=first.sigma_px))
     )
@@ -73,7 +73,7 @@ def _refined(name: str, session: TargetSession, boards: Array, measured: Session
 
 
 def _closed_form(name: str, session: TargetSession, boards: Array, measured: Session, camera: Array) -> Judged:
-    """A closed form on all views, and fold by fold on those that it has not seen."""
+    """A closed form on all views, and its held-out error."""
     mount, views = session.stand_from_mount, len(boards)
     try:
         answer = closed_forms.solve(mount, boards, name)

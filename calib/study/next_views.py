@@ -1,8 +1,8 @@
-"""The next views: those that leave the least uncertainty of the hand-eye pose.
+"""The next views to take: those that leave the least uncertainty of the hand-eye pose.
 
-What a view would tell is known before it is taken: the information that its corners would give, the arm's error being what the session
-has shown. Candidates are drawn around the board where the recorded views have been; the one that lowers the uncertainty most is taken
-first, then the next one beside it (greedy choice of an A-optimal design; Pukelsheim 2006, chapter 6).
+The information of a view is known before it is taken: it follows from its corners and from the arm's accuracy as shown by the session.
+Candidates are drawn around the board, where the recorded views were. The one that lowers the uncertainty most is chosen first, then the
+best one in addition to it (greedy A-optimal design; Pukelsheim 2006, chapter 6).
 """
 
 from dataclasses import dataclass, replace
@@ -26,16 +26,16 @@ from datasets.core import files
 
 Array = NDArray[np.float64]
 LEVER_M = 0.4
-"""A rotation error matters as much as what it moves at this distance: that of the object from the camera."""
+"""Rotation errors are weighed by the motion they cause at this distance, that of the object from the camera."""
 CANDIDATES = 400
 MAX_TILT_DEG = 50.0
 MIN_SHARE = 0.7
-"""Share of the board's corners that a view has to show."""
+"""Smallest share of the board's corners in a view."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Where the camera may be: what the recorded views have shown to be within reach."""
+    """Where the camera may be: the region of the recorded views."""
 
     low: Array
     """(3,) lowest corner of a box in the base frame [m]."""
@@ -66,7 +66,7 @@ class NextViews:
 
 
 def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
-    """The next `count` views after a session that has been solved, camera on the flange.
+    """The next `count` views after a session that has been solved, with the camera on the flange.
 
     Raises:
         CalibrationError: no view within reach shows the board; the camera is beside the arm.
@@ -147,7 +147,7 @@ def _score(information: Array, state: State) -> float:
 
 
 def write_trajectory(path: Path, found: NextViews, manifest: dict[str, Any]) -> None:
-    """Write the views as a trajectory file for 'capture plan' and 'capture run'; everything else is as in the recording's `manifest`."""
+    """Write the views as a trajectory file for 'capture plan' and 'capture run', with the other settings of the recording."""
     recorded = manifest.get("trajectory") or {}
     kept = {key: recorded[key] for key in ("camera", "motion", "safety", "target", "board") if recorded.get(key) is not None}
     poses = [

@@ -1,7 +1,7 @@
-"""Target sessions without pictures: true corners, with noise on corners and on the arm's reports.
+"""Target sessions without pictures: true corners, with noise on the corners and on the arm's reports.
 
-What benchmarks, studies and advice are made with. The arm's error is that of `calib.handeye.model`: the true flange is the reported
-one moved by a small Gaussian motion, of which `Accuracy` gives the standard deviations per axis.
+Benchmarks and studies use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved by a small
+Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
 """
 
 from dataclasses import dataclass, replace

@@ -1,6 +1,6 @@
 """What makes a calibration session good: the simulated Koala rig, with one thing changed at a time.
 
-Every session goes the whole way of `calib handeye`: intrinsics from the corners, closed form, refinement.
+Every session is processed as by `calib handeye`: intrinsics from the corners, closed form, refinement.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -40,9 +40,9 @@ class Variant:
     pattern: Pattern = USUAL
     views: int = 25
     separate: int = 0
-    """Views of a session of its own for the intrinsics, taken without the arm; 0: estimated along."""
+    """Views of a separate session for the intrinsics, taken without the arm; 0: estimated with the rest."""
     planned: int = 0
-    """Of the views, how many are taken where `calib plan` says after the others."""
+    """Number of views, among all, that `calib plan` chooses after the others."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def run(
 
 
 def target_session(simulated: Simulated, name: str = "simulated") -> TargetSession:
-    """A simulated session as if its pictures had been searched."""
+    """A simulated session in the form of a detected one."""
     camera = simulated.rig.camera
     return TargetSession(
         simulated.rig.board,
@@ -156,7 +156,7 @@ def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Arr
 
 
 def _plain_camera(session: TargetSession, given: Calibration | None) -> Camera:
-    """The camera that a closed form has to be content with."""
+    """The camera that the closed form uses."""
     return given.camera if given else estimate.calibrate(session.observations, session.width, session.height).camera
 
 

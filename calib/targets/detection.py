@@ -49,7 +49,7 @@ def read_board(content: Any, *, where: object) -> Board:
 
 
 def check_markers(board: Board, *, where: object) -> Board:
-    """`board` as given. Raises TargetError where OpenCV does not have its marker dictionary, or where that has too few markers."""
+    """`board` as given. Raises TargetError if OpenCV lacks its marker dictionary, or the dictionary has too few markers."""
     if board.kind == "chessboard":
         return board
     names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]

@@ -1,7 +1,7 @@
 """Boards to print, in true size, as SVG or PDF.
 
-Everything dark is a rectangle: squares, and the cells of markers. Below the board stand its description and a bar of 100 mm, to be
-measured on paper: printers like to fit pages.
+Everything dark is a rectangle: squares, and the cells of markers. A bar of 100 mm below the board shows whether the printer has scaled
+the page.
 """
 
 from pathlib import Path
@@ -83,7 +83,8 @@ def page_mm(board: Board) -> tuple[float, float]:
 def _label(board: Board) -> str:
     marker = f", markers {1e3 * board.marker_length_m:g} mm {board.dictionary}" if board.kind != "chessboard" else ""
     first = f" from {board.first_id}" if board.kind == "tags" else ""
-    return f"{board.kind} {board.squares_x}x{board.squares_y}, squares {1e3 * board.square_length_m:g} mm{marker}{first}; bar: 100 mm"
+    squares = f"{board.squares_x}x{board.squares_y}, squares {1e3 * board.square_length_m:g} mm"
+    return f"{board.kind} {squares}{marker}{first}; bar: 100 mm"
 
 
 def _placed(board: Board) -> Array:
@@ -94,12 +95,15 @@ def _placed(board: Board) -> Array:
 
 def _svg(board: Board) -> bytes:
     width, height = page_mm(board)
-    boxes = "\n".join(f'<rect x="{x:.4f}" y="{y:.4f}" width="{w:.4f}" height="{h:.4f}"/>' for x, y, w, h in _placed(board))
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.4f}mm" height="{height:.4f}mm" viewBox="0 0 {width:.4f} {height:.4f}">\n'
-        f'<rect width="100%" height="100%" fill="white"/>\n{boxes}\n'
-        f'<text x="{MARGIN_MM}" y="{height - MARGIN_MM:.4f}" font-family="sans-serif" font-size="3.5">{_label(board)}</text>\n</svg>\n'
-    ).encode()
+    size = f'width="{width:.4f}mm" height="{height:.4f}mm" viewBox="0 0 {width:.4f} {height:.4f}"'
+    place = f'x="{MARGIN_MM}" y="{height - MARGIN_MM:.4f}"'
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
+        '<rect width="100%" height="100%" fill="white"/>',
+        *(f'<rect x="{x:.4f}" y="{y:.4f}" width="{w:.4f}" height="{h:.4f}"/>' for x, y, w, h in _placed(board)),
+        f'<text {place} font-family="sans-serif" font-size="3.5">{_label(board)}</text>\n</svg>\n',
+    ]
+    return "\n".join(lines).encode()
 
 
 def _pdf(board: Board) -> bytes:
@@ -123,7 +127,5 @@ def _pdf(board: Board) -> bytes:
         data += f"{number} 0 obj\n{body}\nendobj\n".encode()
     table = "".join(f"{place:010d} 00000 n \n" for place in places)
     size = len(objects) + 1
-    return (
-        data
-        + f"xref\n0 {size}\n0000000000 65535 f \n{table}trailer << /Size {size} /Root 1 0 R >>\nstartxref\n{len(data)}\n%%EOF\n".encode()
-    )
+    trailer = f"trailer << /Size {size} /Root 1 0 R >>\nstartxref\n{len(data)}\n%%EOF\n"
+    return data + f"xref\n0 {size}\n0000000000 65535 f \n{table}{trailer}".encode()
