@@ -1,4 +1,4 @@
-"""Options that several `calib` commands share. A command with a parameter of one of these classes has all options of that class."""
+"""Options that several `calib` commands share. A command with a parameter of one of these classes has all its options."""
 
 import inspect
 import math

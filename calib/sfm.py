@@ -1,8 +1,8 @@
 """Bundle adjustment of a scene's own pictures with the arm's poses as priors, through pycolmap.
 
-Features are matched between all pictures and triangulated with the arm's poses. A fifth of the points is held out; the others refine the
-poses within the arm's accuracy. The refined poses are used only if the held-out points then fit better. If the arm's poses explain the
-pictures already, nothing is changed.
+Features are matched between all pictures and triangulated with the arm's poses. A fifth of the points is held out; the others
+refine the poses within the arm's accuracy. The refined poses are used only if the held-out points then fit better. If the
+arm's poses explain the pictures already, nothing is changed.
 """
 
 import tempfile
@@ -244,7 +244,7 @@ def _solved(point: NDArray[np.int64], matrices: Array, sides: Array) -> Array:
 
 
 def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Array:
-    """(views, 4, 4) poses after bundle adjustment without the points `aside`; `prior_m` is the prior deviation of camera centres per axis [m]."""
+    """(views, 4, 4) poses after bundle adjustment without the points `aside`; `prior_m`: of camera centres, per axis [m]."""
     import pycolmap
 
     number = 0
@@ -286,8 +286,9 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
 def aligned(moved: Array, given: Array, prior: Accuracy) -> Array:
     """(views, 4, 4) `moved` poses, all of them together moved rigidly to best match the poses of the arm.
 
-    Pictures do not determine the orientation of the whole scene, and for a short arc of views priors on camera centres hardly do. The
-    arm's orientations are used as well: least squares over one rigid motion, in units of the arm's accuracy (Gauss-Newton).
+    Pictures do not determine the orientation of the whole scene, and for a short arc of views priors on camera centres hardly
+    do. The arm's orientations are used as well: least squares over one rigid motion, in units of the arm's accuracy
+    (Gauss-Newton).
     """
     for _ in range(10):
         off = given[:, :3, 3] - moved[:, :3, 3]

@@ -1,9 +1,9 @@
 """Hand-eye calibration in closed form, camera on the flange, through OpenCV.
 
-Two views i, j give A X = X B with A = flange_i_from_flange_j, B = camera_i_from_camera_j and X = mount_from_camera
-(Tsai 1989, Park 1994, Horaud 1995, Andreff 1999, Daniilidis 1999); Shah 2013 and Li 2010 solve for X and
-stand_from_board together. All treat the poses as exact, so they serve as a start of the refinement. `calib.handeye.model` defines mount
-and stand; with the camera on the flange they are flange and base.
+Two views i, j give A X = X B with A = flange_i_from_flange_j, B = camera_i_from_camera_j and X = mount_from_camera (Tsai
+1989, Park 1994, Horaud 1995, Andreff 1999, Daniilidis 1999); Shah 2013 and Li 2010 solve for X and stand_from_board together.
+All treat the poses as exact, so they serve as a start of the refinement. `calib.handeye.model` defines mount and stand; with
+the camera on the flange they are flange and base.
 """
 
 from collections.abc import Sequence
@@ -121,9 +121,10 @@ def _near_the_middle(quaternions: Array) -> NDArray[np.bool_]:
 def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, NDArray[np.bool_]]:
     """The best closed-form answer by `score`, and which views agree with it, (views,).
 
-    A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984): up to
-    two fifths of the views may be wrong. A view disagrees if it is further than 5 medians (and 2 mm or 0.5 degrees) from the others,
-    for instance because the arm or the board was moving. Such views are left out, and the answer is computed again.
+    A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984):
+    up to two fifths of the views may be wrong. A view disagrees if it is further than 5 medians (and 2 mm or 0.5 degrees)
+    from the others, for instance because the arm or the board was moving. Such views are left out, and the answer is computed
+    again.
 
     Raises:
         CalibrationError: no method found an answer.

@@ -1,7 +1,7 @@
 """Chessboards that look the same after half a turn: both numbers of squares are even, or both are odd.
 
-Each view then has two readings, and the arm tells which ones belong together. Whatever the hand-eye pose is, arm and camera turn by the
-same angle between two views, and all views must put the board in the same place.
+Each view then has two readings, and the arm tells which ones belong together. Whatever the hand-eye pose is, arm and camera
+turn by the same angle between two views, and all views must put the board in the same place.
 """
 
 from dataclasses import replace

@@ -1,8 +1,8 @@
 """Joint offsets of the arm: true angle minus reported angle. Can they be estimated, and what was found?
 
-An offset moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the offsets of `OFFSET_JOINTS`
-with everything else. The stated accuracy of the joints is their prior; an offset that the views do not determine stays at the prior and
-is reported as such.
+An offset moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the offsets of
+`OFFSET_JOINTS` with everything else. The stated accuracy of the joints is their prior; an offset that the views do not
+determine stays at the prior and is reported as such.
 """
 
 from dataclasses import replace

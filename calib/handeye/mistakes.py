@@ -48,7 +48,7 @@ def _orientations(given: Array) -> dict[str, Array]:
 _LENGTHS = {
     "": 1.0,
     "the arm's positions are in millimetres, not metres": 1e-3,
-    "lengths of arm and target differ by a factor of 1000: the target is in millimetres, or the arm's positions were divided by 1000": 1e3,
+    "lengths of arm and target differ by a factor of 1000: the target is in mm, or the arm's positions were divided by 1000": 1e3,
 }
 
 

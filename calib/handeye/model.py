@@ -4,8 +4,8 @@ The flange of view i is truly at
 
     flange[i] = base_from_flange[i] @ D(q[i], offsets) @ C[i],
 
-where D is the motion of the flange due to joint `offsets` (true minus reported angle), and C[i] is the remaining error of the report: a
-small motion of the flange about its own origin. Corner k of that view is predicted at
+where D is the motion of the flange due to joint `offsets` (true minus reported angle), and C[i] is the remaining error of the
+report: a small motion of the flange about its own origin. Corner k of that view is predicted at
 
     project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
     project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
@@ -33,8 +33,8 @@ from datasets import kinematics, pose
 
 Array = NDArray[np.float64]
 OFFSET_JOINTS = [1, 2, 3, 4]
-"""Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last rotates the
-flange: the two unknown poses absorb them exactly, so they are zero by convention."""
+"""Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last
+rotates the flange: the two unknown poses absorb them exactly, so they are zero by convention."""
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,8 @@ def _reported(session: Session, state: State) -> Array:
 def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
     """(views, 6, k) motion of the true flange, in its own frame, for a small turn of each joint of `session.turning`.
 
-    The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of its
-    correction lead to, it is turned back, and turning moves what is not at the origin.
+    The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of
+    its correction lead to, it is turned back, and turning moves what is not at the origin.
     """
     if session.joints is None or not session.turning:
         return np.zeros((len(session.base_from_flange), 6, 0))

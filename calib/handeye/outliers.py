@@ -1,7 +1,7 @@
 """Views whose arm pose and picture disagree by more than chance: the refinement finds them, and they are left out by name.
 
-The refinement gives every view a correction of the arm's report. Good views need corrections of similar size. A view that was taken
-before the arm had settled, or after somebody touched the board, needs one that is many times larger.
+The refinement gives every view a correction of the arm's report. Good views need corrections of similar size. A view that was
+taken before the arm had settled, or after somebody touched the board, needs one that is many times larger.
 """
 
 from dataclasses import dataclass, replace

@@ -5,10 +5,10 @@ With the predictions and the corrections C[i] of `calib.handeye.model`, Levenber
     sum huber(|seen - predicted| / sigma_px)  +  sum |translation(C[i]) / sigma_t|^2 + |rotation(C[i]) / sigma_r|^2
     + prior knowledge of the intrinsics, and |offset / its stated deviation|^2 of each joint.
 
-A view's correction affects its own corners only and is eliminated view by view (`calib.solver.elimination`). If no residual is larger
-than expected from Gaussian noise, the loss is the plain square, which is most efficient; Huber's loss is for sessions with outliers.
-The three sigmas are estimated as well (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r starting from the
-stated accuracy of the arm, which counts as much as `PRIOR_VIEWS` views.
+A view's correction affects its own corners only and is eliminated view by view (`calib.solver.elimination`). If no residual
+is larger than expected from Gaussian noise, the loss is the plain square, which is most efficient; Huber's loss is for
+sessions with outliers. The three sigmas are estimated as well (MacKay 1992, eq. 4.9): sigma_px from the residuals alone,
+sigma_t and sigma_r starting from the stated accuracy of the arm, which counts as much as `PRIOR_VIEWS` views.
 """
 
 from dataclasses import dataclass, replace
@@ -190,7 +190,8 @@ class _Point:
         """The point after one damped step.
 
         If the cost has not fallen, the corrections are solved once more. The more certain the corners, the narrower and more
-        bent the valley in which corrections and global unknowns must move together (a second-order correction; Nocedal & Wright, 15.6).
+        bent the valley in which corrections and global unknowns must move together (a second-order correction; Nocedal &
+        Wright, 15.6).
         """
         candidate = _Point(self.session, self.state.moved(self.session.columns, *self.system.step(damping)), self.sigmas)
         for _ in range(2):
@@ -201,7 +202,7 @@ class _Point:
 
     def follow_views(self) -> "_Point":
         """The point after a Gauss-Newton step of the corrections alone."""
-        own: Array = np.linalg.solve(self.system.own, self.system.own_side[..., None])[..., 0]
+        own = np.asarray(np.linalg.solve(self.system.own, self.system.own_side[..., None])[..., 0], np.float64)
         still = np.zeros(len(self.system.side))
         return _Point(self.session, self.state.moved(self.session.columns, still, own), self.sigmas)
 

@@ -1,7 +1,7 @@
 """Uncertainty of the rig, and what a session cannot determine at all.
 
-Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are the inverse of the
-information that corners, the arm's accuracy and known intrinsics give together.
+Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are the
+inverse of the information that corners, the arm's accuracy and known intrinsics give together.
 """
 
 from itertools import combinations
@@ -48,7 +48,7 @@ def check_motion(base_from_flange: Array) -> None:
         axis = ", ".join(f"{x:.2f}" for x in axes[0] * np.sign(axes[0][np.abs(axes[0]).argmax()]))
         raise Unobservable(
             "translation of the hand-eye pose along the axis of rotation is not observable",
-            why=f"the flange turned about one axis, ({axis}) in the base, and only by {np.rad2deg(spread[1]):.2g} deg about others",
+            why=f"the flange turned about ({axis}) in the base, and by only {np.rad2deg(spread[1]):.2g} deg about other axes",
             remedy="add views that are tilted about a second axis by 20 degrees and more",
         )
 

@@ -1,7 +1,7 @@
 """Cameras from two halves of a session: do not trust the calibration in image regions where they disagree.
 
-Both halves see the same lens, so differences are noise or errors of the lens model. A small rotation of the camera resembles a shift of
-its principal point. The best rotation is therefore removed first (as in mrcal's projection difference).
+Both halves see the same lens, so differences are noise or errors of the lens model. A small rotation of the camera resembles
+a shift of its principal point. The best rotation is therefore removed first (as in mrcal's projection difference).
 """
 
 from collections.abc import Sequence

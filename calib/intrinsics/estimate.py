@@ -1,9 +1,9 @@
 """Intrinsics from views of a flat target (Zhang 2000), with as many coefficients as the views support.
 
-OpenCV finds a start. Each candidate lens is then fitted to some views by least squares and judged on the others, of which only the poses
-are fitted. The usual lens has k1 k2 p1 p2; more or fewer coefficients must lower the held-out error. (If fewer were the rule, one
-session in twenty would omit a coefficient for lack of views and give a principal point several deviations off.) Corners and views with
-gross errors are left out.
+OpenCV finds a start. Each candidate lens is then fitted to some views by least squares and judged on the others, of which
+only the poses are fitted. The usual lens has k1 k2 p1 p2; more or fewer coefficients must lower the held-out error. (If fewer
+were the rule, one session in twenty would omit a coefficient for lack of views and give a principal point several deviations
+off.) Corners and views with gross errors are left out.
 """
 
 from collections.abc import Sequence
@@ -147,7 +147,7 @@ def _finished(
 
 
 def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
-    """The lens that predicts unseen views best, and its error [px]. Tries more and fewer coefficients than usual while that helps."""
+    """The lens that predicts unseen views best, and its error [px]. More and fewer coefficients are tried while that helps."""
     chosen = USUAL if USUAL in lenses else lenses[0]
     best = _held_out(observations, first, poses, chosen)
     usual = lenses.index(chosen)
@@ -293,7 +293,7 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
 def _without_outliers(
     observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]
 ) -> tuple[list[Observation], Array, dict[str, str]]:
-    """Observations without corners, and without views, that a first fit cannot explain; the poses of the rest; views left out and why.
+    """Observations without corners and views that a first fit cannot explain; their poses; the views left out, and why.
 
     Corners are removed first, compared with the other corners of their view: a few wrong corners spoil the fit of a good view.
     """

@@ -10,8 +10,8 @@ A description states the conventions. By default it is `import.yaml` in the fold
     layout: x y z rx ry rz           # or: x y z qw qx qy qz; x y z qx qy qz qw; matrix; matrix by columns
     board: {type: chessboard, squares_x: 10, squares_y: 7, square_length_m: 0.0236}
 
-One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), a YAML or
-JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
+One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), a
+YAML or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
 """
 
 import csv

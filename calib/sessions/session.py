@@ -41,7 +41,7 @@ class TargetSession:
 
     @property
     def stand_from_mount(self) -> NDArray[np.float64]:
-        """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; `calib.handeye.model` defines the names."""
+        """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; see `calib.handeye.model`."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
     def chosen(self, keep: NDArray[np.bool_]) -> Self:

@@ -1,13 +1,13 @@
 """Run time against error: every closed form and the refinement on simulated sessions, beside the Cramér-Rao bound.
 
-A point of the benchmark is a noise level and a number of views. Each trial is one simulated session, whose board poses come from its
-corners by least squares. The bound is the smallest covariance of any unbiased method: the inverse information at the truth. Errors of a
-finite sample scatter around it by several percent. The efficient estimator, known only to a simulation, is therefore measured as well:
-it is the truth plus one Gauss-Newton step on the same noise, and shows how lucky the draws were (`calib.study.ratios`). Times are those
-of the processor.
+A point of the benchmark is a noise level and a number of views. Each trial is one simulated session, whose board poses come
+from its corners by least squares. The bound is the smallest covariance of any unbiased method: the inverse information at the
+truth. Errors of a finite sample scatter around it by several percent. The efficient estimator, known only to a simulation, is
+therefore measured as well: it is the truth plus one Gauss-Newton step on the same noise, and shows how lucky the draws were
+(`calib.study.ratios`). Times are those of the processor.
 
-The best of seven closed forms in a few hundred trials is partly the luckiest. The refinement is therefore compared with the one that was
-best in the other half of the trials, and points where the two are nearly equal get more trials.
+The best of seven closed forms in a few hundred trials is partly the luckiest. The refinement is therefore compared with the
+one that was best in the other half of the trials, and points where the two are nearly equal get more trials.
 """
 
 import time
@@ -129,7 +129,7 @@ class Result:
         return self._both(lambda axis: ratios.of_errors(self.methods[REFINED].of(axis), self._best_elsewhere(axis)))
 
     def _best_elsewhere(self, axis: int) -> Array:
-        """(trials,) errors: in each half of the trials, of the closed form that is best in the other half; empty if all failed."""
+        """(trials,) errors: in each half of the trials those of the closed form that is best in the other half."""
         closed = [self.methods[name] for name in closed_forms.METHODS if name in self.methods and not self.methods[name].failures]
         if not closed:
             return np.empty(0)
@@ -195,7 +195,7 @@ def run(
 
 
 def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG, *, more: int = 1) -> Result:
-    """Measure every method at one point with `trials` sessions, or `more` times as many if refinement and best closed form are close."""
+    """Measure every method at one point with `trials` sessions, or `more` times as many if the result is close."""
     methods = {name: Errors() for name in (*closed_forms.METHODS, REFINED, DRAWN)}
     variances: list[Array] = []
     while True:

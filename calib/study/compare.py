@@ -1,11 +1,11 @@
 """All methods on one session, judged by views held out of their fit.
 
-Each method is fitted to four of five folds and predicts the corners of the fifth, with its own pose of the board and the arm's poses
-as reported. A reconstruction has to expect this error.
+Each method is fitted to four of five folds and predicts the corners of the fifth, with its own pose of the board and the
+arm's poses as reported. A reconstruction has to expect this error.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray

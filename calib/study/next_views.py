@@ -1,8 +1,8 @@
 """The next views to take: those that leave the least uncertainty of the hand-eye pose.
 
-The information of a view is known before it is taken: it follows from its corners and from the arm's accuracy as shown by the session.
-Candidates are drawn around the board, where the recorded views were. The one that lowers the uncertainty most is chosen first, then the
-best one in addition to it (greedy A-optimal design; Pukelsheim 2006, chapter 6).
+The information of a view is known before it is taken: it follows from its corners and from the arm's accuracy as shown by the
+session. Candidates are drawn around the board, where the recorded views were. The one that lowers the uncertainty most is
+chosen first, then the best one in addition to it (greedy A-optimal design; Pukelsheim 2006, chapter 6).
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from calib.handeye import model, refine
 from calib.handeye.model import Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import projection
-from calib.study.simulate import Pattern, Rig, viewpoints
+from calib.study.simulate import Pattern, Rig, inside_image, viewpoints
 from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.core import files
@@ -50,7 +50,7 @@ class Reach:
     def holds(self, base_from_camera: Array) -> NDArray[np.bool_]:
         """(n,) whether cameras of (n, 4, 4) poses are inside."""
         places = base_from_camera[:, :3, 3]
-        return ((places >= self.low) & (places <= self.high)).all(1)
+        return np.all((places >= self.low) & (places <= self.high), axis=1)
 
 
 @dataclass(frozen=True)
@@ -114,20 +114,14 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
     """(p, p) information of one view more, or None where it shows too little of the board."""
     points = rig.board.points
     reported = candidate @ pose.inverse(rig.flange_from_camera)
-    session = Session(
-        reported[None],
-        np.zeros(len(points), np.int64),
-        np.zeros((len(points), 2)),
-        points,
-        measured.free,
-        accuracy=measured.accuracy,
-        fisheye=measured.fisheye,
-    )
+    view, pixels = np.zeros(len(points), np.int64), np.zeros((len(points), 2))
+    options = {"accuracy": measured.accuracy, "fisheye": measured.fisheye}
+    session = Session(reported[None], view, pixels, points, measured.free, **options)
     state = State(refined.state.intrinsics, refined.state.mount_from_camera, refined.state.stand_from_board, np.zeros((1, 6)))
     if model.camera_points(session, state)[:, 2].min() <= 1e-3:
         return None
     pixels = model.predict(session, state)[0]
-    inside = ((pixels > 2) & (pixels < [rig.camera.width - 2, rig.camera.height - 2])).all(1)
+    inside = inside_image(pixels, rig.camera)
     if inside.sum() < max(8, MIN_SHARE * len(points)):
         return None
     seen = replace(session, pixels=pixels)  # as predicted: nothing is an outlier
@@ -136,7 +130,7 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:
     """Standard deviations of the hand-eye pose over all axes: translation [mm], rotation [deg]."""
-    stated = UncertainPose(state.mount_from_camera, np.linalg.inv(information)[-12:-6, -12:-6])
+    stated = UncertainPose(state.mount_from_camera, np.asarray(np.linalg.inv(information)[-12:-6, -12:-6], np.float64))
     return float(np.linalg.norm(stated.translation_std_mm)), float(np.linalg.norm(stated.rotation_std_deg))
 
 

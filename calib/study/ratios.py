@@ -1,7 +1,7 @@
 """Ratios of rms errors over simulated trials, with intervals for the luck of the draws.
 
-Two methods that met the same noise are compared trial by trial. Intervals are percentiles over trials drawn with replacement (bootstrap;
-Efron & Tibshirani 1993, chapter 13), with the same draws for both methods.
+Two methods that met the same noise are compared trial by trial. Intervals are percentiles over trials drawn with replacement
+(bootstrap; Efron & Tibshirani 1993, chapter 13), with the same draws for both methods.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Target sessions without pictures: true corners, with noise on the corners and on the arm's reports.
 
-Benchmarks and studies use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved by a small
-Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
+Benchmarks and studies use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved
+by a small Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
 """
 
 from dataclasses import dataclass, replace
@@ -99,6 +99,11 @@ def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:
     return board @ board_from_camera
 
 
+def inside_image(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
+    """(n,) which of (n, 2) pixels lie in the image, two pixels from its border."""
+    return np.all((pixels > 2) & (pixels < [camera.width - 2, camera.height - 2]), axis=1)
+
+
 def simulate(
     rng: Generator, rig: Rig, base_from_camera: Array, *, sigma_px: float, arm: Accuracy, free: tuple[str, ...] = ()
 ) -> Simulated:
@@ -109,15 +114,8 @@ def simulate(
     reported = base_from_camera @ pose.inverse(rig.flange_from_camera) @ pose.inverse(missed)
     points = rig.board.points
     truth = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, errors)
-    every = Session(
-        reported,
-        np.repeat(np.arange(views), len(points)),
-        np.zeros((views * len(points), 2)),
-        np.tile(points, (views, 1)),
-        free,
-        accuracy=arm,
-    )
+    view, unseen = np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2))
+    every = Session(reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm)
     pixels = projection.project(model.camera_points(every, truth), truth.intrinsics)[0]
-    inside = ((pixels > 2) & (pixels < [rig.camera.width - 2, rig.camera.height - 2])).all(1)
-    session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside)
+    session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside_image(pixels, rig.camera))
     return Simulated(rig, base_from_camera, session, truth)

@@ -108,7 +108,7 @@ def _tag_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
         return None
     chosen.sort(key=lambda i: numbers[i])
     corner = (4 * numbers[chosen][:, None] + np.arange(4)).ravel().astype(np.int64)
-    return corner, np.concatenate([quads[i].reshape(4, 2) for i in chosen])
+    return corner, np.concatenate([quads[i].reshape(4, 2) for i in chosen]).astype(np.float32)
 
 
 def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
@@ -121,7 +121,7 @@ def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
     places, ids, _, _ = detector.detectBoard(picture)
     if ids is None or len(ids) == 0:
         return None
-    return ids.reshape(-1).astype(np.int64), places.reshape(-1, 2)
+    return ids.reshape(-1).astype(np.int64), places.reshape(-1, 2).astype(np.float32)
 
 
 def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
@@ -130,10 +130,10 @@ def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
     found, places = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
     if not found:
         return None
-    places = places.reshape(rows, columns, 2)
+    places = places.reshape(rows, columns, 2).astype(np.float32)
     if not board.is_ambiguous and not _first_square_is_dark(picture, places):
         places = places[::-1, ::-1]
-    return np.arange(rows * columns), np.ascontiguousarray(places.reshape(-1, 2))
+    return np.arange(rows * columns, dtype=np.int64), np.ascontiguousarray(places.reshape(-1, 2))
 
 
 def _refined(board: Board, grey: NDArray[np.float32], ids: NDArray[np.int64], found: NDArray[np.float32]) -> NDArray[np.float64]:

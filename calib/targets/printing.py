@@ -1,7 +1,7 @@
 """Boards to print, in true size, as SVG or PDF.
 
-Everything dark is a rectangle: squares, and the cells of markers. A bar of 100 mm below the board shows whether the printer has scaled
-the page.
+Everything dark is a rectangle: squares, and the cells of markers. A bar of 100 mm below the board shows whether the printer
+has scaled the page.
 """
 
 from pathlib import Path

@@ -89,7 +89,7 @@ def _simulate(seed=0, views=20, noise_px=0.1, translation_m=5e-5, rotation_deg=0
 
 @lru_cache
 def _rays(camera, samples):
-    """samples^2 pictures (height, width, 3) of ray directions, spread over each pixel without lines that edges could lie along."""
+    """samples^2 pictures (height, width, 3) of ray directions, spread over each pixel, but not along lines as edges are."""
     places = np.arange(samples**2)[:, None] * [0.7548776662, 0.5698402910] % 1 - 0.5  # Roberts' R2 sequence
     return [camera.directions(camera.pixel_centres() + place - places.mean(0)) for place in places]
 

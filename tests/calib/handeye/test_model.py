@@ -12,7 +12,7 @@ from datasets.camera_model import Camera
 
 @pytest.fixture
 def bent(small):
-    """A session of which everything is free, at a state with large corrections, so that no term of the derivative is nearly zero."""
+    """A session with all parameters free and large corrections, so that no term of the derivative is nearly zero."""
     session = small.session(free=projection.NAMES)
     rng = np.random.default_rng(5)
     corrections = rng.normal(0, 1, (12, 6)) * np.repeat([0.01, 0.1], 3)

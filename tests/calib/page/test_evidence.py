@@ -103,7 +103,7 @@ def test_an_ambiguous_board_is_read_as_the_calibration_has_it() -> None:
 
 def test_a_missing_recording_is_named(calibration, recorded, tmp_path: Path) -> None:
     assert recording_of(calibration, None) == recorded[0].resolve()
-    with pytest.raises(UsageError, match="gone.*--recording"):
+    with pytest.raises(UsageError, match=r"gone.*--recording"):
         recording_of(calibration, tmp_path / "gone")
     with pytest.raises(UsageError, match="--recording"):
         recording_of(replace(calibration, provenance={}), None)

@@ -54,7 +54,7 @@ def test_notes_name_what_a_person_should_look_at():
     }
     text = "\n".join(summary.notes(replace(CALIBRATION, residuals=residuals)))
     assert "view 003" in text and "view 007" in text and "little of the image" in text and "20 times less accurate" in text
-    assert "had not settled" in text
+    assert "did not converge" in text
 
 
 def test_verification_names_the_worst_view():

@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def test_the_minimum_is_found(start: tuple[float, float]) -> None:
 
 def test_the_cost_never_rises() -> None:
     costs = [minimise(Rosenbrock(np.array([-1.2, 1.0])), Limits(n, 0.0, 0.0))[0].cost for n in range(12)]
-    assert all(after <= before for before, after in zip(costs, costs[1:], strict=False)) and costs[-1] < 0.5 * costs[0]
+    assert all(after <= before for before, after in pairwise(costs)) and costs[-1] < 0.5 * costs[0]
 
 
 def test_steps_that_fail_are_shortened() -> None:
