@@ -150,7 +150,7 @@ def test_offsets_that_no_view_shows_stay_at_their_prior():
     assert found.residuals["joints_not_shown"] == [2, 3, 4]
     np.testing.assert_allclose(found.joint_offsets.std[1:4], ARM.joint_rad, rtol=0.05)
     assert found.joint_offsets.std[4] < 0.5 * ARM.joint_rad
-    assert any("say nothing of the offset of joint 2, 3, 4" in note for note in summary.notes(found))
+    assert any("do not determine the offset of joint 2, 3, 4" in note for note in summary.notes(found))
 
 
 def test_parameters_are_named_in_their_order():
