@@ -154,7 +154,7 @@ def test_offsets_that_no_view_shows_stay_at_their_prior():
 
 
 def test_parameters_are_named_in_their_order():
-    measured = simulated(70, 4).measured(("fx",), None, ARM)
+    measured = model.measured(simulated(70, 4), ("fx",), None, ARM)
     assert uncertainty.parameter_names(measured)[:6] == [
         "fx",
         *(f"offset of joint {number}" for number in (2, 3, 4, 5)),
