@@ -30,8 +30,14 @@ NEAR_SHARE = 0.25
 table may come closer than the object."""
 
 
-def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tuple[int, ...] = (),
-          done: Callable[[], None] = lambda: None) -> Scene:  # fmt: skip
+def build(
+    recording_path: Path,
+    calibration_path: Path,
+    out: Path,
+    *,
+    sizes: tuple[int, ...] = (),
+    done: Callable[[], None] = lambda: None,
+) -> Scene:
     """Write the Koala scene of a recording to `out`, all or nothing. `done` is called after each frame.
 
     For each N of `sizes`, `images_N` holds the images at 1/N of their size.
@@ -60,13 +66,27 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
         done()
     box, evidence = object_box(recording, tuple(views))
     provenance = {
-        "format": koala.FORMAT, "recording": str(recording.path.absolute()),
-        "calibration": str(Path(calibration_path).absolute()), "calibration_sha256": files.sha256(calibration_path),
-        "manifest_sha256": files.sha256(recording.path / MANIFEST), "frames_sha256": {f.name: f.sha256 for f in frames},
-        "flange_from_camera": calibration.flange_from_camera.to_json(), "software": {"koala-capture": version("koala-capture")},
-    }  # fmt: skip
-    scene = Scene(Path(out).resolve().name, tuple(views), NEAR_SHARE * bounds.depth_range(views, box)[0], np.inf, box, "scene",
-                  metric=True, notes=tuple(notes), provenance=provenance, bounds_from=evidence)  # fmt: skip
+        "format": koala.FORMAT,
+        "recording": str(recording.path.absolute()),
+        "calibration": str(Path(calibration_path).absolute()),
+        "calibration_sha256": files.sha256(calibration_path),
+        "manifest_sha256": files.sha256(recording.path / MANIFEST),
+        "frames_sha256": {f.name: f.sha256 for f in frames},
+        "flange_from_camera": calibration.flange_from_camera.to_json(),
+        "software": {"koala-capture": version("koala-capture")},
+    }
+    scene = Scene(
+        Path(out).resolve().name,
+        tuple(views),
+        NEAR_SHARE * bounds.depth_range(views, box)[0],
+        np.inf,
+        box,
+        "scene",
+        metric=True,
+        notes=tuple(notes),
+        provenance=provenance,
+        bounds_from=evidence,
+    )
     if evidence != CAMERAS_ALONE:  # else all of it is measured where the scene is used
         scene = with_measured_near(scene)
     koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
@@ -102,9 +122,12 @@ def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, 
         calibrated = theirs.converted(calibrated, ours)
         notes.append(f"intrinsics converted from {_words(theirs)} to {_words(ours)}")
     if (calibrated.width, calibrated.height) != actual:
-        raise DatasetError("calibration is for another image size", where=recording.path,
-                           why=f"images are {actual[0]}x{actual[1]}, the calibrated camera is {calibrated.width}x{calibrated.height}",
-                           remedy="calibrate with the same region of interest and binning")  # fmt: skip
+        raise DatasetError(
+            "calibration is for another image size",
+            where=recording.path,
+            why=f"images are {actual[0]}x{actual[1]}, the calibrated camera is {calibrated.width}x{calibrated.height}",
+            remedy="calibrate with the same region of interest and binning",
+        )
     return calibrated, notes
 
 
@@ -132,11 +155,19 @@ def _view(recording: Recording, frame: Frame, camera: Camera, world_from_camera:
     where = f"{recording.path}, frame {frame.name}"
     path = files.inside(recording.path, frame.image, where=where)
     if images.size(path) != (camera.width, camera.height):
-        raise DatasetError("image has the wrong size", where=path, remedy="record the frame again",
-                           why="it is {}x{}".format(*images.size(path)) + f", the others are {camera.width}x{camera.height}")  # fmt: skip
+        raise DatasetError(
+            "image has the wrong size",
+            where=path,
+            remedy="record the frame again",
+            why="it is {}x{}".format(*images.size(path)) + f", the others are {camera.width}x{camera.height}",
+        )
     if frame.sha256 and files.sha256(path) != frame.sha256:
-        raise DatasetError("image is not the one that was recorded", where=path, why="its SHA-256 differs from frames.jsonl",
-                           remedy="restore it, or record the frame again")  # fmt: skip
+        raise DatasetError(
+            "image is not the one that was recorded",
+            where=path,
+            why="its SHA-256 differs from frames.jsonl",
+            remedy="restore it, or record the frame again",
+        )
     return View(frame.name, camera, world_from_camera, frame.split, path, truth=_truth(recording.path, frame.name))
 
 

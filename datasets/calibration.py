@@ -136,11 +136,19 @@ class Calibration:
         """Write atomically as JSON."""
         poses = {name: getattr(self, name) for name in _POSES if name in _POSES[:2] or getattr(self, name)}
         offsets = {"joint_offsets": self.joint_offsets.to_json()} if self.joint_offsets else {}
-        files.write_json(path, {
-            "format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std,
-            **{name: value.to_json() if value else None for name, value in poses.items()}, **offsets,
-            "residuals": self.residuals, "provenance": self.provenance,
-        })  # fmt: skip
+        files.write_json(
+            path,
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "camera": self.camera.to_json(),
+                "camera_std": self.camera_std,
+                **{name: value.to_json() if value else None for name, value in poses.items()},
+                **offsets,
+                "residuals": self.residuals,
+                "provenance": self.provenance,
+            },
+        )
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -154,7 +162,10 @@ class Calibration:
         }
         offsets = content.get("joint_offsets")
         return cls(
-            Camera.from_json(content["camera"], where=f"{path}, camera"), content.get("camera_std", {}), **poses,
+            Camera.from_json(content["camera"], where=f"{path}, camera"),
+            content.get("camera_std", {}),
+            **poses,
             joint_offsets=JointOffsets.from_json(offsets, where=f"{path}, joint_offsets") if offsets else None,
-            residuals=content.get("residuals", {}), provenance=content.get("provenance", {}),
-        )  # fmt: skip
+            residuals=content.get("residuals", {}),
+            provenance=content.get("provenance", {}),
+        )

@@ -167,8 +167,11 @@ class Camera:
         if not np.isfinite(values).all():
             raise DatasetError("camera holds a value that is not finite", where=where, why=str(asdict(self)))
         if min(self.width, self.height) < 1 or min(self.fx, self.fy) <= 0:
-            raise DatasetError("camera has no size or no focal length", where=where,
-                               why=f"{self.width}x{self.height}, fx {self.fx:g}, fy {self.fy:g}")  # fmt: skip
+            raise DatasetError(
+                "camera has no size or no focal length",
+                where=where,
+                why=f"{self.width}x{self.height}, fx {self.fx:g}, fy {self.fy:g}",
+            )
         return self
 
 

@@ -104,8 +104,11 @@ def view(
     loaded = load_scene(scene, data_root=data_root, images=images, problems=problems)
     with open_page(loaded.name, port) as page:
         show(page, scene, loaded, quick=quick, data_root=data_root, images=images)
-        console.report({"url": page.url, **describe(loaded)}, as_json=as_json,
-                       text=f"{page.url} shows {loaded.name}, {len(loaded.views)} views; Ctrl-C ends it")  # fmt: skip
+        console.report(
+            {"url": page.url, **describe(loaded)},
+            as_json=as_json,
+            text=f"{page.url} shows {loaded.name}, {len(loaded.views)} views; Ctrl-C ends it",
+        )
         page.serve()
 
 
@@ -158,8 +161,9 @@ def export(
     refuse_existing(out)
     loaded = load_scene(scene, data_root=data_root, format=source, images=images)
     with console.progress("exporting", len(loaded.views), "views") as shown:
-        limits = save_scene(loaded, out, format, sizes=_numbers(sizes), extra=extra_truth(find(scene, data_root)),
-                            done=shown.advance)  # fmt: skip
+        limits = save_scene(
+            loaded, out, format, sizes=_numbers(sizes), extra=extra_truth(find(scene, data_root)), done=shown.advance
+        )
     count = len(loaded.views)
     text = f"{count} views written to {out}" + (f"\n{limits}" if limits else "")
     console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
@@ -193,9 +197,11 @@ def bench(
     from datasets.imaging.bench import read_and_shrink
 
     found = read_and_shrink(count, suffix=suffix)
-    text = ("{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
-            "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of processor time); "
-            "peak memory grew by {peak_growth_mb:.1f} MB after the first ten")  # fmt: skip
+    text = (
+        "{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
+        "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of processor time); "
+        "peak memory grew by {peak_growth_mb:.1f} MB after the first ten"
+    )
     console.report(found, as_json=as_json, text=text.format(**found))
 
 

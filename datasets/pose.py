@@ -99,10 +99,12 @@ def checked(pose: ArrayLike, *, where: object, tolerance: float = 1e-3) -> Matri
         )
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) < 0:
-        raise DatasetError("pose is left-handed", where=where, why="its determinant is negative",
-                           remedy="check the axis convention of the file")  # fmt: skip
+        raise DatasetError(
+            "pose is left-handed", where=where, why="its determinant is negative", remedy="check the axis convention of the file"
+        )
     error = np.abs(u @ vt - matrix[:3, :3]).max()
     if error > tolerance:
-        raise DatasetError("pose is not a rotation and a translation", where=where,
-                           why=f"rotation is {error:.3g} away from orthonormal")  # fmt: skip
+        raise DatasetError(
+            "pose is not a rotation and a translation", where=where, why=f"rotation is {error:.3g} away from orthonormal"
+        )
     return rigid(u @ vt, matrix[:3, 3])

@@ -62,8 +62,13 @@ class Frame:
     def from_json(cls, content: Any, *, where: object) -> Self:
         """Frame from `to_json`'s dictionary; raises DatasetError naming what is wrong in it."""
         try:
-            frame = cls(**{**content, "joints": np.asarray(content["joints"], np.float64),
-                           "base_from_flange": pose.checked(content["base_from_flange"], where=where)})  # fmt: skip
+            frame = cls(
+                **{
+                    **content,
+                    "joints": np.asarray(content["joints"], np.float64),
+                    "base_from_flange": pose.checked(content["base_from_flange"], where=where),
+                }
+            )
         except (TypeError, KeyError, ValueError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
         if frame.joints.shape != (6,) or not np.isfinite(frame.joints).all():

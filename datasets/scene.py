@@ -108,9 +108,12 @@ class View:
     def _check_size(self, picture: NDArray[np.float32], path: Path) -> None:
         height, width = picture.shape[:2]
         if (width, height) != (self.camera.width, self.camera.height):
-            raise DatasetError("image has the wrong size", where=f"{path} (view {self.name})",
-                               why=f"it is {width}x{height}, its camera says {self.camera.width}x{self.camera.height}",
-                               remedy="use the images that the cameras were made for")  # fmt: skip
+            raise DatasetError(
+                "image has the wrong size",
+                where=f"{path} (view {self.name})",
+                why=f"it is {width}x{height}, its camera says {self.camera.width}x{self.camera.height}",
+                remedy="use the images that the cameras were made for",
+            )
 
 
 @dataclass(frozen=True, eq=False)

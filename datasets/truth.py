@@ -44,12 +44,17 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
     if not frames:
         raise UsageError("recording holds no frames", where=recording, remedy="record it first")
     cameras = [
-        pose.difference(calibration.camera_pose(frame.base_from_flange, frame.joints),
-                        pose.checked(content["base_from_camera"][frame.name], where=source))
+        pose.difference(
+            calibration.camera_pose(frame.base_from_flange, frame.joints),
+            pose.checked(content["base_from_camera"][frame.name], where=source),
+        )
         for frame in frames
-    ]  # fmt: skip
+    ]
     camera_shift, camera_turn = np.median(cameras, axis=0)
     return {
-        "hand_eye_mm": float(1e3 * shift), "hand_eye_deg": float(np.rad2deg(turn)), "frames": len(frames),
-        "camera_mm": float(1e3 * camera_shift), "camera_deg": float(np.rad2deg(camera_turn)),
-    }  # fmt: skip
+        "hand_eye_mm": float(1e3 * shift),
+        "hand_eye_deg": float(np.rad2deg(turn)),
+        "frames": len(frames),
+        "camera_mm": float(1e3 * camera_shift),
+        "camera_deg": float(np.rad2deg(camera_turn)),
+    }

@@ -20,8 +20,9 @@ THUMBNAIL, ALIKE = 16, 0.4 / 255
 """Pixels per side of a thumbnail, and the mean difference below which two pictures are one: noise averages to less."""
 
 
-def check(path: str | Path, *, matches: bool = True, done: Callable[[int, int], None] = lambda count, total: None,
-          **options: object) -> list[Finding]:  # fmt: skip
+def check(
+    path: str | Path, *, matches: bool = True, done: Callable[[int, int], None] = lambda count, total: None, **options: object
+) -> list[Finding]:
     """Findings on a scene on disk, the worst first; an empty list means that nothing is wrong.
 
     Every image, mask and truth map is decoded. With `matches`, features are matched between views and held against the
@@ -97,8 +98,15 @@ def _near_duplicates(scene: Scene, thumbnails: dict[str, NDArray[np.float32]]) -
         twins = view.image.is_file() and train[nearest].image.is_file() and _same_bytes(view.image, train[nearest].image)
         if differences[nearest] < ALIKE and not twins:
             why = f"it differs from view {train[nearest].name} by {255 * differences[nearest]:.2f} of 255"
-            found.append(Finding("warning", "test picture is nearly a training picture", f"view {view.name}", why,
-                                 "take one of the two out, else figures flatter"))  # fmt: skip
+            found.append(
+                Finding(
+                    "warning",
+                    "test picture is nearly a training picture",
+                    f"view {view.name}",
+                    why,
+                    "take one of the two out, else figures flatter",
+                )
+            )
     return found
 
 
@@ -114,13 +122,25 @@ def summary(scene: Scene) -> dict[str, object]:
     distances = np.linalg.norm(matrices[:, :3, 3] - bounds.focus(matrices)[0], axis=1)
     first = scene.views[0]
     return {
-        "name": scene.name, "format": scene.provenance.get("format", "koala"), "views": counts, "sizes": sizes,
-        "camera": first.camera.to_json(), "distorted": not first.camera.is_pinhole, "cameras": len({v.camera for v in scene.views}),
+        "name": scene.name,
+        "format": scene.provenance.get("format", "koala"),
+        "views": counts,
+        "sizes": sizes,
+        "camera": first.camera.to_json(),
+        "distorted": not first.camera.is_pinhole,
+        "cameras": len({v.camera for v in scene.views}),
         "channels": images.channels(first.image) if first.image.is_file() else None,
         "masks": sum(view.mask is not None for view in scene.views),
-        "truth": {key: sum(key in view.truth for view in scene.views) for key in sorted({k for v in scene.views for k in v.truth})},
-        "background": scene.background, "metric": scene.metric, "near": scene.near,
-        "far": scene.far if np.isfinite(scene.far) else None, "box": scene.box.tolist(),
-        "bounds_from": scene.bounds_from, "points": 0 if scene.points is None else len(scene.points),
-        "distance_to_focus": [float(distances.min()), float(distances.max())], "notes": list(scene.notes),
-    }  # fmt: skip
+        "truth": {
+            key: sum(key in view.truth for view in scene.views) for key in sorted({k for v in scene.views for k in v.truth})
+        },
+        "background": scene.background,
+        "metric": scene.metric,
+        "near": scene.near,
+        "far": scene.far if np.isfinite(scene.far) else None,
+        "box": scene.box.tolist(),
+        "bounds_from": scene.bounds_from,
+        "points": 0 if scene.points is None else len(scene.points),
+        "distance_to_focus": [float(distances.min()), float(distances.max())],
+        "notes": list(scene.notes),
+    }

@@ -65,11 +65,25 @@ def _convention(scene: Scene, matches: Matches, matrices: NDArray[np.float64]) -
     best = max(others, key=lambda name: others[name])
     shares = f"{100 * given:.0f}% of {matches.count} matches agree with the poses"
     if others[best] > max(given + CLEARLY, 2 * given):
-        return [Finding("error", "poses follow another convention", scene.name, f"{shares}, {100 * others[best]:.0f}% were they not {best}",
-                        "convert the poses where they are written")]  # fmt: skip
+        return [
+            Finding(
+                "error",
+                "poses follow another convention",
+                scene.name,
+                f"{shares}, {100 * others[best]:.0f}% were they not {best}",
+                "convert the poses where they are written",
+            )
+        ]
     if given < DOUBTFUL:
-        return [Finding("warning", "poses do not explain the pictures", scene.name, shares,
-                        "check poses, intrinsics and the order of images")]  # fmt: skip
+        return [
+            Finding(
+                "warning",
+                "poses do not explain the pictures",
+                scene.name,
+                shares,
+                "check poses, intrinsics and the order of images",
+            )
+        ]
     return []
 
 
@@ -85,10 +99,15 @@ def _single_poses(matches: Matches, matrices: NDArray[np.float64]) -> list[Findi
     usual = float(np.median(share[count > 0]))
     doubtful = np.flatnonzero((count >= 60) & (share < DOUBTFUL) & (usual > USUAL))
     return [
-        Finding("warning", "pose does not fit the neighbours' pictures", f"view {matches.views[i].name}",
-                f"{100 * share[i]:.0f}% of {count[i]:.0f} matches agree, usually {100 * usual:.0f}%", "check its pose, or drop it")
+        Finding(
+            "warning",
+            "pose does not fit the neighbours' pictures",
+            f"view {matches.views[i].name}",
+            f"{100 * share[i]:.0f}% of {count[i]:.0f} matches agree, usually {100 * usual:.0f}%",
+            "check its pose, or drop it",
+        )
         for i in doubtful
-    ]  # fmt: skip
+    ]
 
 
 def _exposure(matches: Matches, matrices: NDArray[np.float64]) -> list[Finding]:
@@ -118,6 +137,12 @@ def _exposure(matches: Matches, matrices: NDArray[np.float64]) -> list[Finding]:
     if not len(off):
         return []
     shown = ", ".join(f"{matches.views[i].name}: {gains[i]:.2f}" for i in off[np.argsort(-np.abs(np.log(gains[off])))][:5])
-    return [Finding("warning", "the same points are not equally bright in all views: exposure drifts, or the light moves",
-                    f"{len(off)} of {int(known.sum())} views", f"light compared with the median view: {shown}",
-                    "fix exposure, gain and white balance while recording, or drop these views")]  # fmt: skip
+    return [
+        Finding(
+            "warning",
+            "the same points are not equally bright in all views: exposure drifts, or the light moves",
+            f"{len(off)} of {int(known.sum())} views",
+            f"light compared with the median view: {shown}",
+            "fix exposure, gain and white balance while recording, or drop these views",
+        )
+    ]

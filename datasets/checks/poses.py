@@ -24,8 +24,16 @@ def check_poses(scene: Scene) -> list[Finding]:
 def _splits(scene: Scene) -> list[Finding]:
     present = {view.split for view in scene.views}
     names = [view.name for view in scene.views]
-    found = [Finding("error" if split == "train" else "warning", f"there are no {split} views", scene.name,
-                     remedy="set the split of some views: datasets split") for split in ("train", "test") if split not in present]  # fmt: skip
+    found = [
+        Finding(
+            "error" if split == "train" else "warning",
+            f"there are no {split} views",
+            scene.name,
+            remedy="set the split of some views: datasets split",
+        )
+        for split in ("train", "test")
+        if split not in present
+    ]
     twice = sorted({name for name in names if names.count(name) > 1})
     return found + [
         Finding("error", "name is used twice", f"view {name}", remedy="give each view its own name") for name in twice
@@ -46,8 +54,15 @@ def _places(scene: Scene) -> list[Finding]:
             why = f"{distance:.3g} from the middle of all cameras, half of them are within {np.median(distances):.3g}"
             found.append(Finding("warning", "camera is far from all others", where, why, "check its pose and unit"))
         if not _sees(view, scene.box):
-            found.append(Finding("warning", "camera looks away from the object's box", where,
-                                 f"box {scene.box.round(3).tolist()}", "check its pose, its axis convention and the box"))  # fmt: skip
+            found.append(
+                Finding(
+                    "warning",
+                    "camera looks away from the object's box",
+                    where,
+                    f"box {scene.box.round(3).tolist()}",
+                    "check its pose, its axis convention and the box",
+                )
+            )
     return found
 
 
@@ -67,8 +82,15 @@ def _intrinsics(scene: Scene) -> list[Finding]:
         off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
         if off > OFF_CENTRE:
             why = f"({camera.cx:.1f}, {camera.cy:.1f}) in an image of {camera.width}x{camera.height}"
-            found.append(Finding("warning", "principal point is far from the middle", where, why,
-                                 "intrinsics may be for images of another size or cut"))  # fmt: skip
+            found.append(
+                Finding(
+                    "warning",
+                    "principal point is far from the middle",
+                    where,
+                    why,
+                    "intrinsics may be for images of another size or cut",
+                )
+            )
         if abs(camera.fx / camera.fy - 1) > NOT_SQUARE:
             why = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}"
             found.append(Finding("warning", "pixels are not square", where, why, "width and height may be swapped"))
@@ -84,12 +106,26 @@ def _scale(scene: Scene) -> list[Finding]:
     distance = float(np.median(np.linalg.norm(matrices[:, :3, 3] - centre, axis=1)))
     found = []
     if scene.metric and not METRES[0] < distance < METRES[1]:
-        found.append(Finding("warning", "scale is implausible", scene.name, f"cameras are {distance:.3g} m from where they look",
-                             "poses may be in millimetres: multiply their translations"))  # fmt: skip
+        found.append(
+            Finding(
+                "warning",
+                "scale is implausible",
+                scene.name,
+                f"cameras are {distance:.3g} m from where they look",
+                "poses may be in millimetres: multiply their translations",
+            )
+        )
     if scene.near > 2 * distance or scene.far < 0.5 * distance:
         far = "infinity" if np.isinf(scene.far) else f"{scene.far:.3g}"
-        found.append(Finding("warning", "near and far leave out where the cameras look", scene.name,
-                             f"near {scene.near:.3g}, far {far}, cameras look {distance:.3g} away", "check their unit"))  # fmt: skip
+        found.append(
+            Finding(
+                "warning",
+                "near and far leave out where the cameras look",
+                scene.name,
+                f"near {scene.near:.3g}, far {far}, cameras look {distance:.3g} away",
+                "check their unit",
+            )
+        )
     return found
 
 
@@ -110,6 +146,13 @@ def _leakage(scene: Scene) -> list[Finding]:
             nearest = close[np.argmin(shift[close])]
             why = f"view {train[nearest].name} is {100 * shift[nearest] / reach:.2g}% of the distance and "
             why += f"{np.rad2deg(turn[nearest]):.2g} degrees away"
-            found.append(Finding("warning", "test view was taken where a training view was", f"view {view.name}", why,
-                                 "take one of the two out, else figures flatter"))  # fmt: skip
+            found.append(
+                Finding(
+                    "warning",
+                    "test view was taken where a training view was",
+                    f"view {view.name}",
+                    why,
+                    "take one of the two out, else figures flatter",
+                )
+            )
     return found

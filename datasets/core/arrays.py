@@ -14,8 +14,21 @@ from datasets.core.errors import DatasetError, UsageError
 
 MAX_BYTES = 2**28
 """Archives that unpack to more than this are refused: our arrays are poses and points, not pictures."""
-_BROKEN = (ValueError, TypeError, SyntaxError, tokenize.TokenError, EOFError, OSError, KeyError, RuntimeError, NotImplementedError,
-           zipfile.BadZipFile, zlib.error, MemoryError, OverflowError)  # fmt: skip
+_BROKEN = (
+    ValueError,
+    TypeError,
+    SyntaxError,
+    tokenize.TokenError,
+    EOFError,
+    OSError,
+    KeyError,
+    RuntimeError,
+    NotImplementedError,
+    zipfile.BadZipFile,
+    zlib.error,
+    MemoryError,
+    OverflowError,
+)
 """What numpy and zipfile raise at damaged files."""
 
 
@@ -86,5 +99,6 @@ def _array(file: BinaryIO, size: int, *, where: object) -> NDArray[Any]:
 def _refusal(path: Path, error: BaseException) -> DatasetError:
     if isinstance(error, DatasetError):
         return error
-    return DatasetError("is not a file of plain arrays", where=path, why=str(error) or type(error).__name__,
-                        remedy="copy it again")  # fmt: skip
+    return DatasetError(
+        "is not a file of plain arrays", where=path, why=str(error) or type(error).__name__, remedy="copy it again"
+    )

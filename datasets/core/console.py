@@ -34,8 +34,15 @@ _state = {"debug": False, "json": False}
 
 def make_app(name: str, help: str) -> typer.Typer:
     """A command with Koala's conventions; add subcommands with `@app.command()`, run with `run(app)`."""
-    app = typer.Typer(name=name, help=help, no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False,
-                      context_settings={"help_option_names": ["-h", "--help"]}, rich_markup_mode=None)  # fmt: skip
+    app = typer.Typer(
+        name=name,
+        help=help,
+        no_args_is_help=True,
+        add_completion=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        rich_markup_mode=None,
+    )
 
     @app.callback(help=help)
     def _common(debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False) -> None:
@@ -162,9 +169,16 @@ class _BarProgress(Progress):
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        self.bar = Bar(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit),
-                       TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"),
-                       console=Console(stderr=True), transient=True)  # fmt: skip
+        self.bar = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[words]}"),
+            console=Console(stderr=True),
+            transient=True,
+        )
         self.task = self.bar.add_task(title, total=total, words="")
 
     def _changed(self) -> None:

@@ -129,9 +129,11 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
             raise DatasetError(f"is not a {kind} file", where=path, why=f"its format says {found!r}")
         if version is not None and content.get("version") != version:
             raise DatasetError(
-                f"{kind} version {content.get('version')} cannot be read", where=path,
-                why=f"this Koala reads version {version}", remedy="use the Koala version that wrote it",
-            )  # fmt: skip
+                f"{kind} version {content.get('version')} cannot be read",
+                where=path,
+                why=f"this Koala reads version {version}",
+                remedy="use the Koala version that wrote it",
+            )
     return content
 
 

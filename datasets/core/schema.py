@@ -112,8 +112,12 @@ def _note_lines(node: yaml.Node, place: Place, lines: dict[Place, int], where: o
             if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
                 raise UsageError("key is not a plain word", where=f"{where}, line {number}")
             if key.value in seen:
-                raise UsageError(f"key '{key.value}' is given twice", where=f"{where}, line {number}",
-                             why=f"first in line {seen[key.value]}", remedy="keep one of them")  # fmt: skip
+                raise UsageError(
+                    f"key '{key.value}' is given twice",
+                    where=f"{where}, line {number}",
+                    why=f"first in line {seen[key.value]}",
+                    remedy="keep one of them",
+                )
             seen[key.value] = number
             lines[(*place, key.value)] = number
             _note_lines(value, (*place, key.value), lines, where)
@@ -140,8 +144,12 @@ def _set(content: Any, keys: list[str], value: Any, override: str) -> Any:
     if isinstance(content, list):
         if not key.isdecimal() or int(key) >= len(content):
             last = len(content) - 1
-            raise UsageError("there is no such item", where=f"--set {override}", why=f"'{key}' in a list of {last + 1}",
-                         remedy=f"items are numbered from 0 to {last}" if content else "write the whole list")  # fmt: skip
+            raise UsageError(
+                "there is no such item",
+                where=f"--set {override}",
+                why=f"'{key}' in a list of {last + 1}",
+                remedy=f"items are numbered from 0 to {last}" if content else "write the whole list",
+            )
         return [_set(item, rest, value, override) if index == int(key) else item for index, item in enumerate(content)]
     if not isinstance(content, dict):
         raise UsageError("has no keys inside", where=f"--set {override}", why=f"'{key}' does not exist there")

@@ -108,8 +108,7 @@ def crop(
     """Write a scene with every picture cut to one rectangle."""
     from datasets.edit import edit
 
-    _write(scene, out, data_root, as_json,
-           lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))  # fmt: skip
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))
 
 
 def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit) -> None:

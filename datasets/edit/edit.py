@@ -71,8 +71,11 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
     for what in ("background", "metric"):
         found = [getattr(scene, what) for scene in scenes]
         if len(set(found)) > 1:
-            raise UsageError(f"scenes differ in {what}", why=", ".join(f"{s.name}: {f}" for s, f in zip(scenes, found, strict=True)),
-                         remedy="merge scenes of one kind, in one coordinate frame")  # fmt: skip
+            raise UsageError(
+                f"scenes differ in {what}",
+                why=", ".join(f"{s.name}: {f}" for s, f in zip(scenes, found, strict=True)),
+                remedy="merge scenes of one kind, in one coordinate frame",
+            )
     names = [view.name for scene in scenes for view in scene.views]
     prefixes = [scene.name if [s.name for s in scenes].count(scene.name) == 1 else f"{i}" for i, scene in enumerate(scenes)]
     renamed = [
@@ -82,11 +85,19 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
     views = [replace(v, name=new[v.name]) for scene, new in zip(scenes, renamed, strict=True) for v in scene.views]
     boxes = np.stack([scene.box for scene in scenes])
     points, sightings = _merged_points(scenes, renamed)
-    return replace(scenes[0], name=name, views=tuple(views), near=min(s.near for s in scenes), far=max(s.far for s in scenes),
-                   box=np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), points=points, sightings=sightings,
-                   notes=tuple(note for s in scenes for note in s.notes),
-                   provenance={"format": "koala", "merged": [s.provenance for s in scenes]},
-                   bounds_from="; ".join(dict.fromkeys(s.bounds_from for s in scenes)))  # fmt: skip
+    return replace(
+        scenes[0],
+        name=name,
+        views=tuple(views),
+        near=min(s.near for s in scenes),
+        far=max(s.far for s in scenes),
+        box=np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]),
+        points=points,
+        sightings=sightings,
+        notes=tuple(note for s in scenes for note in s.notes),
+        provenance={"format": "koala", "merged": [s.provenance for s in scenes]},
+        bounds_from="; ".join(dict.fromkeys(s.bounds_from for s in scenes)),
+    )
 
 
 def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -> tuple[Any, Sightings | None]:
@@ -126,8 +137,10 @@ def downscaled(scene: Scene, factor: int, folder: Path, *, done: Callable[[], No
             images.write(truth[key], _smaller_truth(key, view.read_truth(key), small))
         views.append(replace(view, camera=small, image=image, mask=mask, truth=truth))
         done()
-    ratios = {old.name: np.array([new.camera.width / old.camera.width, new.camera.height / old.camera.height])
-              for old, new in zip(scene.views, views, strict=True)}  # fmt: skip
+    ratios = {
+        old.name: np.array([new.camera.width / old.camera.width, new.camera.height / old.camera.height])
+        for old, new in zip(scene.views, views, strict=True)
+    }
     return _with_views(scene, views, lambda name, pixels: pixels * ratios[name])
 
 
@@ -159,8 +172,9 @@ def undistorted(scene: Scene, folder: Path, *, done: Callable[[], None] = lambda
     return _with_views(scene, views, moved)
 
 
-def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: Path, *,
-            done: Callable[[], None] = lambda: None) -> Scene:  # fmt: skip
+def cropped(
+    scene: Scene, left: int, top: int, width: int, height: int, folder: Path, *, done: Callable[[], None] = lambda: None
+) -> Scene:
     """The scene with every picture cut to `width` x `height` pixels from (`left`, `top`), written below `folder`.
 
     Raises:
@@ -168,8 +182,11 @@ def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: 
     """
     for view in scene.views:
         if min(left, top) < 0 or min(width, height) < 1 or left + width > view.camera.width or top + height > view.camera.height:
-            raise UsageError("picture does not hold what is to be left", where=f"view {view.name}",
-                         why=f"{width}x{height} at ({left}, {top}) of {view.camera.width}x{view.camera.height}")  # fmt: skip
+            raise UsageError(
+                "picture does not hold what is to be left",
+                where=f"view {view.name}",
+                why=f"{width}x{height} at ({left}, {top}) of {view.camera.width}x{view.camera.height}",
+            )
 
     def cut(source: Path, target: Path) -> Path:
         stored = images.read_stored(source)[top : top + height, left : left + width]

@@ -40,9 +40,16 @@ _UNFORESEEN = (ArithmeticError, AttributeError, LookupError, TypeError, ValueErr
 """What values of the wrong kind lead to, deep inside a reader."""
 
 
-def load_scene(path: str | Path, *, format: str | None = None, data_root: Path | None = None,
-               hold_out: int = 8, images: str | None = None, problems: list[KoalaError] | None = None,
-               measure: bool = False) -> Scene:  # fmt: skip
+def load_scene(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    data_root: Path | None = None,
+    hold_out: int = 8,
+    images: str | None = None,
+    problems: list[KoalaError] | None = None,
+    measure: bool = False,
+) -> Scene:
     """Read a scene's cameras and bounds; its images stay on disk until a view is read.
 
     Args:
@@ -65,8 +72,12 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
     try:
         scene = FORMATS[kind][1](folder, hold_out=hold_out, images_folder=images, problems=problems)
     except _UNFORESEEN as error:
-        raise DatasetError(f"is no {kind} scene", where=folder, why=f"{type(error).__name__}: {str(error)[:200]}",
-                           remedy="write it again, or give the format that it has") from error  # fmt: skip
+        raise DatasetError(
+            f"is no {kind} scene",
+            where=folder,
+            why=f"{type(error).__name__}: {str(error)[:200]}",
+            remedy="write it again, or give the format that it has",
+        ) from error
     if images is not None:  # truth and sightings are of the full size
         scene = replace(scene, views=tuple(replace(view, truth={}) for view in scene.views), sightings=None)
     if measure and scene.points is None and scene.bounds_from.startswith(assemble.CAMERAS_ALONE):
@@ -76,8 +87,15 @@ def load_scene(path: str | Path, *, format: str | None = None, data_root: Path |
     return scene
 
 
-def save_scene(scene: Scene, path: Path, format: str, *, sizes: Sequence[int] = (), extra: dict[str, Path] | None = None,
-               done: Callable[[], None] = lambda: None) -> str:  # fmt: skip
+def save_scene(
+    scene: Scene,
+    path: Path,
+    format: str,
+    *,
+    sizes: Sequence[int] = (),
+    extra: dict[str, Path] | None = None,
+    done: Callable[[], None] = lambda: None,
+) -> str:
     """Write a scene in one of `WRITERS`' layouts, all or nothing.
 
     Args:
@@ -110,9 +128,12 @@ def detect(folder: Path) -> str:
     for name, (matches, _) in FORMATS.items():
         if matches(folder):
             return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both: a model says more
-    raise UsageError("holds no scene that Koala knows", where=folder,
-                 why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model",
-                 remedy="give the folder that holds one of these")  # fmt: skip
+    raise UsageError(
+        "holds no scene that Koala knows",
+        where=folder,
+        why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model",
+        remedy="give the folder that holds one of these",
+    )
 
 
 def find(path: str | Path, data_root: Path | None = None) -> Path:
@@ -129,8 +150,12 @@ def find(path: str | Path, data_root: Path | None = None) -> Path:
             return candidate
     if path.is_file():
         raise UsageError("is a file, not a scene", where=path, remedy="give the folder that holds it")
-    raise UsageError("no such scene", where=path, why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
-                 remedy=f"{_neighbours(path.name, candidates)}or set --data-root or KOALA_DATA")  # fmt: skip
+    raise UsageError(
+        "no such scene",
+        where=path,
+        why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
+        remedy=f"{_neighbours(path.name, candidates)}or set --data-root or KOALA_DATA",
+    )
 
 
 def _neighbours(name: str, candidates: Sequence[Path]) -> str:

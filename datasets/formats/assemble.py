@@ -62,19 +62,28 @@ class Gathering:
         """
         if self.missing:
             total = len(self.missing) + len(self.views)
-            self.notes.append(f"{len(self.missing)} of {total} images listed in {listed_in} are missing "
-                              f"and left out: {', '.join(self.missing)}")  # fmt: skip
+            self.notes.append(
+                f"{len(self.missing)} of {total} images listed in {listed_in} are missing and left out: {', '.join(self.missing)}"
+            )
         if self.rescaled:
             several = " and others" if len(set(self.rescaled)) > 1 else ""
-            self.notes.append(f"intrinsics of {len(self.rescaled)} of {len(self.views)} views are scaled to their images: "
-                              f"the file says {self.rescaled[0]}{several}")  # fmt: skip
+            self.notes.append(
+                f"intrinsics of {len(self.rescaled)} of {len(self.views)} views are scaled to their images: "
+                f"the file says {self.rescaled[0]}{several}"
+            )
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
             raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images where it says")
         without = [view.name for view in self.views if view.mask is None]
         if 0 < len(without) < len(self.views):
-            self.complain(DatasetError("only some views have a mask", where=self.folder, remedy="give all of them one, or none",
-                                       why=f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}"))  # fmt: skip
+            self.complain(
+                DatasetError(
+                    "only some views have a mask",
+                    where=self.folder,
+                    remedy="give all of them one, or none",
+                    why=f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}",
+                )
+            )
             self.views = [replace(view, mask=None) for view in self.views]
         names = [view.name for view in self.views]
         if len(set(names)) < len(names):
@@ -94,8 +103,12 @@ def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
     if (width, height) == (camera.width, camera.height):
         return camera
     if abs(width * camera.height / (height * camera.width) - 1) > SAME_SHAPE:
-        raise DatasetError("image has another shape than its camera", where=where, remedy="use the images that it was made for",
-                           why=f"it is {width}x{height}, the file says {camera.width}x{camera.height}")  # fmt: skip
+        raise DatasetError(
+            "image has another shape than its camera",
+            where=where,
+            remedy="use the images that it was made for",
+            why=f"it is {width}x{height}, the file says {camera.width}x{camera.height}",
+        )
     return camera.scaled(width, height)
 
 
@@ -106,8 +119,9 @@ def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
     return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
 
 
-def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[float, float] | None = None,
-          provenance: dict[str, Any]) -> Scene:  # fmt: skip
+def scene(
+    gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[float, float] | None = None, provenance: dict[str, Any]
+) -> Scene:
     """Scene of a layout that says nothing of background and box: both are found from images and cameras.
 
     Views with an alpha or a mask show an object before nothing ("white"): its box is the visual hull's. Otherwise the
@@ -116,8 +130,11 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
     for view in views:
         focal = np.array([view.camera.fx, view.camera.fy]) / view.camera.width
         if not ((focal > SHORTEST) & (focal < LONGEST)).all():
-            raise DatasetError("focal length is out of all range", where=f"{gathering.folder}, view {view.name}",
-                               why=f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}")  # fmt: skip
+            raise DatasetError(
+                "focal length is out of all range",
+                where=f"{gathering.folder}, view {view.name}",
+                why=f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}",
+            )
     masked = _has_nothing(views)
     train = tuple(view for view in views if view.split == "train") or views
     if masked:
@@ -135,11 +152,24 @@ def scene(gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[floa
             if bounds.focus(np.stack([view.world_from_camera for view in train]))[1] < bounds.PARALLEL:
                 box = bounds.frustum_box(train, near, far)
     if not (np.isfinite(box).all() and 0 <= near < far):
-        raise DatasetError("no bounds fit these cameras", where=gathering.folder, why=f"near {near:.3g}, far {far:.3g}",
-                           remedy="check poses and intrinsics")  # fmt: skip
+        raise DatasetError(
+            "no bounds fit these cameras",
+            where=gathering.folder,
+            why=f"near {near:.3g}, far {far:.3g}",
+            remedy="check poses and intrinsics",
+        )
     name = gathering.folder.resolve().name
-    return Scene(name, views, near, far, box, "white" if masked else "scene", notes=tuple(gathering.notes),
-                 provenance=provenance, bounds_from=evidence)  # fmt: skip
+    return Scene(
+        name,
+        views,
+        near,
+        far,
+        box,
+        "white" if masked else "scene",
+        notes=tuple(gathering.notes),
+        provenance=provenance,
+        bounds_from=evidence,
+    )
 
 
 def _has_nothing(views: Sequence[View]) -> bool:

@@ -27,8 +27,7 @@ def detect(folder: Path) -> bool:
     return (folder / "transforms_train.json").is_file()
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
-         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read a Blender folder. Without a test file every `hold_out`-th training view is a test view."""
     gathering = assemble.Gathering(folder, problems)
     present = [split for split in SPLITS if (folder / f"transforms_{split}.json").is_file()]
@@ -55,8 +54,12 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
                 gathering.missing.append(frame["file_path"])
                 continue
             camera = gathering.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
-            truth = {key: image.with_name(image.stem + end) for key, ends in TRUTH.items() for end in reversed(ends)
-                     if image.with_name(image.stem + end).is_file()}  # fmt: skip
+            truth = {
+                key: image.with_name(image.stem + end)
+                for key, ends in TRUTH.items()
+                for end in reversed(ends)
+                if image.with_name(image.stem + end).is_file()
+            }
             truth = {key: gathering.file(path, where=where) for key, path in truth.items()}
             name = image.relative_to(gathering.folder).with_suffix("").as_posix()
             gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, truth=truth))
@@ -102,8 +105,15 @@ def _transforms(views: dict[str, View]) -> dict[str, Any]:
 
 def _intrinsics(view: View) -> dict[str, float]:
     camera = view.camera
-    return {"camera_angle_x": 2 * float(np.arctan(0.5 * camera.width / camera.fx)), "w": camera.width, "h": camera.height,
-            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}  # fmt: skip
+    return {
+        "camera_angle_x": 2 * float(np.arctan(0.5 * camera.width / camera.fx)),
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+    }
 
 
 def _shiny_truth(view: View) -> None:

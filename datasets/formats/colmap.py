@@ -25,12 +25,16 @@ PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
 """Where a model may lie below the scene."""
 NEEDED = ("cameras", "images", "points3D")
 PARAMETERS = {
-    "SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"), "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
-    "RADIAL": ("f", "cx", "cy", "k1", "k2"), "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
-    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"), "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
-}  # fmt: skip
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+}
 """Meaning of each lens model's numbers; the others do not fit our camera."""
 LAYOUT = export.Layout("COLMAP's layout", lambda camera: True, "", mask="masks/{file}")
 
@@ -50,8 +54,7 @@ def is_whole(folder: Path) -> bool:
         return False
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
-         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read a COLMAP scene; every `hold_out`-th view by sorted name is a test view.
 
     Raises:
@@ -89,8 +92,9 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
             seen = replace(seen, names=tuple(sidecar.name_of(known, name) for name in seen.names))
         scene = sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
         return replace(scene, points=model.points, sightings=seen) if seen is not None else scene
-    scene = assemble.scene(gathering, assemble.hold_out(views, hold_out),
-                           provenance={"format": "colmap", "source": str(folder.absolute())})  # fmt: skip
+    scene = assemble.scene(
+        gathering, assemble.hold_out(views, hold_out), provenance={"format": "colmap", "source": str(folder.absolute())}
+    )
     return replace(assemble.with_points(scene, model.points), sightings=seen) if seen is not None else scene
 
 
@@ -121,8 +125,9 @@ def _model(folder: Path, place: Path) -> Model:
     suffix = ".bin" if (place / "cameras.bin").is_file() else ".txt"
     absent = [name + suffix for name in NEEDED if not (place / (name + suffix)).is_file()]
     if absent:
-        raise DatasetError("COLMAP model is not complete", where=place, why=f"{', '.join(absent)} is missing",
-                           remedy="copy the whole model")  # fmt: skip
+        raise DatasetError(
+            "COLMAP model is not complete", where=place, why=f"{', '.join(absent)} is missing", remedy="copy the whole model"
+        )
     return read_model(*(files.within(folder, place / (name + suffix)) for name in NEEDED))
 
 
@@ -137,8 +142,9 @@ def _mask(gathering: assemble.Gathering, home: Path, name: str, *, where: str) -
 
 def _camera(stored: StoredCamera, *, where: str) -> Camera:
     if stored.model not in PARAMETERS:
-        raise DatasetError(f"camera model {stored.model} is not supported", where=where,
-                           remedy="undistort the images with COLMAP first")  # fmt: skip
+        raise DatasetError(
+            f"camera model {stored.model} is not supported", where=where, remedy="undistort the images with COLMAP first"
+        )
     said: dict[str, Any] = dict(zip(PARAMETERS[stored.model], stored.parameters, strict=True))
     if "f" in said:
         said["fx"] = said["fy"] = said.pop("f")
@@ -146,8 +152,15 @@ def _camera(stored: StoredCamera, *, where: str) -> Camera:
     return Camera.from_json({"width": stored.width, "height": stored.height, **said}, where=where)
 
 
-def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None,
-         sizes: tuple[int, ...] = (), text: bool = False) -> str:  # fmt: skip
+def save(
+    scene: Scene,
+    path: Path,
+    *,
+    extra: dict[str, Path] | None = None,
+    done: Callable[[], None] = lambda: None,
+    sizes: tuple[int, ...] = (),
+    text: bool = False,
+) -> str:
     """Export a scene; all or nothing. Points and sightings go along where the scene has them.
 
     Args:

@@ -17,10 +17,19 @@ from datasets import pose
 from datasets.core.errors import DatasetError
 
 MODELS = {
-    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
-    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
-    10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-}  # fmt: skip
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}
 """Name of each lens model by its number, and how many parameters it has."""
 NOWHERE = 2**64 - 1
 """Point of a feature that belongs to none."""
@@ -113,16 +122,24 @@ class _Cursor:
     def need(self, size: int) -> None:
         """Raise where fewer than `size` bytes are left."""
         if size > len(self.data) - self.place:
-            raise DatasetError("is cut off", where=self.path, remedy="copy it again",
-                               why=f"{size} bytes wanted at {self.place}, the file has {len(self.data)}")  # fmt: skip
+            raise DatasetError(
+                "is cut off",
+                where=self.path,
+                remedy="copy it again",
+                why=f"{size} bytes wanted at {self.place}, the file has {len(self.data)}",
+            )
 
     def count(self, least: int, what: str) -> int:
         """A number of records of at least `least` bytes each."""
         (number,) = self.take("Q")
         room = (len(self.data) - self.place) // least
         if number > room:
-            raise DatasetError(f"promises more {what} than it holds", where=self.path, remedy="copy it again",
-                               why=f"{number} {what}, there is room for {room}")  # fmt: skip
+            raise DatasetError(
+                f"promises more {what} than it holds",
+                where=self.path,
+                remedy="copy it again",
+                why=f"{number} {what}, there is room for {room}",
+            )
         return number
 
     def text(self) -> str:

@@ -33,8 +33,7 @@ def detect(folder: Path) -> bool:
     return any((folder / name).is_file() for name in CAMERAS) and (folder / "image").is_dir()
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
-         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read a DTU folder; every `hold_out`-th view by sorted name is a test view.
 
     The file does not say which image size its matrices are for: the power of two times the present size that puts the
@@ -62,8 +61,9 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
             if factor != 1 and not gathering.notes:
                 full = f"{camera.width * factor:g}x{camera.height * factor:g}"
-                gathering.notes.append(f"{source.name} is for images of {full}, {home} holds "
-                                       f"{camera.width}x{camera.height}: intrinsics are scaled")  # fmt: skip
+                gathering.notes.append(
+                    f"{source.name} is for images of {full}, {home} holds {camera.width}x{camera.height}: intrinsics are scaled"
+                )
         except KoalaError as error:
             gathering.complain(error)
     views = gathering.finished(listed_in=home)

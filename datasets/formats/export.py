@@ -65,8 +65,14 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
     truth = {key: _truth(view, key, folder / "truth" / key / file_name(view), pinhole, same) for key in view.truth}
     if same:
         return Placed(replace(view, image=image, mask=mask, truth=truth), 0.0, False)
-    placed = replace(view, camera=pinhole.camera, world_from_camera=view.world_from_camera @ pinhole.source_from_camera,
-                     image=image, mask=mask, truth=truth)  # fmt: skip
+    placed = replace(
+        view,
+        camera=pinhole.camera,
+        world_from_camera=view.world_from_camera @ pinhole.source_from_camera,
+        image=image,
+        mask=mask,
+        truth=truth,
+    )
     return Placed(placed, pinhole.turned_deg, True)
 
 
@@ -89,8 +95,10 @@ def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
         sizes = sorted({(p.view.camera.width, p.view.camera.height) for p in resampled})
         shown = ", ".join(f"{width}x{height}" for width, height in sizes[:3])
         turned = max(p.turned_deg for p in resampled)
-        lost.append(f"{layout.lacks}: {len(resampled)} views were resampled to centred "
-                    f"pinholes of {shown}, their axes turned by up to {turned:.2f} degrees")  # fmt: skip
+        lost.append(
+            f"{layout.lacks}: {len(resampled)} views were resampled to centred "
+            f"pinholes of {shown}, their axes turned by up to {turned:.2f} degrees"
+        )
     merged = sum(view.mask is not None for view in scene.views) if layout.mask is None else 0
     if merged:
         lost.append(f"masks beside images: {merged} were put into the images' alpha")

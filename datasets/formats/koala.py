@@ -37,8 +37,14 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, done: Callable[[], None] = lambda: None,
-         sizes: tuple[int, ...] = ()) -> str:  # fmt: skip
+def save(
+    scene: Scene,
+    path: Path,
+    *,
+    extra: Mapping[str, Path] | None = None,
+    done: Callable[[], None] = lambda: None,
+    sizes: tuple[int, ...] = (),
+) -> str:
     """Write a scene folder, images included. `extra` maps further relative names to files to take along.
 
     For each N of `sizes`, `images_N` and `masks_N` hold the pictures at 1/N of their size.
@@ -64,9 +70,16 @@ def save(scene: Scene, path: Path, *, extra: Mapping[str, Path] | None = None, d
 
 
 def _save_points(points: NDArray[np.float64], sightings: Sightings | None, path: Path) -> None:
-    seen = {} if sightings is None else {
-        "names": np.array(sightings.names, np.str_), "index": sightings.index, "pixels": sightings.pixels, "colours": sightings.colours
-    }  # fmt: skip
+    seen = (
+        {}
+        if sightings is None
+        else {
+            "names": np.array(sightings.names, np.str_),
+            "index": sightings.index,
+            "pixels": sightings.pixels,
+            "colours": sightings.colours,
+        }
+    )
     np.savez_compressed(path, points=points, **seen)
 
 
@@ -101,11 +114,15 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
         return relative
 
     return {
-        "name": view.name, "split": view.split, "image": keep(view.image, "images"),
+        "name": view.name,
+        "split": view.split,
+        "image": keep(view.image, "images"),
         "mask": keep(view.mask, "masks") if view.mask else None,
         "truth": {key: keep(source, f"truth/{key}") for key, source in view.truth.items()},
-        "depth_unit": view.depth_unit, "camera": view.camera.to_json(), "world_from_camera": view.world_from_camera.tolist(),
-    }  # fmt: skip
+        "depth_unit": view.depth_unit,
+        "camera": view.camera.to_json(),
+        "world_from_camera": view.world_from_camera.tolist(),
+    }
 
 
 def file_name(view: View) -> str:
@@ -134,8 +151,7 @@ def _copy(source: Path, target: Path) -> None:
         raise
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
-         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read a scene folder. Splits are stated, so `hold_out` has no say; `images_folder` takes the pictures from `images_N`.
 
     Raises:
@@ -183,5 +199,13 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         raise DatasetError("view is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if split not in SPLITS:
         raise DatasetError(f"no split called {split!r}", where=where, remedy=f"valid: {', '.join(SPLITS)}")
-    return View(name, camera, matrix, split, files.inside(folder, image, where=where),
-                files.inside(folder, mask, where=where) if mask else None, truth, unit)  # fmt: skip
+    return View(
+        name,
+        camera,
+        matrix,
+        split,
+        files.inside(folder, image, where=where),
+        files.inside(folder, mask, where=where) if mask else None,
+        truth,
+        unit,
+    )

@@ -25,8 +25,9 @@ FILE = "poses_bounds.npy"
 PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
 
 
-LAYOUT = export.Layout("LLFF's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point",
-                       mask="masks/{stem}")  # fmt: skip
+LAYOUT = export.Layout(
+    "LLFF's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point", mask="masks/{stem}"
+)
 
 
 def detect(folder: Path) -> bool:
@@ -34,8 +35,7 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
-         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read an LLFF folder; every `hold_out`-th view by sorted name is a test view.
 
     A folder `masks` with one picture for each image, of the same name, says what belongs to the object.
@@ -46,9 +46,12 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     rows = read_rows(files.inside(folder, FILE))
     pictures, chosen = find_images(folder, images_folder)
     if len(pictures) != len(rows):
-        raise DatasetError("rows and images do not correspond", where=folder / FILE,
-                           why=f"it has {len(rows)} rows, {chosen} holds {len(pictures)} images",
-                           remedy="put every image in place: sorted names correspond to rows")  # fmt: skip
+        raise DatasetError(
+            "rows and images do not correspond",
+            where=folder / FILE,
+            why=f"it has {len(rows)} rows, {chosen} holds {len(pictures)} images",
+            remedy="put every image in place: sorted names correspond to rows",
+        )
     gathering = assemble.Gathering(folder, problems)
     masks = _masks(folder, chosen, pictures)
     for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
@@ -65,8 +68,12 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
     known = sidecar.read(folder)
     if known is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
-    return assemble.scene(gathering, assemble.hold_out(views, hold_out), near_far=(rows[:, 15].min(), rows[:, 16].max()),
-                          provenance={"format": "llff", "source": str(folder.absolute())})  # fmt: skip
+    return assemble.scene(
+        gathering,
+        assemble.hold_out(views, hold_out),
+        near_far=(rows[:, 15].min(), rows[:, 16].max()),
+        provenance={"format": "llff", "source": str(folder.absolute())},
+    )
 
 
 def read_rows(path: Path) -> NDArray[np.float64]:
@@ -77,8 +84,14 @@ def read_rows(path: Path) -> NDArray[np.float64]:
     return rows
 
 
-def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None,
-         sizes: tuple[int, ...] = ()) -> str:  # fmt: skip
+def save(
+    scene: Scene,
+    path: Path,
+    *,
+    extra: dict[str, Path] | None = None,
+    done: Callable[[], None] = lambda: None,
+    sizes: tuple[int, ...] = (),
+) -> str:
     """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
 
     Near and far of a row are those of the object's box, as its view sees it. For each N of `sizes`, `images_N` holds the

@@ -20,8 +20,12 @@ from datasets.imaging import downscale, images
 from datasets.scene import SPLITS, Scene, View
 
 FILE = "transforms.json"
-LAYOUT = export.Layout("nerfstudio's layout", lambda camera: camera.fisheye or not (camera.k4 or camera.k5 or camera.k6),
-                       "a rational lens", mask="masks/{stem}")  # fmt: skip
+LAYOUT = export.Layout(
+    "nerfstudio's layout",
+    lambda camera: camera.fisheye or not (camera.k4 or camera.k5 or camera.k6),
+    "a rational lens",
+    mask="masks/{stem}",
+)
 DEPTH_STEP = 1e-3
 """World units per step of the depth files that are written (nerfstudio's default)."""
 
@@ -31,8 +35,7 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None,
-         problems: list[KoalaError] | None = None) -> Scene:  # fmt: skip
+def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read a nerfstudio folder; images that are listed and missing are left out and named in the notes.
 
     Views are sorted by file name. Without `train_filenames` and the like, every `hold_out`-th view is a test view.
@@ -64,8 +67,13 @@ def _points(folder: Path, content: dict[str, Any], *, where: object) -> NDArray[
     return ply.read_points(path) if path is not None and path.is_file() else None
 
 
-def _gather(gathering: assemble.Gathering, content: dict[str, Any], frame: dict[str, Any],
-            splits: dict[str, str], images_folder: str | None) -> None:  # fmt: skip
+def _gather(
+    gathering: assemble.Gathering,
+    content: dict[str, Any],
+    frame: dict[str, Any],
+    splits: dict[str, str],
+    images_folder: str | None,
+) -> None:
     folder, listed = gathering.folder, frame["file_path"]
     where = f"{folder / FILE}, {listed}"
     file_path = listed if images_folder is None else f"{images_folder}/{PurePosixPath(listed).name}"
@@ -105,8 +113,14 @@ def _splits(content: Any, *, where: object) -> dict[str, str]:
     return {name: split for split, names in listed.items() for name in names}
 
 
-def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None,
-         sizes: tuple[int, ...] = ()) -> str:  # fmt: skip
+def save(
+    scene: Scene,
+    path: Path,
+    *,
+    extra: dict[str, Path] | None = None,
+    done: Callable[[], None] = lambda: None,
+    sizes: tuple[int, ...] = (),
+) -> str:
     """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
 
     For each N of `sizes`, `images_N` holds the images at 1/N of their size, where nerfstudio looks for them. Depth goes
@@ -139,16 +153,31 @@ def _global(scene: Scene, views: Sequence[View]) -> dict[str, Any]:
     names = {split: [f"images/{view.image.name}" for view in views if view.split == split] for split in SPLITS}
     cameras = {view.camera for view in views}
     common = _intrinsics(views[0].camera) if len(cameras) == 1 else {}
-    return {**common, "aabb_scale": aabb, "depth_unit_scale_factor": DEPTH_STEP,
-            "applied_transform": np.eye(4)[:3].tolist(), "orientation_override": "none",
-            **{f"{split}_filenames": listed for split, listed in names.items()}}  # fmt: skip
+    return {
+        **common,
+        "aabb_scale": aabb,
+        "depth_unit_scale_factor": DEPTH_STEP,
+        "applied_transform": np.eye(4)[:3].tolist(),
+        "orientation_override": "none",
+        **{f"{split}_filenames": listed for split, listed in names.items()},
+    }
 
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
     terms = {"k4": camera.k4} if camera.fisheye else {"p1": camera.p1, "p2": camera.p2}
-    return {"camera_model": opengl.FISHEYE if camera.fisheye else "OPENCV", "w": camera.width, "h": camera.height,
-            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
-            "k1": camera.k1, "k2": camera.k2, "k3": camera.k3, **terms}  # fmt: skip
+    return {
+        "camera_model": opengl.FISHEYE if camera.fisheye else "OPENCV",
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "k1": camera.k1,
+        "k2": camera.k2,
+        "k3": camera.k3,
+        **terms,
+    }
 
 
 def _frame(view: View, folder: Path, depth: Path | None, *, common: bool) -> dict[str, Any]:

@@ -73,15 +73,25 @@ def camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where
         said |= dict(zip(DISTORTION_PARAMS, said["distortion_params"], strict=False))
     fisheye = model == FISHEYE or bool(said.get("is_fisheye", False))
     if said.get("k4") and not fisheye:
-        raise DatasetError("distortion k4 is not supported", where=where, why=f"k4 = {said['k4']}",
-                           remedy="undistort the images to a pinhole first")  # fmt: skip
+        raise DatasetError(
+            "distortion k4 is not supported",
+            where=where,
+            why=f"k4 = {said['k4']}",
+            remedy="undistort the images to a pinhole first",
+        )
     width, height = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else images.size(image)
     fx = said.get("fl_x") or _focal(width, said.get("camera_angle_x"))
     fy = said.get("fl_y") or (_focal(height, said.get("camera_angle_y")) if "fl_x" not in said else None) or fx
     if not fy:
         raise DatasetError("no focal length", where=where, why="neither fl_x nor camera_angle_x is given")
-    values = {"width": width, "height": height, "fx": fx or fy, "fy": fy,
-              "cx": said.get("cx", width / 2), "cy": said.get("cy", height / 2)}  # fmt: skip
+    values = {
+        "width": width,
+        "height": height,
+        "fx": fx or fy,
+        "fy": fy,
+        "cx": said.get("cx", width / 2),
+        "cy": said.get("cy", height / 2),
+    }
     terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
     return Camera.from_json(values | {k: said.get(k, 0.0) for k in terms} | {"fisheye": fisheye}, where=where)
 

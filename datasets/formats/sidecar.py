@@ -25,19 +25,38 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
     def relative(path: Path) -> str:
         return path.relative_to(folder).as_posix()
 
-    files.write_json(folder / FILE, {
-        "format": FORMAT, "version": VERSION, **facts(scene),
-        "views": {name: {"name": view.name, "split": view.split, "truth": {k: relative(p) for k, p in view.truth.items()},
-                         "depth_unit": view.depth_unit}
-                  for name, view in views.items()},
-    })  # fmt: skip
+    files.write_json(
+        folder / FILE,
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            **facts(scene),
+            "views": {
+                name: {
+                    "name": view.name,
+                    "split": view.split,
+                    "truth": {k: relative(p) for k, p in view.truth.items()},
+                    "depth_unit": view.depth_unit,
+                }
+                for name, view in views.items()
+            },
+        },
+    )
 
 
 def facts(scene: Scene) -> dict[str, Any]:
     """What is true of a scene as a whole, for JSON; an infinite far is null."""
-    return {"name": scene.name, "metric": scene.metric, "background": scene.background, "near": scene.near,
-            "far": scene.far if np.isfinite(scene.far) else None, "box": scene.box.tolist(), "bounds_from": scene.bounds_from,
-            "notes": list(scene.notes), "provenance": scene.provenance}  # fmt: skip
+    return {
+        "name": scene.name,
+        "metric": scene.metric,
+        "background": scene.background,
+        "near": scene.near,
+        "far": scene.far if np.isfinite(scene.far) else None,
+        "box": scene.box.tolist(),
+        "bounds_from": scene.bounds_from,
+        "notes": list(scene.notes),
+        "provenance": scene.provenance,
+    }
 
 
 def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object) -> Scene:
@@ -58,8 +77,18 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
         raise DatasetError("box is empty or not finite", where=where, why=str(box.tolist()))
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
-    return Scene(name, views, near, far, box, background, metric, notes=tuple(content.get("notes", ())),
-                 provenance=content.get("provenance", {}), bounds_from=str(content.get("bounds_from", STATED)))  # fmt: skip
+    return Scene(
+        name,
+        views,
+        near,
+        far,
+        box,
+        background,
+        metric,
+        notes=tuple(content.get("notes", ())),
+        provenance=content.get("provenance", {}),
+        bounds_from=str(content.get("bounds_from", STATED)),
+    )
 
 
 def read(folder: Path) -> dict[str, Any] | None:

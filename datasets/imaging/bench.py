@@ -40,9 +40,19 @@ def read_and_shrink(
             if number == min(9, count - 1):
                 settled = _peak_kb()
         seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - start_cpu
-    return {"images": count, "width": width, "height": height, "factor": factor, "file_mb": megabytes, "seconds": seconds, "cpu_seconds": cpu_seconds,
-            "seconds_per_image": seconds / count, "peak_growth_mb": (_peak_kb() - settled) / 1e3,
-            "small_width": target.shape[1], "small_height": target.shape[0]}  # fmt: skip
+    return {
+        "images": count,
+        "width": width,
+        "height": height,
+        "factor": factor,
+        "file_mb": megabytes,
+        "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
+        "seconds_per_image": seconds / count,
+        "peak_growth_mb": (_peak_kb() - settled) / 1e3,
+        "small_width": target.shape[1],
+        "small_height": target.shape[0],
+    }
 
 
 def _peak_kb() -> int:

@@ -23,8 +23,22 @@ MOST_SHRUNK = 1200
 """Bytes that a byte of a file can stand for at most: deflate's 1032, and something for headers."""
 MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x76\x2f\x31\x01")
 """First bytes of the formats that are read: PNG, JPEG, TIFF, BigTIFF, EXR."""
-DESCRIPTIVE = frozenset({"Make", "Model", "Software", "DateTime", "Artist", "Copyright", "ImageDescription", "ExposureTime",
-                         "FNumber", "XResolution", "YResolution", "ResolutionUnit"})  # fmt: skip
+DESCRIPTIVE = frozenset(
+    {
+        "Make",
+        "Model",
+        "Software",
+        "DateTime",
+        "Artist",
+        "Copyright",
+        "ImageDescription",
+        "ExposureTime",
+        "FNumber",
+        "XResolution",
+        "YResolution",
+        "ResolutionUnit",
+    }
+)
 """Headers without a prefix that `metadata` keeps."""
 _STEPS = {"uint8": 255, "uint16": 65535}
 FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
@@ -101,9 +115,13 @@ def metadata(path: Path) -> dict[str, str | int | float]:
         except UnicodeDecodeError:  # a text in another coding; nothing depends on it
             continue
     source.close()
-    return {name: value for name, value in found.items()
-            if isinstance(value, str | int | float) and name != "Orientation"
-            and (name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE)}  # fmt: skip
+    return {
+        name: value
+        for name, value in found.items()
+        if isinstance(value, str | int | float)
+        and name != "Orientation"
+        and (name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE)
+    }
 
 
 def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | float] | None = None) -> None:
@@ -269,8 +287,12 @@ def _open(path: Path) -> tuple[Any, int]:
         raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}x{spec.nchannels}")
     if spec.image_bytes() > MOST_SHRUNK * path.stat().st_size + 2**16:
         source.close()
-        raise DatasetError("image cannot be read", where=path, remedy="copy it again",
-                           why=f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes")  # fmt: skip
+        raise DatasetError(
+            "image cannot be read",
+            where=path,
+            remedy="copy it again",
+            why=f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes",
+        )
     return source, int(spec.getattribute("Orientation") or 1)
 
 

@@ -27,14 +27,28 @@ class Region:
     def camera(self, sensor: Camera) -> Camera:
         """The camera of this region's pictures, given that of the whole unbinned sensor."""
         b = self.binning
-        return replace(sensor, width=self.width, height=self.height, fx=sensor.fx / b, fy=sensor.fy / b,
-                       cx=sensor.cx / b - self.offset_x, cy=sensor.cy / b - self.offset_y)  # fmt: skip
+        return replace(
+            sensor,
+            width=self.width,
+            height=self.height,
+            fx=sensor.fx / b,
+            fy=sensor.fy / b,
+            cx=sensor.cx / b - self.offset_x,
+            cy=sensor.cy / b - self.offset_y,
+        )
 
     def sensor_camera(self, camera: Camera, width: int, height: int) -> Camera:
         """The camera of the whole sensor of `width` x `height` [px], given that of this region's pictures."""
         b = self.binning
-        return replace(camera, width=width, height=height, fx=camera.fx * b, fy=camera.fy * b,
-                       cx=(camera.cx + self.offset_x) * b, cy=(camera.cy + self.offset_y) * b)  # fmt: skip
+        return replace(
+            camera,
+            width=width,
+            height=height,
+            fx=camera.fx * b,
+            fy=camera.fy * b,
+            cx=(camera.cx + self.offset_x) * b,
+            cy=(camera.cy + self.offset_y) * b,
+        )
 
     def converted(self, camera: Camera, to: "Region") -> Camera:
         """The camera of pictures of region `to`, given that of this region's pictures."""

@@ -62,8 +62,9 @@ class Pinhole:
         if has_alpha:
             picture = np.concatenate([picture[..., :-1] * picture[..., -1:], picture[..., -1:]], axis=-1)
         wider = np.pad(picture, ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), "reflect", reflect_type="odd")
-        channels = [map_coordinates(wider[..., k], [rows, columns], np.float32, order, mode="mirror")
-                    for k in range(picture.shape[-1])]  # fmt: skip
+        channels = [
+            map_coordinates(wider[..., k], [rows, columns], np.float32, order, mode="mirror") for k in range(picture.shape[-1])
+        ]
         result = np.stack(channels, axis=-1)
         if has_alpha:  # both overshoot alike at an edge: divide before either is clipped
             alpha = result[..., -1:]
@@ -110,10 +111,12 @@ def _is_seen(candidate: Pinhole) -> bool:
     """True where every pixel on the border lies between pixel centres of the source, and the lens does not fold there."""
     camera, source = candidate.camera, candidate.source
     columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
-    border = np.concatenate([
-        np.stack(np.broadcast_arrays(*pair), axis=-1)
-        for pair in ((columns, rows[0]), (columns, rows[-1]), (columns[0], rows), (columns[-1], rows))
-    ])  # fmt: skip
+    border = np.concatenate(
+        [
+            np.stack(np.broadcast_arrays(*pair), axis=-1)
+            for pair in ((columns, rows[0]), (columns, rows[-1]), (columns[0], rows), (columns[-1], rows))
+        ]
+    )
     rays = camera.directions(border) @ candidate.source_from_camera[:3, :3].T
     if (rays[:, 2] <= 0).any():
         return False

@@ -14,9 +14,15 @@ from datasets.structure.bounds import corners
 Colour = tuple[int, int, int]
 
 COLOURS: dict[str, Colour] = {
-    "train": (31, 119, 180), "val": (148, 103, 189), "test": (214, 39, 40), "calibration": (44, 160, 44),
-    "blocked": (120, 120, 120), "error": (220, 20, 20), "warning": (240, 150, 0), "box": (190, 150, 30),
-}  # fmt: skip
+    "train": (31, 119, 180),
+    "val": (148, 103, 189),
+    "test": (214, 39, 40),
+    "calibration": (44, 160, 44),
+    "blocked": (120, 120, 120),
+    "error": (220, 20, 20),
+    "warning": (240, 150, 0),
+    "box": (190, 150, 30),
+}
 """sRGB of what is drawn, by its meaning."""
 SIDES = 16
 """Corners of the circles that capsules are made of."""
@@ -46,10 +52,18 @@ def add_camera(
     rotation, position = placed(world_from_camera)
     half = 0.5 * camera.height / camera.fy
     return page.scene.add_camera_frustum(
-        name, fov=2 * float(np.arctan(half)), aspect=camera.width / camera.height, scale=length / 2, thickness=1.5,
-        thickness_units="screen", color=colour, wxyz=rotation, position=position, cast_shadow=False,
+        name,
+        fov=2 * float(np.arctan(half)),
+        aspect=camera.width / camera.height,
+        scale=length / 2,
+        thickness=1.5,
+        thickness_units="screen",
+        color=colour,
+        wxyz=rotation,
+        position=position,
+        cast_shadow=False,
         receive_shadow=False,
-    )  # fmt: skip
+    )
 
 
 def look_through(client: viser.ClientHandle, world_from_camera: ArrayLike, camera: Camera, *, distance: float) -> None:
@@ -111,8 +125,10 @@ def _tube_faces(rings: int) -> NDArray[np.uint32]:
     faces = [np.stack([np.full(SIDES, rings * SIDES), following, corner], -1)]
     for ring in range(rings - 1):
         low, high = ring * SIDES, (ring + 1) * SIDES
-        faces += [np.stack([low + corner, low + following, high + corner], -1),
-                  np.stack([low + following, high + following, high + corner], -1)]  # fmt: skip
+        faces += [
+            np.stack([low + corner, low + following, high + corner], -1),
+            np.stack([low + following, high + following, high + corner], -1),
+        ]
     last = (rings - 1) * SIDES
     faces.append(np.stack([np.full(SIDES, rings * SIDES + 1), last + corner, last + following], -1))
     return np.concatenate(faces).astype(np.uint32)

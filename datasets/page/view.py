@@ -92,11 +92,18 @@ class SceneView:
             step = -(-len(scene.points) // MOST_POINTS)
             own = None if scene.sightings is None else scene.sightings.colours
             colours = own[::step] if own is not None and len(own) == len(scene.points) else (90, 90, 90)
-            page.scene.add_point_cloud("/points", scene.points[::step].astype(np.float32), colours,
-                                       point_size=0.004 * self.reach, precision="float32")  # fmt: skip
+            page.scene.add_point_cloud(
+                "/points", scene.points[::step].astype(np.float32), colours, point_size=0.004 * self.reach, precision="float32"
+            )
         for view in scene.views:
-            handle = shapes.add_camera(page, f"/cameras/{view.split}/{view.name}", view.world_from_camera, view.camera,
-                                       colour=shapes.colour_of(view.split), length=0.12 * self.reach)  # fmt: skip
+            handle = shapes.add_camera(
+                page,
+                f"/cameras/{view.split}/{view.name}",
+                view.world_from_camera,
+                view.camera,
+                colour=shapes.colour_of(view.split),
+                length=0.12 * self.reach,
+            )
             handle.on_click(lambda event, view=view: self._chosen(event.client, view.name))
             self.cameras[view.name] = handle
 
@@ -149,8 +156,14 @@ class SceneView:
         colour, words = shapes.colour_of(finding.level), f"{finding.level}: {finding.what}"
         concerned = views_of(finding, self.scene)
         for view in concerned:
-            shapes.add_mark(self.page, f"/findings/{index}/{view.name}", words, view.world_from_camera[:3, 3], colour=colour,
-                            size=0.02 * self.reach)  # fmt: skip
+            shapes.add_mark(
+                self.page,
+                f"/findings/{index}/{view.name}",
+                words,
+                view.world_from_camera[:3, 3],
+                colour=colour,
+                size=0.02 * self.reach,
+            )
             self.cameras[view.name].color = colour
         if not concerned:
             above = self.scene.box.mean(0) + self.up * (0.6 * np.ptp(self.scene.box, axis=0).max() + 0.06 * index * self.reach)
@@ -163,8 +176,11 @@ def views_of(finding: Finding, scene: Scene) -> list[View]:
     named = [view for view in scene.views if where in (f"view {view.name}", f"camera of view {view.name}")]
     if named:
         return named
-    return [view for view in scene.views if f"(view {view.name})" in where
-            or where in {str(path) for path in (view.image, view.mask, *view.truth.values())}]  # fmt: skip
+    return [
+        view
+        for view in scene.views
+        if f"(view {view.name})" in where or where in {str(path) for path in (view.image, view.mask, *view.truth.values())}
+    ]
 
 
 def thumbnail(view: View) -> np.ndarray:
@@ -179,9 +195,11 @@ def words_on(view: View, *, metric: bool) -> str:
     camera, position = view.camera, ", ".join(f"{value:.4g}" for value in view.world_from_camera[:3, 3])
     lens = "pinhole" if camera.is_pinhole else "fisheye" if camera.fisheye else "distorted"
     truth = f"  \ntruth: {', '.join(sorted(view.truth))}" if view.truth else ""
-    return (f"**view {view.name}** ({view.split})  \n`{view.image.name}`, {camera.width} x {camera.height} px, {lens}  \n"
-            f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px  \n"
-            f"at {position}{' m' if metric else ''}{truth}")  # fmt: skip
+    return (
+        f"**view {view.name}** ({view.split})  \n`{view.image.name}`, {camera.width} x {camera.height} px, {lens}  \n"
+        f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px  \n"
+        f"at {position}{' m' if metric else ''}{truth}"
+    )
 
 
 def show(page: Page, path: str | Path, scene: Scene, *, quick: bool = False, **options: Any) -> SceneView:

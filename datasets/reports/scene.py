@@ -21,8 +21,15 @@ THUMBNAIL = 190
 COLOURS = {"train": "#2f6fde", "val": "#8e5bbf", "test": "#d0342c"}
 
 
-def write(path: str | Path, out: Path, *, matches: bool = True, made_by: str = "",
-          done: Callable[[int, int], None] = lambda count, total: None, **options: Any) -> list[Finding]:  # fmt: skip
+def write(
+    path: str | Path,
+    out: Path,
+    *,
+    matches: bool = True,
+    made_by: str = "",
+    done: Callable[[int, int], None] = lambda count, total: None,
+    **options: Any,
+) -> list[Finding]:
     """Write the report of a scene to the new file `out`; returns what `datasets check` finds.
 
     Args:
@@ -43,8 +50,14 @@ def write(path: str | Path, out: Path, *, matches: bool = True, made_by: str = "
     page = ReportPage(f"Scene {scene.name}", made_by=[made_by] if made_by else [])
     errors = sum(finding.level == "error" for finding in findings)
     found = summary(scene)
-    page.headline([*((f"{split} views", Number(count, digits=0)) for split, count in found["views"].items() if count),
-                   ("errors", Number(errors, digits=0)), ("warnings", Number(len(findings) - errors, digits=0))], str(path))  # fmt: skip
+    page.headline(
+        [
+            *((f"{split} views", Number(count, digits=0)) for split, count in found["views"].items() if count),
+            ("errors", Number(errors, digits=0)),
+            ("warnings", Number(len(findings) - errors, digits=0)),
+        ],
+        str(path),
+    )
     page.section("Findings of 'datasets check'")
     if findings:
         page.items(finding.line for finding in findings)
@@ -54,8 +67,10 @@ def write(path: str | Path, out: Path, *, matches: bool = True, made_by: str = "
     page.section("Where the cameras are", "Training blue, test red; the object's box in ochre.")
     page.drawing(cameras(scene))
     page.section("Every view")
-    page.table(("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth"),
-               [_row(view, scene) for view in scene.views])  # fmt: skip
+    page.table(
+        ("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth"),
+        [_row(view, scene) for view in scene.views],
+    )
     page.section("Pictures")
     page.pictures(_thumbnails(scene))
     page.write(out)
@@ -66,11 +81,16 @@ def _bounds(page: ReportPage, scene: Scene) -> None:
     unit = "m" if scene.metric else "units"
     page.section("Bounds", f"From {scene.bounds_from}.")
     low, high = scene.box
-    page.numbers([
-        ("near", Number(scene.near, unit), "nearest depth along z at which anything is seen"),
-        ("far", Number(scene.far, unit), "furthest; a dash: open"),
-        *((f"box along {axis}", Number(float(b - a), unit), f"from {a:.4g} to {b:.4g}") for axis, a, b in zip("xyz", low, high, strict=True)),
-    ])  # fmt: skip
+    page.numbers(
+        [
+            ("near", Number(scene.near, unit), "nearest depth along z at which anything is seen"),
+            ("far", Number(scene.far, unit), "furthest; a dash: open"),
+            *(
+                (f"box along {axis}", Number(float(b - a), unit), f"from {a:.4g} to {b:.4g}")
+                for axis, a, b in zip("xyz", low, high, strict=True)
+            ),
+        ]
+    )
     if scene.notes:
         page.items(scene.notes)
 

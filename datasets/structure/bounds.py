@@ -124,5 +124,9 @@ def depths_in_picture(view: View, points: NDArray[np.float64]) -> NDArray[np.flo
 
 def half_field(camera: Camera) -> float:
     """Tangent of the widest angle from the axis to an edge's middle."""
-    return max(camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx,
-               camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy)  # fmt: skip
+    return max(
+        camera.cx / camera.fx,
+        (camera.width - camera.cx) / camera.fx,
+        camera.cy / camera.fy,
+        (camera.height - camera.cy) / camera.fy,
+    )

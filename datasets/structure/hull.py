@@ -76,8 +76,9 @@ def _mask(view: View) -> NDArray[np.bool_]:
     return np.any(cells, axis=(1, 3))
 
 
-def _carve(view: View, mask: NDArray[np.bool_], points: NDArray[np.float64],
-           radius: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
+def _carve(
+    view: View, mask: NDArray[np.bool_], points: NDArray[np.float64], radius: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which (n, 3) points this view sees at all, and which it allows to belong to the object, as (n,) each."""
     from scipy.ndimage import maximum_filter
 

@@ -50,8 +50,9 @@ class Matches:
         return sum(len(index) for _, _, index in self.pairs)
 
 
-def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE,
-            done: Callable[[], None] = lambda: None) -> Matches:  # fmt: skip
+def matched(
+    views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE, done: Callable[[], None] = lambda: None
+) -> Matches:
     """Features of all views in pictures of at most `side` pixels, matched between the given pairs. `done` is called after each view."""
     found = []
     for view in views:
@@ -101,8 +102,9 @@ def match(first: Features, second: Features) -> NDArray[np.int64]:
     return np.stack([chosen, best[chosen]], axis=1)
 
 
-def neighbours(world_from_camera: NDArray[np.float64], centre: NDArray[np.float64], *, count: int = 5,
-               least_deg: float = 1.5) -> list[tuple[int, int]]:  # fmt: skip
+def neighbours(
+    world_from_camera: NDArray[np.float64], centre: NDArray[np.float64], *, count: int = 5, least_deg: float = 1.5
+) -> list[tuple[int, int]]:
     """Pairs of (n, 4, 4) cameras that see `centre` from nearly the same side, yet not the same: each with its `count` nearest.
 
     Cameras less than `least_deg` apart, as seen from `centre`, see the same picture and place nothing.

@@ -88,8 +88,9 @@ def endless_share(matches: Matches, world_from_camera: NDArray[np.float64], base
     return parallel / max(total, 1)
 
 
-def _meets(matches: Matches, pair: tuple[int, int, NDArray[np.int64]],
-           world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:  # fmt: skip
+def _meets(
+    matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """For each match of a pair: whether its rays meet in front of both cameras, and the angle between them [rad]."""
     i, j, index = pair
     first, second = matches.features[i], matches.features[j]
@@ -126,8 +127,13 @@ def _tracks(matches: Matches, world_from_camera: NDArray[np.float64], offsets: N
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def _nearest_points(world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64],
-                    track: NDArray[np.int64], count: int) -> NDArray[np.float64]:  # fmt: skip
+def _nearest_points(
+    world_from_camera: NDArray[np.float64],
+    view: NDArray[np.int64],
+    local: NDArray[np.float64],
+    track: NDArray[np.int64],
+    count: int,
+) -> NDArray[np.float64]:
     """(count, 3) point nearest to the rays of each track; NaN where they are too few or too parallel."""
     rotation, origin = world_from_camera[view, :3, :3], world_from_camera[view, :3, 3]
     rays = np.einsum("nij,nj->ni", rotation, local)
@@ -144,8 +150,9 @@ def _nearest_points(world_from_camera: NDArray[np.float64], view: NDArray[np.int
     return points
 
 
-def _errors(world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64],
-            points: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
+def _errors(
+    world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """(n,) distance at z = 1 between where a view saw each point and where it is; infinite for what is behind it."""
     seen = np.einsum("nij,ni->nj", world_from_camera[view, :3, :3], points - world_from_camera[view, :3, 3])
     front = seen[:, 2] > 0  # false for NaN, too
