@@ -1,4 +1,4 @@
-"""The reports of all commands: one HTML file with everything in it, light and dark, for the screen and for paper.
+"""The reports of all commands: one self-contained HTML file, light and dark, for screen and paper.
 
     page = ReportPage("gold_head", made_by=["reconstruct report run --out report"])
     page.headline([("test PSNR", Number(26.99, "dB"))])
@@ -7,26 +7,26 @@
     page.table(("view", "PSNR"), [("000", Number(27.3, "dB"))])
     page.write(Path("report.html"))
 
-Tables are sorted by a click on a heading; of two pictures laid over each other the pointer decides how much is seen of each, and
-paper shows both. Whatever is given as text is escaped.
+A click on a heading sorts its table. Of two pictures laid over each other, the pointer decides how much of each is visible; on
+paper they stand side by side. The markup is in `templates/`, rendered by jinja2, which escapes all text.
 """
 
 import base64
-import html
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files as package_files
+from functools import cache
 from pathlib import Path
-from string import Template
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from datasets.core import files
 from datasets.imaging import images
 
 Picture = NDArray[np.floating] | NDArray[np.uint8] | bytes
-"""(height, width, 1 or 3) sRGB in 0..1 or bytes, or the content of a PNG file."""
+"""(height, width, 1 or 3) sRGB in 0..1 or as bytes, or the content of a PNG file."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,16 @@ class Number:
     unit: str = ""
     std: float | None = None
     digits: int | None = None
-    """Digits after the point; None: two significant ones of the deviation, else four of the value."""
+    """Digits after the point; None: two significant digits of the deviation, else four of the value."""
+
+    @property
+    def known(self) -> bool:
+        """False where there is no finite value."""
+        return self.value is not None and bool(np.isfinite(self.value))
 
     @property
     def text(self) -> str:
-        """The value without its unit, as "2.222 ± 0.017"; a dash where there is none."""
+        """The value without its unit, as "2.222 ± 0.017"; a dash where it is not known."""
         if self.value is None or not np.isfinite(self.value):
             return "–"
         size = self.std if self.std else abs(self.value)
@@ -56,110 +61,92 @@ class Number:
 Cell = str | int | Number | None
 
 
+@cache
+def _environment() -> Environment:
+    loader = PackageLoader("datasets", "reports/templates")
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True)
+
+
 class ReportPage:
-    """A page that is filled from above to below and then rendered or written."""
+    """A page that is filled from top to bottom and then rendered or written."""
 
     def __init__(self, title: str, *, made_by: Sequence[str] = ()) -> None:
         """Begin a page.
 
         Args:
-            title: heading of the page, and of its window.
-            made_by: command lines that lead to it, the last of which made it.
+            title: heading of the page and title of its window.
+            made_by: the command lines that led to it; the last one made it.
         """
         self.title, self.made_by = title, tuple(made_by)
         self._head: list[str] = []
         self._body: list[str] = []
+        self._blocks: Any = _environment().get_template("blocks.html").module
 
     def headline(self, figures: Iterable[tuple[str, Number]], words: str = "") -> None:
         """The result at a glance: a few named numbers, and a line beneath."""
-        shown = "".join(f"<div><b>{_number(number)}</b><span>{_text(name)}</span></div>" for name, number in figures)
-        self._head.append(f'<div class="headline">{shown}</div>' if shown else "")
-        self._head.append(f'<p class="soft">{_text(words)}</p>' if words else "")
+        if figures := list(figures):
+            self._head.append(self._blocks.headline(figures))
+        if words:
+            self._head.append(self._blocks.soft(words))
 
     def section(self, title: str, words: str = "") -> None:
         """Begin a section."""
-        self._body.append(f"<h2>{_text(title)}</h2>" + (f"<p>{_text(words)}</p>" if words else ""))
+        self._body.append(self._blocks.section(title, words))
 
     def heading(self, title: str) -> None:
         """A smaller heading inside a section."""
-        self._body.append(f"<h3>{_text(title)}</h3>")
+        self._body.append(self._blocks.heading(title))
 
     def paragraph(self, words: str) -> None:
         """A paragraph."""
-        self._body.append(f"<p>{_text(words)}</p>")
+        self._body.append(self._blocks.paragraph(words))
 
     def items(self, lines: Iterable[str]) -> None:
-        """A list; a line that begins with "error:" or "warning:" has its colour."""
-        self._body.append(f"<ul>{''.join(f'<li>{_levelled(line)}</li>' for line in lines)}</ul>")
+        """A list; the words "error:" and "warning:" at the beginning of a line are coloured."""
+        self._body.append(self._blocks.items([_levelled(line) for line in lines]))
 
     def text(self, words: str) -> None:
-        """Text with its own line breaks, as a terminal shows it."""
-        self._body.append(f"<pre>{_text(words)}</pre>")
+        """Text with its own line breaks, as in a terminal."""
+        self._body.append(self._blocks.text(words))
 
     def numbers(self, rows: Iterable[tuple[str, Number, str]]) -> None:
-        """Named numbers with what each means, a line each."""
-        lines = "".join(
-            f'<tr><th>{_text(name)}</th><td class="number"><b>{number.text}</b></td><td>{_text(number.unit)}</td>'
-            f'<td class="soft">{_text(meaning)}</td></tr>'
-            for name, number, meaning in rows
-        )
-        self._body.append(f'<div class="scroll"><table><tbody>{lines}</tbody></table></div>')
+        """Named numbers with what each means, one per line."""
+        self._body.append(self._blocks.numbers(list(rows)))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
-        """A table that a click on a heading sorts; headings stand over their columns, numbers at the right."""
+        """A sortable table. Columns of numbers are right-aligned, and their headings too."""
         cells = [tuple(row) for row in rows]
-        right = [bool(cells) and all(isinstance(row[i], int | Number) for row in cells) for i in range(len(columns))]
-        head = "".join(
-            f"<th{' class=number' if at_right else ''}>{_text(column)}</th>"
-            for column, at_right in zip(columns, right, strict=True)
-        )
-        body = "".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in cells)
-        self._body.append(
-            f'<div class="scroll"><table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-        )
+        numeric = [bool(cells) and all(isinstance(row[i], int | Number) for row in cells) for i in range(len(columns))]
+        self._body.append(self._blocks.table(list(zip(columns, numeric, strict=True)), cells))
 
     def picture(self, picture: Picture, title: str, words: str = "") -> None:
-        """One picture in its own size, or the width of the page where that is less."""
-        caption = f"<figcaption>{_text(words)}</figcaption>" if words else ""
-        self._body.append(f'<figure class="natural">{_image(picture, title)}{caption}</figure>')
+        """One picture at its own size, or at the width of the page where that is less."""
+        self._body.append(self._blocks.picture(_base64(picture), title, words))
 
     def pictures(self, named: Iterable[tuple[str, Picture]]) -> None:
         """Small pictures in rows, each with its name."""
-        shown = "".join(
-            f"<figure>{_image(picture, name)}<figcaption>{_text(name)}</figcaption></figure>" for name, picture in named
-        )
-        self._body.append(f'<div class="row">{shown}</div>')
+        self._body.append(self._blocks.pictures([(name, _base64(picture)) for name, picture in named]))
 
     def wipes(
         self, pairs: Iterable[tuple[str, Picture | None, Picture]], names: tuple[str, str] = ("truth", "rendering")
     ) -> None:
-        """A row of pairs laid over each other: left of the line the first is seen, right of it the second.
+        """A row of pairs of pictures laid over each other: the first is visible left of a line, the second right of it.
 
         Args:
-            pairs: a name, and two pictures of one size; None: there is no first.
-            names: of first and second.
+            pairs: a name, and two pictures of one size; None where there is no first one.
+            names: of the first and the second picture.
         """
-        shown = []
-        for name, first, second in pairs:
-            images_ = _image(second, f"{name}, {names[1]}")
-            if first is not None:
-                images_ = f'<div class="wipe">{_image(first, f"{name}, {names[0]}")}{images_}</div>'
-            note = "" if first is not None else f" (no {names[0]})"
-            shown.append(f"<figure>{images_}<figcaption>{_text(name + note)}</figcaption></figure>")
-        self._body.append(f'<div class="row">{"".join(shown)}</div>')
+        coded = [(name, None if first is None else _base64(first), _base64(second)) for name, first, second in pairs]
+        self._body.append(self._blocks.wipes(coded, *names))
 
     def drawing(self, svg: str, words: str = "") -> None:
-        """A drawing as SVG, made here and not by a stranger: it is taken as it is."""
-        self._body.append(f"<figure>{svg[svg.index('<svg') :]}<figcaption>{_text(words)}</figcaption></figure>")
+        """A drawing as SVG. It is not escaped: pass only drawings made by this program."""
+        self._body.append(self._blocks.drawing(svg[svg.index("<svg") :], words))
 
     def render(self) -> str:
         """The page as text."""
-        template = Template(package_files("datasets").joinpath("reports", "report.html").read_text(encoding="utf-8"))
-        head, body = list(self._head), list(self._body)
-        if self.made_by:
-            head.append('<p><a href="#made-by">the command that made this page</a></p>')
-            body.append(f'<h2 id="made-by">Made by</h2><pre>{_text(chr(10).join(self.made_by))}</pre>')
-        return template.substitute(title=_text(self.title), head="\n".join(filter(None, head)), body="\n".join(body))
+        page = _environment().get_template("report.html")
+        return page.render(title=self.title, head=self._head, body=self._body, made_by=self.made_by)
 
     def write(self, path: Path) -> None:
         """Write the page to a new file. Raises UsageError where something is there."""
@@ -167,40 +154,22 @@ class ReportPage:
         files.write_text(path, self.render())
 
 
-def _text(words: str) -> str:
-    return html.escape(words)
-
-
-def _levelled(line: str) -> str:
+def _levelled(line: str) -> tuple[str, str]:
+    """The level of a finding and the rest of its line; no level for any other line."""
     level, colon, rest = line.partition(":")
-    return f'<span class="{level}">{level}</span>:{_text(rest)}' if colon and level in ("error", "warning") else _text(line)
+    return (level, rest) if colon and level in ("error", "warning") else ("", line)
 
 
-def _number(number: Number) -> str:
-    return f"{number.text} {_text(number.unit)}".strip()
-
-
-def _cell(cell: Cell) -> str:
-    if isinstance(cell, Number):
-        known = cell.value is not None and np.isfinite(cell.value)
-        unit = f" <small>{_text(cell.unit)}</small>" if cell.unit and known else ""
-        return f'<td class="number" data-value="{f"{cell.value:.9g}" if known else ""}">{cell.text}{unit}</td>'
-    if isinstance(cell, int):
-        return f'<td class="number" data-value="{cell}">{cell}</td>'
-    return f"<td>{_text(cell or '')}</td>"
-
-
-def _image(picture: Picture, alt: str) -> str:
-    data = picture if isinstance(picture, bytes) else png_of(picture)
-    return f'<img alt="{_text(alt)}" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+def _base64(picture: Picture) -> str:
+    return base64.b64encode(picture if isinstance(picture, bytes) else png_of(picture)).decode()
 
 
 def png_of(picture: NDArray[np.floating] | NDArray[np.uint8]) -> bytes:
-    """The content of a PNG file of a (height, width, 1 or 3) sRGB picture in 0..1, or of bytes."""
+    """A (height, width, 1 or 3) sRGB picture, in 0..1 or as bytes, as the content of a PNG file."""
     import cv2
 
     pixels = picture if picture.dtype == np.uint8 else images.to_uint8(picture)
     coloured = np.broadcast_to(pixels, (*pixels.shape[:2], 3))
     done, data = cv2.imencode(".png", np.ascontiguousarray(coloured[..., ::-1]))
-    assert done  # of bytes in memory: there is no disk to be full
+    assert done  # in memory: no disk can be full
     return data.tobytes()

@@ -52,7 +52,7 @@ def test_the_page_needs_nothing_else_and_everything_is_escaped() -> None:
     assert not re.search(r"https?://|@import|src=\"(?!data:)|url\((?!#)", without_svg)
     assert "<Lens>" not in text and "&lt;Lens&gt; &amp; arm" in text and "<b>" not in text.split("<ul>")[1].split("</ul>")[0]
     assert '<span class="error">error</span>: &lt;b&gt;' in text and "<li>no level: here</li>" in text
-    assert "calib report &#x27;a b&#x27; --out c.html" in text and 'href="#made-by"' in text
+    assert "calib report &#39;a b&#39; --out c.html" in text and 'href="#made-by"' in text
     assert "prefers-color-scheme: dark" in text and "@media print" in text and "$" not in text
 
 

@@ -82,7 +82,7 @@ def test_a_study_goes_on_where_it_was_broken_off(trainings: list[str], ball_scen
         "index.html",
     }
     page = (tmp_path / "study/index.html").read_text()
-    named = "--budget 5 --set train.seed=3 --seed 3 --cell &#x27;sampling random&#x27; --cell &#x27;k = 1&#x27; --out"
+    named = "--budget 5 --set train.seed=3 --seed 3 --cell &#39;sampling random&#39; --cell &#39;k = 1&#39; --out"
     assert named in page, "the command makes these cells, not all"
     assert "<td>sampling random</td>" in page and "surface.neighbours=1" in page
     more = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["k = 5"])
