@@ -1,9 +1,8 @@
-"""From a recording and a calibration to a scene: world is the robot's base, unit the metre.
+"""From a recording and a calibration to a scene. The world is the robot's base, the unit the metre.
 
-world_from_camera = base_from_flange @ flange_from_camera, the flange where the calibration says that it truly is
+world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint offsets applied where the calibration has them
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +15,7 @@ from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
+from datasets.core.progress import Step, ignore
 from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.imaging import images
@@ -26,18 +26,11 @@ from datasets.structure import bounds
 from datasets.structure.measure import measured
 
 NEAR_SHARE = 0.25
-"""Where the pictures do not show it, near is this share of the depth at which a camera first meets the object's box: the
-table may come closer than the object."""
+"""Where the images do not show what is nearest, near is this share of the nearest depth of the object's box: the table may be
+closer than the object."""
 
 
-def build(
-    recording_path: Path,
-    calibration_path: Path,
-    out: Path,
-    *,
-    sizes: tuple[int, ...] = (),
-    done: Callable[[], None] = lambda: None,
-) -> Scene:
+def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tuple[int, ...] = (), done: Step = ignore) -> Scene:
     """Write the Koala scene of a recording to `out`, all or nothing. `done` is called after each frame.
 
     For each N of `sizes`, `images_N` holds the images at 1/N of their size.
@@ -50,15 +43,13 @@ def build(
     recording = Recording.open(recording_path)
     calibration = Calibration.load(calibration_path)
     if calibration.flange_from_camera is None:
-        raise UsageError(
-            "calibration holds no hand-eye pose", where=calibration_path, remedy="run 'calib handeye' on the target's recording"
-        )
+        remedy = "run 'calib handeye' on the target's recording"
+        raise UsageError("calibration holds no hand-eye pose", where=calibration_path, remedy=remedy)
     frames = [frame for frame in recording.frames if frame.split in SPLITS]
     if not frames:
         why = f"all {len(recording.frames)} frames are of a calibration session" if recording.frames else "it holds no frames"
-        raise UsageError(
-            "recording has no views of an object", where=recording_path, why=why, remedy="record a trajectory with an object"
-        )
+        remedy = "record a trajectory with an object"
+        raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
     camera, notes = camera_for(recording, calibration)
     views = []
     for frame in frames:
@@ -75,45 +66,35 @@ def build(
         "flange_from_camera": calibration.flange_from_camera.to_json(),
         "software": {"koala-capture": version("koala-capture")},
     }
-    scene = Scene(
-        Path(out).resolve().name,
-        tuple(views),
-        NEAR_SHARE * bounds.depth_range(views, box)[0],
-        np.inf,
-        box,
-        "scene",
-        metric=True,
-        notes=tuple(notes),
-        provenance=provenance,
-        bounds_from=evidence,
-    )
-    if evidence != CAMERAS_ALONE:  # else all of it is measured where the scene is used
+    near = NEAR_SHARE * bounds.depth_range(views, box)[0]
+    name, found = Path(out).resolve().name, tuple(views)
+    scene = Scene(name, found, near, np.inf, box, "scene", True, notes=tuple(notes), provenance=provenance, bounds_from=evidence)
+    if evidence != CAMERAS_ALONE:  # else `load_scene(..., measure=True)` measures everything
         scene = with_measured_near(scene)
     koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
     return scene
 
 
 def with_measured_near(scene: Scene) -> Scene:
-    """The scene with near as its pictures show it; where too little can be triangulated it stays as it is, and a note says so.
+    """The scene with near measured in its images. Where too few points can be triangulated, near stays and a note says so.
 
-    What lies before everything that was ever seen is empty, and a reconstruction that knows so does not fill it with clouds.
+    Space nearer than anything visible is empty; a reconstruction that knows this does not fill it with fog.
     """
-    seen = measured(scene)
-    if seen.points is None:
-        why = seen.bounds_from.removeprefix(f"{scene.bounds_from}; ")
-        note = f"near is a guess: {why}; something with texture beside the object keeps reconstructions free of fog before the lenses"
-        return replace(scene, notes=(*scene.notes, note))
-    return replace(scene, near=seen.near, bounds_from=f"box {scene.bounds_from}; near from {seen.bounds_from}")
+    found = measured(scene)
+    if found.points is None:
+        why = found.bounds_from.removeprefix(f"{scene.bounds_from}; ")
+        advice = "put something textured beside the object to keep reconstructions free of fog near the cameras"
+        return replace(scene, notes=(*scene.notes, f"near is a guess: {why}; {advice}"))
+    return replace(scene, near=found.near, bounds_from=f"box {scene.bounds_from}; near from {found.bounds_from}")
 
 
 def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, list[str]]:
-    """The calibrated camera for this recording's pictures, and a note where it had to be converted.
+    """The calibrated camera for this recording's images, and a note where it had to be converted.
 
-    Both sessions may have read out different regions of the sensor or binned it differently: where both say which, the
-    conversion is exact.
+    The two sessions may differ in sensor region or binning. Where both record their region, the conversion is exact.
 
     Raises:
-        DatasetError: the sizes differ and one of the two does not say its region, or the images have another size.
+        DatasetError: the sizes differ and one session does not record its region, or the images have another size.
     """
     actual = images.size(recording.image_path(recording.frames[0]))
     calibrated, notes = calibration.camera, []
@@ -122,21 +103,18 @@ def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, 
         calibrated = theirs.converted(calibrated, ours)
         notes.append(f"intrinsics converted from {_words(theirs)} to {_words(ours)}")
     if (calibrated.width, calibrated.height) != actual:
-        raise DatasetError(
-            "calibration is for another image size",
-            where=recording.path,
-            why=f"images are {actual[0]}x{actual[1]}, the calibrated camera is {calibrated.width}x{calibrated.height}",
-            remedy="calibrate with the same region of interest and binning",
-        )
+        why = f"images are {actual[0]}x{actual[1]}, the calibrated camera is {calibrated.width}x{calibrated.height}"
+        remedy = "calibrate with the same region of interest and binning"
+        raise DatasetError("calibration is for another image size", where=recording.path, why=why, remedy=remedy)
     return calibrated, notes
 
 
 def _calibrated_region(calibration: Calibration) -> Region | None:
-    """Region of the calibration's pictures: as it says itself, else as the recording that it was made from says."""
-    said = calibration.provenance
-    if said.get("region") is not None:
-        return Region.from_json(said["region"], where="calibration, provenance, region")
-    manifest = Path(said.get("recording", "")) / MANIFEST
+    """Sensor region of the calibration's images: its own record, else that of its recording."""
+    provenance = calibration.provenance
+    if provenance.get("region") is not None:
+        return Region.from_json(provenance["region"], where="calibration, provenance, region")
+    manifest = Path(provenance.get("recording", "")) / MANIFEST
     return _region(files.read_json(manifest), where=manifest) if manifest.is_file() else None
 
 
@@ -155,19 +133,11 @@ def _view(recording: Recording, frame: Frame, camera: Camera, world_from_camera:
     where = f"{recording.path}, frame {frame.name}"
     path = files.inside(recording.path, frame.image, where=where)
     if images.size(path) != (camera.width, camera.height):
-        raise DatasetError(
-            "image has the wrong size",
-            where=path,
-            remedy="record the frame again",
-            why="it is {}x{}".format(*images.size(path)) + f", the others are {camera.width}x{camera.height}",
-        )
+        why = "it is {}x{}".format(*images.size(path)) + f", the others are {camera.width}x{camera.height}"
+        raise DatasetError("image has the wrong size", where=path, why=why, remedy="record the frame again")
     if frame.sha256 and files.sha256(path) != frame.sha256:
-        raise DatasetError(
-            "image is not the one that was recorded",
-            where=path,
-            why="its SHA-256 differs from frames.jsonl",
-            remedy="restore it, or record the frame again",
-        )
+        why, remedy = "its SHA-256 differs from frames.jsonl", "restore it, or record the frame again"
+        raise DatasetError("image is not the one that was recorded", where=path, why=why, remedy=remedy)
     return View(frame.name, camera, world_from_camera, frame.split, path, truth=_truth(recording.path, frame.name))
 
 
@@ -179,12 +149,12 @@ def _truth(recording: Path, name: str) -> dict[str, Path]:
 
 
 def extra_truth(folder: Path) -> dict[str, Path]:
-    """True meshes of a recording or scene by the name under which a scene keeps them."""
+    """Ground-truth meshes of a recording or scene, by their relative path in a scene."""
     return {f"{TRUTH}/{path.name}": path for path in sorted((folder / TRUTH).glob("*.ply"))}
 
 
 def object_box(recording: Recording, views: tuple[View, ...]) -> tuple[NDArray[np.float64], str]:
-    """(2, 3) the object's volume as the trajectory states it [m]; without one, where the cameras look; and which it is."""
+    """(2, 3) the object's volume [m] as the trajectory states it, else where the cameras look; and the evidence for it."""
     where = f"{recording.path / MANIFEST}, object"
     stated = recording.manifest.get("object") or recording.manifest.get("trajectory", {}).get("object")
     if stated is None:
@@ -192,9 +162,8 @@ def object_box(recording: Recording, views: tuple[View, ...]) -> tuple[NDArray[n
     try:
         centre, size = (np.asarray(stated[key], np.float64).reshape(3) for key in ("centre", "size"))
     except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(
-            "object's volume is not complete", where=where, why=str(error), remedy="state centre and size"
-        ) from None
+        remedy = "state centre and size"
+        raise DatasetError("object's volume is not complete", where=where, why=str(error), remedy=remedy) from None
     if not np.isfinite(centre).all() or not (size > 0).all() or not np.isfinite(size).all():
         raise DatasetError("object's volume is impossible", where=where, why=f"centre {centre}, size {size}")
     return np.stack([centre - size / 2, centre + size / 2]), STATED

@@ -3,7 +3,7 @@
 Covariances of poses are (6, 6) over a left perturbation, translation first [m], then rotation vector [rad]:
 `true = perturbation(twist) @ stated`. What was not calibrated is None.
 
-Joint offsets, where they were estimated, belong to the hand-eye pose: one is right only with the other. `camera_pose` applies both.
+Joint offsets and hand-eye pose are estimated together and are valid only together. `camera_pose` applies both.
 """
 
 from dataclasses import dataclass, field
@@ -35,7 +35,7 @@ class UncertainPose:
     def translation_std_mm(self) -> NDArray[np.float64]:
         """(3,) standard deviations of `matrix[:3, 3]` [mm].
 
-        The covariance is about the first frame's origin, so that a rotation moves the second frame's origin too.
+        The covariance is about the first frame's origin, so its rotation part moves the second frame's origin too.
         """
         x, y, z = self.matrix[:3, 3]
         by_twist = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])  # rotation part: -[position]x
@@ -67,7 +67,7 @@ class UncertainPose:
 
 @dataclass(frozen=True)
 class JointOffsets:
-    """How much further than reported each joint stands. The first and the last are zero by convention: other poses hold theirs."""
+    """True minus reported joint angles. The first and last are zero by convention: other poses absorb them."""
 
     offsets: NDArray[np.float64]
     """(6,) true angle minus reported angle [rad]."""
@@ -75,7 +75,7 @@ class JointOffsets:
     """(6,) standard deviations [rad]; 0 where the offset is zero by convention."""
 
     def corrected(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(..., 4, 4) flange poses as they are, from (..., 4, 4) poses [m] and (..., 6) joint angles [rad] as reported."""
+        """(..., 4, 4) true flange poses from reported (..., 4, 4) poses [m] and (..., 6) joint angles [rad]."""
         return kinematics.turned(base_from_flange, joints, self.offsets)
 
     def to_json(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class JointOffsets:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of the rig, how well, and from which recording."""
+    """What is known about the rig, how accurately, and from which recording."""
 
     camera: Camera
     """Intrinsics at the size of the recorded images."""
@@ -105,15 +105,15 @@ class Calibration:
     flange_from_camera: UncertainPose | None = None
     """Hand-eye pose: X in AX = XB."""
     base_from_board: UncertainPose | None = None
-    """Where the calibration target stood."""
+    """Pose of the calibration target."""
     base_from_camera: UncertainPose | None = None
-    """Instead of the hand-eye pose, where the camera stands beside the arm."""
+    """Replaces the hand-eye pose where the camera stands beside the arm."""
     flange_from_board: UncertainPose | None = None
-    """Where the target sat on the flange, where the camera stands beside the arm."""
+    """Pose of the target on the flange, where the camera stands beside the arm."""
     joint_offsets: JointOffsets | None = None
-    """Of the arm, where they were asked for."""
+    """Joint offsets of the arm, where they were estimated."""
     residuals: dict[str, Any] = field(default_factory=dict)
-    """What the fit left: `rms_px`, per-view errors, held-out error, counts."""
+    """Residuals of the fit: `rms_px`, per-view errors, held-out error, counts."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Recording path and hash, target, method, software versions."""
 
@@ -122,10 +122,10 @@ class Calibration:
 
         Args:
             base_from_flange: (..., 4, 4) [m].
-            joints: (..., 6) [rad]; of no effect where no offsets were estimated.
+            joints: (..., 6) [rad]; ignored where no offsets were estimated.
 
         Raises:
-            DatasetError: nothing is known of a camera on the flange.
+            DatasetError: there is no hand-eye pose.
         """
         if self.flange_from_camera is None:
             raise DatasetError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
@@ -135,20 +135,10 @@ class Calibration:
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""
         poses = {name: getattr(self, name) for name in _POSES if name in _POSES[:2] or getattr(self, name)}
-        offsets = {"joint_offsets": self.joint_offsets.to_json()} if self.joint_offsets else {}
-        files.write_json(
-            path,
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                "camera": self.camera.to_json(),
-                "camera_std": self.camera_std,
-                **{name: value.to_json() if value else None for name, value in poses.items()},
-                **offsets,
-                "residuals": self.residuals,
-                "provenance": self.provenance,
-            },
-        )
+        content = {"format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std}
+        content |= {name: value.to_json() if value else None for name, value in poses.items()}
+        content |= {"joint_offsets": self.joint_offsets.to_json()} if self.joint_offsets else {}
+        files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -156,15 +146,13 @@ class Calibration:
         content = files.read_json(path, kind=FORMAT, version=VERSION)
         if "camera" not in content:
             raise DatasetError("calibration holds no camera", where=path)
-        poses = {
-            name: UncertainPose.from_json(content[name], where=f"{path}, {name}") if content.get(name) else None
-            for name in _POSES
-        }
+        camera = Camera.from_json(content["camera"], where=f"{path}, camera")
+        stored = {name: UncertainPose.from_json(content[name], where=f"{path}, {name}") for name in _POSES if content.get(name)}
         offsets = content.get("joint_offsets")
         return cls(
-            Camera.from_json(content["camera"], where=f"{path}, camera"),
+            camera,
             content.get("camera_std", {}),
-            **poses,
+            **stored,
             joint_offsets=JointOffsets.from_json(offsets, where=f"{path}, joint_offsets") if offsets else None,
             residuals=content.get("residuals", {}),
             provenance=content.get("provenance", {}),

@@ -8,8 +8,10 @@ A point (x, y, z) in the camera frame has normalised coordinates (x/z, y/z), whi
     y' = y radial + p1 (r2 + 2 y*y) + 2 p2 x y
     pixel = (fx x' + cx, fy y' + cy),   first pixel's centre at (0.5, 0.5).
 
-Most lenses need no more than k1 k2 p1 p2 k3; k4 k5 k6 are OpenCV's rational model. A fisheye lens (Kannala & Brandt 2006, OpenCV's
-`fisheye`) has, with the angle a = arctan(r) off the axis, radial = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) / r instead.
+Most lenses need only k1 k2 p1 p2 k3; k4 k5 k6 belong to OpenCV's rational model. A fisheye lens (Kannala & Brandt 2006,
+OpenCV's `fisheye`) has instead, with a = arctan(r) the angle from the axis,
+
+    radial = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) / r
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -57,17 +59,17 @@ class Camera:
 
     @property
     def is_pinhole(self) -> bool:
-        """True where there is no distortion at all."""
+        """True where there is no distortion."""
         return not (self.fisheye or self.distortion.any())
 
     @property
     def is_centred(self) -> bool:
-        """True for a pinhole with square pixels and the principal point in the middle of the image, all to a billionth."""
-        off = max(abs(self.cx - self.width / 2), abs(self.cy - self.height / 2), abs(self.fx - self.fy))
-        return self.is_pinhole and off <= 1e-9 * max(self.width, self.height)
+        """True for a pinhole with square pixels and the principal point in the middle, to 1e-9."""
+        deviation = max(abs(self.cx - self.width / 2), abs(self.cy - self.height / 2), abs(self.fx - self.fy))
+        return self.is_pinhole and deviation <= 1e-9 * max(self.width, self.height)
 
     def scaled(self, width: int, height: int) -> Self:
-        """The camera of the same picture resampled to `width` x `height`: exact, as pixels are areas."""
+        """The camera of the same image resampled to `width` x `height`; exact, since pixels are areas."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
@@ -76,7 +78,7 @@ class Camera:
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
     def distort(self, normalised: ArrayLike) -> Points:
-        """(..., 2) ideal normalised coordinates to (..., 2) as the lens images them."""
+        """(..., 2) ideal normalised coordinates to (..., 2) distorted ones."""
         x, y = np.moveaxis(np.asarray(normalised, np.float64), -1, 0)
         r2 = x * x + y * y
         radial, _ = self.radial(r2)
@@ -89,7 +91,7 @@ class Camera:
         )
 
     def radial(self, r2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(factor by which the lens stretches the squared radius `r2`, its derivative by r2), of any shape."""
+        """(radial factor at the squared radius `r2`, its derivative by r2), of any shape."""
         r2 = np.asarray(r2, np.float64)
         if self.fisheye:
             return fisheye_radial(r2, (self.k1, self.k2, self.k3, self.k4))
@@ -121,7 +123,7 @@ class Camera:
         return normalised
 
     def _first_guess(self, distorted: Points) -> Points:
-        """A fisheye's image is far from ideal at its rim: the tangent of the angle is closer."""
+        """The start of Newton's method. Near a fisheye's rim the tangent of the angle is the better guess."""
         if not self.fisheye:
             return distorted.copy()
         angle = np.linalg.norm(distorted, axis=-1, keepdims=True)
@@ -162,21 +164,18 @@ class Camera:
         return camera.checked(where=where)
 
     def checked(self, *, where: object) -> Self:
-        """This camera, if it can exist; else a DatasetError that names the value at fault."""
+        """This camera if its values are possible; else a DatasetError that names the wrong value."""
         values = np.array(list(asdict(self).values()), np.float64)
         if not np.isfinite(values).all():
             raise DatasetError("camera holds a value that is not finite", where=where, why=str(asdict(self)))
         if min(self.width, self.height) < 1 or min(self.fx, self.fy) <= 0:
-            raise DatasetError(
-                "camera has no size or no focal length",
-                where=where,
-                why=f"{self.width}x{self.height}, fx {self.fx:g}, fy {self.fy:g}",
-            )
+            why = f"{self.width}x{self.height}, fx {self.fx:g}, fy {self.fy:g}"
+            raise DatasetError("camera has no size or no focal length", where=where, why=why)
         return self
 
 
 def fisheye_radial(r2: Points, coefficients: ArrayLike) -> tuple[Points, Points]:
-    """Of a fisheye with (4,) k1 k2 k3 k4: distorted by ideal radius, and the derivative of that by the squared ideal radius `r2`."""
+    """Distorted over ideal radius of a fisheye with (4,) k1 k2 k3 k4, and its derivative by the squared ideal radius `r2`."""
     near = r2 < 1e-8
     r = np.sqrt(np.where(near, 1.0, r2))
     angle = np.arctan(r)

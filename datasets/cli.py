@@ -6,19 +6,22 @@ from typing import Annotated, Any
 
 import typer
 
-from datasets.core import console
-from datasets.core.console import Json, Port
+from datasets.core import console, options
+from datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
 from datasets.edit import commands
-from datasets.edit.commands import Out, Root, SceneName
 
-app = console.make_app("datasets", "Make scenes from recordings; inspect, check and export scenes of every format.")
+app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
-Images = Annotated[str | None, typer.Option(help="Folder of images to use where there are several sizes: images_4.")]
-Sizes = Annotated[str, typer.Option(help="Write images_N too: 2,4,8 for a half, a quarter and an eighth of the size.")]
+Images = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Image folder to read, where there are several sizes, such as images_4.")
+]
+Sizes = Annotated[str, typer.Option(metavar="N,N,...", help="Also write images_N at 1/N of the size, such as 2,4,8.")]
+
+Quick = Annotated[bool, typer.Option("--quick", help="Do not match features between views.")]
 
 
 def _formats(incomplete: str) -> list[str]:
-    """For the shell."""
+    """Completion of format names in the shell."""
     from datasets.formats import WRITERS
 
     return [name for name in WRITERS if name.startswith(incomplete)]
@@ -28,7 +31,7 @@ def _formats(incomplete: str) -> list[str]:
 def build(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
-    out: Out,
+    out: OutFolder,
     sizes: Sizes = "",
     as_json: Json = False,
 ) -> None:
@@ -44,13 +47,13 @@ def build(
 
 @app.command()
 def info(
-    scene: SceneName,
+    scene: options.Scene,
     images: Images = None,
-    measure: Annotated[bool, typer.Option("--measure", help="Measure bounds in the pictures where nothing states them.")] = False,
-    data_root: Root = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Where no bounds are stated, measure them in the images.")] = False,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Say what a scene holds: views, camera, bounds, truth."""
+    """Show what a scene contains: views, camera, bounds, truth."""
     from datasets.checks.check import summary
     from datasets.formats import load_scene
 
@@ -60,26 +63,22 @@ def info(
 
 @app.command()
 def check(
-    scene: SceneName,
+    scene: options.Scene,
     images: Images = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
-    data_root: Root = None,
+    quick: Quick = False,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> int:
-    """Read everything in a scene and list what is wrong.
+    """Read every file of a scene and list what is wrong.
 
-    Each finding is one line: what, where, why and how to mend it. Exit code 1 where there is an error."""
+    Each finding is one line: what, where, why and how to fix it. The exit code is 1 if there is an error."""
     from datasets.checks.check import check as check_scene
+    from datasets.core.findings import tally
 
     with console.progress("checking", 1, "views") as shown:
-
-        def advance(count: int, total: int) -> None:
-            shown.total = total
-            shown.advance(count - shown.done)
-
-        findings = check_scene(scene, data_root=data_root, images=images, matches=not quick, done=advance)
-    errors = sum(finding.level == "error" for finding in findings)
-    verdict = f"{errors} errors, {len(findings) - errors} warnings" if findings else "nothing is wrong"
+        findings = check_scene(scene, data_root=data_root, images=images, matches=not quick, done=shown.show)
+    errors, warnings = tally(findings)
+    verdict = f"{errors} errors, {warnings} warnings" if findings else "nothing is wrong"
     text = "\n".join([*(finding.line for finding in findings), verdict])
     console.report({"errors": errors, "findings": [vars(finding) for finding in findings]}, as_json=as_json, text=text)
     return 1 if errors else 0
@@ -87,14 +86,14 @@ def check(
 
 @app.command()
 def view(
-    scene: SceneName,
+    scene: options.Scene,
     port: Port = 8080,
     images: Images = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
-    data_root: Root = None,
+    quick: Quick = False,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Look at a scene in the browser: cameras, points, bounds, pictures and what 'datasets check' finds."""
+    """Show a scene in the browser: cameras, points, bounds, images and the findings of 'datasets check'."""
     from datasets.core.errors import KoalaError
     from datasets.formats import load_scene
     from datasets.page import open_page
@@ -104,56 +103,49 @@ def view(
     loaded = load_scene(scene, data_root=data_root, images=images, problems=problems)
     with open_page(loaded.name, port) as page:
         show(page, scene, loaded, quick=quick, data_root=data_root, images=images)
-        console.report(
-            {"url": page.url, **describe(loaded)},
-            as_json=as_json,
-            text=f"{page.url} shows {loaded.name}, {len(loaded.views)} views; Ctrl-C ends it",
-        )
+        text = f"{page.url} shows {loaded.name}, {len(loaded.views)} views; Ctrl-C ends it"
+        console.report({"url": page.url, **describe(loaded)}, as_json=as_json, text=text)
         page.serve()
 
 
 @app.command()
 def report(
-    scene: SceneName,
-    out: Annotated[Path, typer.Option(metavar="PAGE.html", help="Page to write; must be new.")],
+    scene: options.Scene,
+    out: OutPage,
     images: Images = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Do not match features between views.")] = False,
-    data_root: Root = None,
+    quick: Quick = False,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a page on a scene: what it holds, what 'datasets check' finds, where its cameras are, every view."""
+    """Write an HTML report on a scene: figures, the findings of 'datasets check', cameras, every view."""
+    from datasets.core.findings import tally
     from datasets.reports.scene import write
 
     with console.progress("checking", 1, "views") as shown:
-
-        def advance(count: int, total: int) -> None:
-            shown.total = total
-            shown.advance(count - shown.done)
-
         findings = write(
-            scene, out, matches=not quick, made_by=console.command_line(), done=advance, data_root=data_root, images=images
+            scene, out, matches=not quick, made_by=console.command_line(), done=shown.show, data_root=data_root, images=images
         )
-    errors = sum(finding.level == "error" for finding in findings)
-    text = f"{errors} errors, {len(findings) - errors} warnings\n{out}"
-    console.report({"out": str(out), "errors": errors, "warnings": len(findings) - errors}, as_json=as_json, text=text)
+    errors, warnings = tally(findings)
+    text = f"{errors} errors, {warnings} warnings\n{out}"
+    console.report({"out": str(out), "errors": errors, "warnings": warnings}, as_json=as_json, text=text)
 
 
 @app.command()
 @app.command("convert")
 def export(
-    scene: SceneName,
+    scene: options.Scene,
     format: Annotated[
         str,
         typer.Option(help="koala, blender, nerfstudio, llff, dtu, colmap, colmap-text or mipnerf360.", autocompletion=_formats),
     ],
-    out: Out,
-    source: Annotated[str | None, typer.Option("--from", help="Layout of SCENE, where it has several.")] = None,
+    out: OutFolder,
+    source: Annotated[str | None, typer.Option("--from", help="Format of SCENE, where it has several.")] = None,
     images: Images = None,
     sizes: Sizes = "",
-    data_root: Root = None,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a scene in another format, undistorted where that knows no lens."""
+    """Write a scene in another format. Images are undistorted where that format has no lens model."""
     from datasets.build import extra_truth
     from datasets.core.files import refuse_existing
     from datasets.formats import find, load_scene, save_scene
@@ -161,9 +153,8 @@ def export(
     refuse_existing(out)
     loaded = load_scene(scene, data_root=data_root, format=source, images=images)
     with console.progress("exporting", len(loaded.views), "views") as shown:
-        limits = save_scene(
-            loaded, out, format, sizes=_numbers(sizes), extra=extra_truth(find(scene, data_root)), done=shown.advance
-        )
+        extra = extra_truth(find(scene, data_root))
+        limits = save_scene(loaded, out, format, sizes=_numbers(sizes), extra=extra, done=shown.advance)
     count = len(loaded.views)
     text = f"{count} views written to {out}" + (f"\n{limits}" if limits else "")
     console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
@@ -175,31 +166,33 @@ def truth(
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
     as_json: Json = False,
 ) -> None:
-    """Simulation: say how far a calibration is from the rig as it really is."""
+    """Compare a calibration with the true geometry of a simulated rig."""
     from datasets.calibration import Calibration
     from datasets.truth import calibration_error
 
     found = calibration_error(recording, Calibration.load(calibration))
-    text = "hand-eye pose off by {hand_eye_mm:.3f} mm and {hand_eye_deg:.4f} deg\n".format(**found)
-    text += "cameras off by {camera_mm:.3f} mm and {camera_deg:.4f} deg (median of {frames}, the arm's error included)".format(
-        **found
+    text = "error of the hand-eye pose: {hand_eye_mm:.3f} mm, {hand_eye_deg:.4f} deg\n".format(**found)
+    text += (
+        "error of the camera poses: {camera_mm:.3f} mm, {camera_deg:.4f} deg (median of {frames}, arm errors included)".format(
+            **found
+        )
     )
     console.report(found, as_json=as_json, text=text)
 
 
 @app.command()
 def bench(
-    count: Annotated[int, typer.Option(help="Pictures to read.")] = 50,
+    count: Annotated[int, typer.Option(help="Number of images to read.")] = 50,
     suffix: Annotated[str, typer.Option(help="Their format: .png, .jpg, .tif or .exr.")] = ".png",
     as_json: Json = False,
 ) -> None:
-    """Time reading 1920x1080 pictures and making them four times smaller."""
+    """Measure how long it takes to read 1920x1080 images and shrink them by four."""
     from datasets.imaging.bench import read_and_shrink
 
     found = read_and_shrink(count, suffix=suffix)
     text = (
         "{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
-        "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of processor time); "
+        "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time); "
         "peak memory grew by {peak_growth_mb:.1f} MB after the first ten"
     )
     console.report(found, as_json=as_json, text=text.format(**found))
@@ -209,13 +202,13 @@ commands.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    """Whole numbers of a list such as "2,4,8". Raises UsageError where it is none."""
+    """The integers of a list such as "2,4,8". Raises UsageError for anything else."""
     from datasets.core.errors import UsageError
 
     try:
         return tuple(int(word) for word in text.split(",") if word.strip())
     except ValueError:
-        raise UsageError("is no list of whole numbers", where=repr(text), remedy="write it as 2,4,8") from None
+        raise UsageError("is not a list of integers", where=repr(text), remedy="write it as 2,4,8") from None
 
 
 def _text(found: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The only place where foreign conventions are turned into ours.
+"""The only place where foreign conventions are converted to ours.
 
 Ours: OpenCV camera axes (x right, y down, z forward), first pixel's centre at (0.5, 0.5), quaternions `wxyz`.
 """

@@ -1,4 +1,4 @@
-"""A scene in memory: posed cameras with images that are read on demand. All else works on this.
+"""A scene in memory: posed cameras whose images are read on demand. Readers make it, everything else uses it.
 
 The world frame is that of the source (the robot's base for a capture), z up where the source says so, in metres
 where the source is metric.
@@ -19,7 +19,7 @@ SPLITS = ("train", "val", "test")
 STATED = "stated"
 """`Scene.bounds_from` where the source says where the object is."""
 DISPARITY = "_disp"
-"""End of the name of a depth file that holds Shiny Blender's 1 / (1 + distance along the ray)."""
+"""Name suffix of depth files that hold Shiny Blender's 1 / (1 + distance along the ray)."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +36,24 @@ class View:
     """"train", "val" or "test"."""
     image: Path
     mask: Path | None = None
-    """8-bit grey picture of the image's size: white belongs to the object, black is to be ignored."""
+    """8-bit grey picture of the image's size: white is the object, black is ignored."""
     truth: dict[str, Path] = field(default_factory=dict)
-    """Ground truth for evaluation alone, keyed "normals", "depth", "alpha", "diffuse", "specular"."""
+    """Ground truth, used by evaluation only, keyed "normals", "depth", "alpha", "diffuse", "specular"."""
     depth_unit: float = 1e-3
     """World units per step of a depth file of integers; files of floats hold world units."""
 
     def read(self) -> NDArray[np.float32]:
-        """(height, width, 3 or 4) sRGB in 0..1, alpha straight; the mask, where there is one, becomes the alpha.
+        """(height, width, 3 or 4) sRGB in 0..1, alpha straight; a mask becomes the alpha.
 
-        Grey becomes three equal channels; EXR holds linear light and is brought to sRGB, where it may exceed 1.
+        Grey becomes three equal channels. EXR holds linear light and is converted to sRGB, which may exceed 1.
 
         Raises:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
         picture = self.read_image()
         if picture.shape[-1] not in (1, 2, 3, 4):
-            raise DatasetError(
-                "image has too many channels", where=self.image, why=f"{picture.shape[-1]}", remedy="give RGB or RGBA"
-            )
+            why = f"{picture.shape[-1]}"
+            raise DatasetError("image has too many channels", where=self.image, why=why, remedy="give RGB or RGBA")
         if picture.shape[-1] < 3:
             picture = np.concatenate([picture[..., :1]] * 3 + [picture[..., 1:]], axis=-1)
         if self.image.suffix.lower() == ".exr":
@@ -82,9 +81,8 @@ class View:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
         if channel not in self.truth:
-            raise UsageError(
-                f"no truth called {channel!r}", where=f"view {self.name}", why=f"it has {sorted(self.truth) or 'none'}"
-            )
+            why = f"it has {sorted(self.truth) or 'none'}"
+            raise UsageError(f"no truth called {channel!r}", where=f"view {self.name}", why=why)
         path = self.truth[channel]
         values = images.read(path)
         self._check_size(values, path)
@@ -97,7 +95,7 @@ class View:
         return np.where(length > 0.5, normals / np.maximum(length, 0.5), 0.0).astype(np.float32)
 
     def _depth(self, values: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
-        """Depth along z from a file's values; where the file says that nothing was hit, 0."""
+        """Depth along z from a file's values; 0 where nothing was hit."""
         if path.stem.endswith(DISPARITY):
             lengths = np.linalg.norm(self.camera.directions(self.camera.pixel_centres()), axis=-1, keepdims=True)
             hit = values > 0
@@ -108,17 +106,17 @@ class View:
     def _check_size(self, picture: NDArray[np.float32], path: Path) -> None:
         height, width = picture.shape[:2]
         if (width, height) != (self.camera.width, self.camera.height):
-            raise DatasetError(
-                "image has the wrong size",
-                where=f"{path} (view {self.name})",
-                why=f"it is {width}x{height}, its camera says {self.camera.width}x{self.camera.height}",
-                remedy="use the images that the cameras were made for",
+            where, why = (
+                f"{path} (view {self.name})",
+                f"it is {width}x{height}, its camera says {self.camera.width}x{self.camera.height}",
             )
+            remedy = "use the images that the cameras were made for"
+            raise DatasetError("image has the wrong size", where=where, why=why, remedy=remedy)
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Where views saw the points of a scene: what bundle adjustment works on."""
+    """Where views saw the points of a scene: the observations of bundle adjustment."""
 
     names: tuple[str, ...]
     """Names of the views."""
@@ -132,7 +130,7 @@ class Sightings:
 
 @dataclass(frozen=True)
 class Scene:
-    """Views and what is known about the space that they see."""
+    """Views and what is known about the space they show."""
 
     name: str
     views: tuple[View, ...]
@@ -151,15 +149,14 @@ class Scene:
     sightings: Sightings | None = None
     """Which views saw which of the points, where known."""
     notes: tuple[str, ...] = ()
-    """What the reader had to assume or leave out, a line each, for the user."""
+    """What the reader had to assume or leave out, one line each."""
     provenance: dict[str, Any] = field(default_factory=dict)
     bounds_from: str = STATED
-    """On what evidence near, far and box rest, in words that begin with the box's: "stated", "cameras alone", points or masks
-    and how many."""
+    """Evidence for near, far and box, the box's first: "stated", "cameras alone", or how many points or masks."""
 
     @property
     def box_is_stated(self) -> bool:
-        """Whether whoever made the scene said where the object is; elsewhere the box is what pictures or cameras suggest."""
+        """True where the source states the object's box; elsewhere it is estimated from images or cameras."""
         return self.bounds_from.removeprefix("box ").startswith(STATED)
 
     def split(self, name: str) -> tuple[View, ...]:
@@ -169,6 +166,10 @@ class Scene:
             found = sorted({view.split for view in self.views})
             raise UsageError(f"scene has no {name} views", where=self.name, why=f"it has {', '.join(found) or 'no views at all'}")
         return chosen
+
+    def counts(self) -> dict[str, int]:
+        """Number of views of each split."""
+        return {split: sum(view.split == split for view in self.views) for split in SPLITS}
 
     def with_views(self, views: tuple[View, ...]) -> Self:
         """The same scene with other views."""

@@ -1,7 +1,9 @@
-"""What is wrong with a scene: each finding says what, where, why and how to mend it."""
+"""What is wrong with a scene: each finding says what, where, why and how to fix it."""
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,35 +13,34 @@ from datasets.checks.poses import check_poses
 from datasets.core import files
 from datasets.core.errors import KoalaError
 from datasets.core.findings import Finding, from_error
+from datasets.core.progress import Count, ignore
 from datasets.formats import load_scene
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 THUMBNAIL, ALIKE = 16, 0.4 / 255
-"""Pixels per side of a thumbnail, and the mean difference below which two pictures are one: noise averages to less."""
+"""Pixels per side of a thumbnail, and the mean difference below which two images are the same up to noise."""
 
 
-def check(
-    path: str | Path, *, matches: bool = True, done: Callable[[int, int], None] = lambda count, total: None, **options: object
-) -> list[Finding]:
+def check(path: str | Path, *, matches: bool = True, done: Count = ignore, **options: Any) -> list[Finding]:
     """Findings on a scene on disk, the worst first; an empty list means that nothing is wrong.
 
-    Every image, mask and truth map is decoded. With `matches`, features are matched between views and held against the
-    poses, which takes some seconds more. `done` is called with the number of views checked and of all. `options` are those
-    of `load_scene`.
+    Every image, mask and truth map is decoded. With `matches`, features are matched between views and compared with the
+    poses, which takes some seconds more. `done` is called with the number of views checked and their total. `options` are
+    those of `load_scene`.
     """
     problems: list[KoalaError] = []
     try:
-        scene = load_scene(path, problems=problems, **options)  # type: ignore[arg-type]
+        scene = load_scene(path, problems=problems, **options)
     except KoalaError as error:
         return [*map(from_error, problems), from_error(error)]
     findings = [*map(from_error, problems), *check_poses(scene)]
     findings += [Finding("warning", "note", scene.name, note) for note in scene.notes if "missing" in note]
-    seen: dict[str, str] = {}
+    first_by_hash: dict[str, str] = {}
     thumbnails: dict[str, NDArray[np.float32]] = {}
     for count, view in enumerate(scene.views, 1):
-        findings += _pictures(view, thumbnails) + _duplicate(view, seen)
+        findings += _pictures(view, thumbnails) + _duplicate(view, first_by_hash)
         done(count, len(scene.views))
     findings += _near_duplicates(scene, thumbnails)
     if matches:
@@ -48,7 +49,7 @@ def check(
 
 
 def _pictures(view: View, thumbnails: dict[str, NDArray[np.float32]]) -> list[Finding]:
-    """Every file of one view decoded; its thumbnail is put down under its name."""
+    """Decode every file of one view; its thumbnail is added to `thumbnails`."""
     readers: list[tuple[Path, Callable[[], np.ndarray]]] = [(view.image, view.read)]
     readers += [(path, lambda key=key: view.read_truth(key)) for key, path in view.truth.items()]  # type: ignore[misc]
     found = []
@@ -63,28 +64,26 @@ def _pictures(view: View, thumbnails: dict[str, NDArray[np.float32]]) -> list[Fi
         if path is view.image and np.ptp(values[..., :3]) == 0:
             found.append(Finding("warning", "image has one colour only", str(path), remedy="check the exposure"))
         if path is view.image and values.shape[-1] == 4 and not values[..., 3].any():
-            found.append(
-                Finding("warning", "mask or alpha is empty", f"view {view.name}", remedy="check the mask, or drop the view")
-            )
+            remedy = "check the mask, or drop the view"
+            found.append(Finding("warning", "mask or alpha is empty", f"view {view.name}", remedy=remedy))
         if not np.isfinite(values).all():
             found.append(Finding("error", "image holds values that are not finite", str(path), remedy="write it again"))
     return found
 
 
-def _duplicate(view: View, seen: dict[str, str]) -> list[Finding]:
-    """A finding where another view's image has the same bytes."""
+def _duplicate(view: View, first_by_hash: dict[str, str]) -> list[Finding]:
+    """A finding where an earlier view's image has the same bytes."""
     if not view.image.is_file():
         return []
-    first = seen.setdefault(files.sha256(view.image), view.name)
+    first = first_by_hash.setdefault(files.sha256(view.image), view.name)
     if first == view.name:
         return []
-    return [
-        Finding("warning", "image is the same as another's", f"view {view.name}", f"equal to view {first}", "remove one of them")
-    ]
+    why, remedy = f"equal to view {first}", "remove one of them"
+    return [Finding("warning", "image is the same as another's", f"view {view.name}", why, remedy)]
 
 
 def _near_duplicates(scene: Scene, thumbnails: dict[str, NDArray[np.float32]]) -> list[Finding]:
-    """Test views whose thumbnail is that of a training view, pixel by pixel, though their files differ."""
+    """Test views whose thumbnail equals that of a training view though their files differ."""
     train = [view for view in scene.views if view.split == "train" and view.name in thumbnails]
     if not train:
         return []
@@ -98,15 +97,8 @@ def _near_duplicates(scene: Scene, thumbnails: dict[str, NDArray[np.float32]]) -
         twins = view.image.is_file() and train[nearest].image.is_file() and _same_bytes(view.image, train[nearest].image)
         if differences[nearest] < ALIKE and not twins:
             why = f"it differs from view {train[nearest].name} by {255 * differences[nearest]:.2f} of 255"
-            found.append(
-                Finding(
-                    "warning",
-                    "test picture is nearly a training picture",
-                    f"view {view.name}",
-                    why,
-                    "take one of the two out, else figures flatter",
-                )
-            )
+            remedy = "remove one of the two, else test figures are too good"
+            found.append(Finding("warning", "test picture is nearly a training picture", f"view {view.name}", why, remedy))
     return found
 
 
@@ -114,10 +106,10 @@ def _same_bytes(one: Path, other: Path) -> bool:
     return files.sha256(one) == files.sha256(other)
 
 
-def summary(scene: Scene) -> dict[str, object]:
-    """What a person wants to know of a scene at a glance."""
+def summary(scene: Scene) -> dict[str, Any]:
+    """The figures of a scene that `datasets info` shows."""
     sizes = sorted({(view.camera.width, view.camera.height) for view in scene.views})
-    counts = {split: sum(view.split == split for view in scene.views) for split in ("train", "val", "test")}
+    counts = scene.counts()
     matrices = np.stack([view.world_from_camera for view in scene.views])
     distances = np.linalg.norm(matrices[:, :3, 3] - bounds.focus(matrices)[0], axis=1)
     first = scene.views[0]
@@ -131,9 +123,7 @@ def summary(scene: Scene) -> dict[str, object]:
         "cameras": len({v.camera for v in scene.views}),
         "channels": images.channels(first.image) if first.image.is_file() else None,
         "masks": sum(view.mask is not None for view in scene.views),
-        "truth": {
-            key: sum(key in view.truth for view in scene.views) for key in sorted({k for v in scene.views for k in v.truth})
-        },
+        "truth": dict(sorted(Counter(key for view in scene.views for key in view.truth).items())),
         "background": scene.background,
         "metric": scene.metric,
         "near": scene.near,

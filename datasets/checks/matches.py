@@ -1,8 +1,7 @@
-"""What the pictures say against the poses: features matched between neighbouring views, whatever the poses claim.
+"""Poses compared with the images: features matched between neighbouring views, independent of the poses.
 
-Of several conventions that poses are often confused by, the one that explains most matches is the likely one. Where poses
-are right as they are, single views that their neighbours contradict, and views brighter or darker than what their
-neighbours saw of the same points.
+Poses are often stored in the wrong convention: the one that explains most matches is probably the right one. Where the given
+poses are right, single views that contradict their neighbours are reported, and views brighter or darker than their neighbours.
 """
 
 from collections.abc import Callable
@@ -20,15 +19,15 @@ from datasets.structure.matching import Matches
 from datasets.structure.triangulate import DOUBTFUL, agreement, explained
 
 VIEWS = 40
-"""Views that are searched at most."""
+"""Largest number of views that are matched."""
 FEWEST = 150
-"""Matches below which nothing is said of poses."""
+"""With fewer matches, poses are not judged."""
 CLEARLY = 0.1
-"""Another convention must explain twice as many matches, and this share of all more."""
+"""Another convention must explain twice as many matches, and more by this share of all."""
 USUAL = 0.6
-"""Share that half of the views must reach before a single one is doubted."""
+"""Median share of explained matches above which single views are judged."""
 BRIGHTER = 1.5
-"""Factor by which a view may be brighter than its neighbours before it is named; shiny things alone make 1.3."""
+"""Brightness ratio to the neighbours from which a view is reported; shiny objects alone reach 1.3."""
 
 CONVENTIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     "OpenGL camera axes (y up, z back) taken for OpenCV's": lambda m: m @ OPENCV_FROM_OPENGL,
@@ -38,7 +37,7 @@ CONVENTIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     "LLFF's axes taken for OpenGL's": lambda m: m @ OPENCV_FROM_OPENGL @ OPENCV_FROM_LLFF,
     "rotations transposed": lambda m: pose.rigid(np.swapaxes(m[..., :3, :3], -1, -2), m[..., :3, 3]),
 }
-"""What poses are taken for by mistake, and what makes them right."""
+"""Common mistakes, and the correction of each."""
 
 
 def check_matches(scene: Scene, *, views_used: int = VIEWS) -> list[Finding]:
@@ -52,7 +51,7 @@ def check_matches(scene: Scene, *, views_used: int = VIEWS) -> list[Finding]:
     try:
         matches = matching.matched(views, pairs)
     except KoalaError:
-        return []  # a picture cannot be read: that is a finding already
+        return []  # an unreadable image is a finding of its own
     if matches.count < FEWEST:
         return []
     found = _convention(scene, matches, matrices)
@@ -65,30 +64,16 @@ def _convention(scene: Scene, matches: Matches, matrices: NDArray[np.float64]) -
     best = max(others, key=lambda name: others[name])
     shares = f"{100 * given:.0f}% of {matches.count} matches agree with the poses"
     if others[best] > max(given + CLEARLY, 2 * given):
-        return [
-            Finding(
-                "error",
-                "poses follow another convention",
-                scene.name,
-                f"{shares}, {100 * others[best]:.0f}% were they not {best}",
-                "convert the poses where they are written",
-            )
-        ]
+        why = f"{shares}, {100 * others[best]:.0f}% after correcting: {best}"
+        return [Finding("error", "poses follow another convention", scene.name, why, "convert the poses where they are written")]
     if given < DOUBTFUL:
-        return [
-            Finding(
-                "warning",
-                "poses do not explain the pictures",
-                scene.name,
-                shares,
-                "check poses, intrinsics and the order of images",
-            )
-        ]
+        remedy = "check poses, intrinsics and the order of images"
+        return [Finding("warning", "poses do not explain the pictures", scene.name, shares, remedy)]
     return []
 
 
 def _single_poses(matches: Matches, matrices: NDArray[np.float64]) -> list[Finding]:
-    """Views whose matches their pose contradicts, where those of the others agree."""
+    """Views whose poses contradict their matches, while those of most other views agree."""
     count, agreed = np.zeros(len(matches.views)), np.zeros(len(matches.views))
     for pair in matches.pairs:
         good = int(explained(matches, pair, matrices).sum())
@@ -97,23 +82,18 @@ def _single_poses(matches: Matches, matrices: NDArray[np.float64]) -> list[Findi
             agreed[view] += good
     share = agreed / np.maximum(count, 1)
     usual = float(np.median(share[count > 0]))
-    doubtful = np.flatnonzero((count >= 60) & (share < DOUBTFUL) & (usual > USUAL))
-    return [
-        Finding(
-            "warning",
-            "pose does not fit the neighbours' pictures",
-            f"view {matches.views[i].name}",
-            f"{100 * share[i]:.0f}% of {count[i]:.0f} matches agree, usually {100 * usual:.0f}%",
-            "check its pose, or drop it",
-        )
-        for i in doubtful
-    ]
+    found = []
+    for i in np.flatnonzero((count >= 60) & (share < DOUBTFUL) & (usual > USUAL)):
+        why = f"{100 * share[i]:.0f}% of {count[i]:.0f} matches agree, usually {100 * usual:.0f}%"
+        where, remedy = f"view {matches.views[i].name}", "check its pose, or drop it"
+        found.append(Finding("warning", "pose does not fit the neighbours' pictures", where, why, remedy))
+    return found
 
 
 def _exposure(matches: Matches, matrices: NDArray[np.float64]) -> list[Finding]:
-    """Views brighter or darker than their neighbours, by the light of points that both see.
+    """Views brighter or darker than their neighbours, by the linear light of points that both see.
 
-    Per view, the logarithm of its gain, in the least-squares sense over the medians of all pairs.
+    One log gain per view, a least-squares fit to the median log ratios of all pairs.
     """
     rows, ratios, weights = [], [], []
     for pair in matches.pairs:
@@ -133,16 +113,11 @@ def _exposure(matches: Matches, matrices: NDArray[np.float64]) -> list[Finding]:
     gains = np.linalg.lstsq(system * weight[:, None], np.array(ratios) * weight, rcond=1e-9)[0]
     known = np.abs(system).sum(0) > 0
     gains = np.exp(gains - np.median(gains[known]))
-    off = np.flatnonzero(known & (np.maximum(gains, 1 / gains) > BRIGHTER))
-    if not len(off):
+    deviating = np.flatnonzero(known & (np.maximum(gains, 1 / gains) > BRIGHTER))
+    if not len(deviating):
         return []
-    shown = ", ".join(f"{matches.views[i].name}: {gains[i]:.2f}" for i in off[np.argsort(-np.abs(np.log(gains[off])))][:5])
-    return [
-        Finding(
-            "warning",
-            "the same points are not equally bright in all views: exposure drifts, or the light moves",
-            f"{len(off)} of {int(known.sum())} views",
-            f"light compared with the median view: {shown}",
-            "fix exposure, gain and white balance while recording, or drop these views",
-        )
-    ]
+    worst = deviating[np.argsort(-np.abs(np.log(gains[deviating])))][:5]
+    why = "light compared with the median view: " + ", ".join(f"{matches.views[i].name}: {gains[i]:.2f}" for i in worst)
+    what = "the same points are not equally bright in all views: exposure drifts, or the light moves"
+    remedy = "fix exposure, gain and white balance while recording, or drop these views"
+    return [Finding("warning", what, f"{len(deviating)} of {int(known.sum())} views", why, remedy)]

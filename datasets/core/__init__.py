@@ -1,1 +1,1 @@
-"""What all commands share: errors, files, schemas, console."""
+"""Shared by all packages: errors, files, schemas, options, console."""

@@ -1,4 +1,4 @@
-"""NumPy's files read with suspicion: never unpickled, never larger in memory than the file can justify."""
+"""Safe reading of NumPy files: nothing is unpickled, and no array is larger than its file can justify."""
 
 import io
 import tokenize
@@ -13,23 +13,10 @@ from numpy.typing import NDArray
 from datasets.core.errors import DatasetError, UsageError
 
 MAX_BYTES = 2**28
-"""Archives that unpack to more than this are refused: our arrays are poses and points, not pictures."""
-_BROKEN = (
-    ValueError,
-    TypeError,
-    SyntaxError,
-    tokenize.TokenError,
-    EOFError,
-    OSError,
-    KeyError,
-    RuntimeError,
-    NotImplementedError,
-    zipfile.BadZipFile,
-    zlib.error,
-    MemoryError,
-    OverflowError,
-)
-"""What numpy and zipfile raise at damaged files."""
+"""Larger archives, by unpacked size, are refused: ours hold poses and points, not images."""
+_DAMAGE = (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError, TypeError, ValueError)
+_BROKEN = (*_DAMAGE, EOFError, tokenize.TokenError, zipfile.BadZipFile, zlib.error)
+"""What numpy and zipfile raise for damaged files."""
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -37,7 +24,7 @@ def read_npy(path: Path) -> NDArray[Any]:
 
     Raises:
         UsageError: there is no such file.
-        DatasetError: it is no array file, holds objects, or promises more than the file holds.
+        DatasetError: it is no array file, holds objects, or is shorter than its header says.
     """
     try:
         with open(path, "rb") as file:
@@ -79,7 +66,7 @@ def numbers(array: NDArray[Any], shape: tuple[int | None, ...], *, where: object
 
 
 def _array(file: BinaryIO, size: int, *, where: object) -> NDArray[Any]:
-    """One array, once its header is believed: plain numbers or text, and no more of them than there are bytes."""
+    """One array, after its header is checked: plain numbers or text, and no more of them than there are bytes."""
     version = np.lib.format.read_magic(file)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
@@ -87,10 +74,10 @@ def _array(file: BinaryIO, size: int, *, where: object) -> NDArray[Any]:
     shape, _, kind = readers[version](file)
     if kind.hasobject:
         raise DatasetError("holds Python objects, not plain numbers", where=where, remedy="save it as an array of numbers")
-    promised = kind.itemsize
+    expected = kind.itemsize
     for length in shape:
-        promised *= int(length)
-    if not 0 <= promised <= size or min(shape, default=0) < 0:
+        expected *= int(length)
+    if not 0 <= expected <= size or min(shape, default=0) < 0:
         raise DatasetError("is cut off", where=where, why=f"its header says {shape} of {kind}, the file has {size} bytes")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
@@ -99,6 +86,5 @@ def _array(file: BinaryIO, size: int, *, where: object) -> NDArray[Any]:
 def _refusal(path: Path, error: BaseException) -> DatasetError:
     if isinstance(error, DatasetError):
         return error
-    return DatasetError(
-        "is not a file of plain arrays", where=path, why=str(error) or type(error).__name__, remedy="copy it again"
-    )
+    why = str(error) or type(error).__name__
+    return DatasetError("is not a file of plain arrays", where=path, why=why, remedy="copy it again")

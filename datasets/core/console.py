@@ -1,6 +1,6 @@
-"""What the four commands share: options, progress, one line for every error, exit codes 0, 1 and 2.
+"""What the four commands share: progress, one line per error, exit codes 0, 1 and 2. Shared options are in `options`.
 
-0: done. 1: failed (the world was at fault). 2: misused (the request was). `--debug` shows the traceback.
+0: done. 1: failed. 2: invalid request. `--debug` shows the traceback.
 """
 
 import errno
@@ -19,16 +19,13 @@ import typer
 
 from datasets.core.errors import KoalaError
 from datasets.core.extras import not_installed
+from datasets.core.options import Json as Json
+from datasets.core.options import Port as Port
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
-Port = Annotated[
-    int, typer.Option(min=0, max=65535, help="Port of 127.0.0.1 to serve the page at; the next free one where it is taken.")
-]
-"""Of the commands that show a page in the browser."""
 _INTERRUPTED = 130
-"""What newer versions of typer return, in silence, where Ctrl-C stopped a command."""
+"""What newer versions of typer return where Ctrl-C stopped a command."""
 _ClickException: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
-"""Base of typer's complaints about arguments: from click, or from the copy of click inside newer versions of typer."""
+"""Base of typer's errors about arguments: from click, or from the copy of click in newer versions of typer."""
 _state = {"debug": False, "json": False}
 
 
@@ -48,7 +45,7 @@ def make_app(name: str, help: str) -> typer.Typer:
     def _common(debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False) -> None:
         _state["debug"] = debug
         logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
-        for package in ("capture", "calib", "datasets", "reconstruct"):  # other people's debug messages go into thousands
+        for package in ("capture", "calib", "datasets", "reconstruct"):  # other libraries log thousands of debug messages
             logging.getLogger(package).setLevel(logging.DEBUG if debug else logging.WARNING)
 
     return app
@@ -74,16 +71,16 @@ def run(app: typer.Typer) -> None:
     except ModuleNotFoundError as error:
         missing = not_installed(error)
         _fail(str(missing) if missing else f"{error}; run again with --debug and report it", 1, error)
-    except Exception as error:  # the last line of defence: a person sees a sentence, --debug the traceback
+    except Exception as error:  # a bug: one line, and the traceback with --debug
         _fail(f"unexpected {type(error).__name__}: {error}; run again with --debug and report it", 1, error)
     sys.exit(result if isinstance(result, int) else 0)
 
 
 def _misused(error: Any) -> NoReturn:
-    """Say in one line what is wrong with the arguments, and what would be right; without any, what there is."""
+    """Say in one line what is wrong with the arguments, and what would be right; without arguments, print the help."""
     kind, context = type(error).__name__, getattr(error, "ctx", None)
     if kind == "NoArgsIsHelpError":
-        print(context.get_help(), file=sys.stderr, flush=True)
+        print(context.get_help() if context else "", file=sys.stderr, flush=True)
         sys.exit(2)
     message = error.format_message().strip().rstrip(".")
     if kind == "NoSuchOption":
@@ -95,7 +92,7 @@ def _misused(error: Any) -> NoReturn:
 
 def _os_error(error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"{error.filename or 'output'}: the disk is full; free some space and run again: nothing half-written was left"
+        return f"{error.filename or 'output'}: the disk is full; free some space and run again; no half-written file is left"
     return f"{error.filename or ''}: {error.strerror or error}".lstrip(": ")
 
 
@@ -119,17 +116,17 @@ def report(result: dict[str, Any], *, as_json: bool, text: str) -> None:
 
 
 def command_line() -> str:
-    """The command that is running, as it could be typed again."""
+    """The running command, ready to be typed again."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def hint(words: str) -> None:
-    """Tell a person something while a command goes on: one line on stderr, which no program reads."""
+    """Show a person one line on stderr while a command runs."""
     print(words, file=sys.stderr, flush=True)
 
 
 class Progress:
-    """Progress of one long piece of work; `advance` moves it, `note` shows a few words beside it."""
+    """Progress of one long task; `advance` moves it, `note` shows a few words beside it."""
 
     def __init__(self, title: str, total: float, unit: str) -> None:
         self.title, self.total, self.unit = title, total, unit
@@ -140,6 +137,11 @@ class Progress:
         """Count `amount` more units as done."""
         self.done += amount
         self._changed()
+
+    def show(self, finished: int, total: int) -> None:
+        """Set the number of units done and their total: a `datasets.core.progress.Count`."""
+        self.total = total
+        self.advance(finished - self.done)
 
     def note(self, words: str) -> None:
         """Show `words` (a loss, a frame's name) beside the bar."""
@@ -169,16 +171,9 @@ class _BarProgress(Progress):
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        self.bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[words]}"),
-            console=Console(stderr=True),
-            transient=True,
-        )
+        counted = TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit)
+        columns = TextColumn("{task.description}"), BarColumn(), counted, TimeElapsedColumn(), TimeRemainingColumn()
+        self.bar = Bar(*columns, TextColumn("{task.fields[words]}"), console=Console(stderr=True), transient=True)
         self.task = self.bar.add_task(title, total=total, words="")
 
     def _changed(self) -> None:

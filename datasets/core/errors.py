@@ -1,13 +1,15 @@
 """One family of errors that say what went wrong, where, why, and what to do about it."""
 
+from collections.abc import Iterable
+
 
 class KoalaError(Exception):
-    """An error meant for a person: one line with everything needed to mend it.
+    """An error meant for a person: one line with everything needed to fix it.
 
     Args:
         what: what is wrong, without a full stop ("pose is not finite").
-        where: file, key or frame at fault ("scene/cameras.json, frame 12").
-        why: the value or circumstance that shows it ("translation is [nan, 0, 0]").
+        where: the file, key or frame in question ("scene/cameras.json, frame 12").
+        why: the value or circumstance that proves it ("translation is [nan, 0, 0]").
         remedy: what to do next ("record the frame again").
     """
 
@@ -22,19 +24,19 @@ class KoalaError(Exception):
 
 
 class UsageError(KoalaError):
-    """The command was given something it cannot take: a missing file, a wrong key, an impossible value."""
+    """Invalid input to a command: a missing file, a wrong key, an impossible value."""
 
     exit_code = 2
 
 
 class DatasetError(KoalaError):
-    """A file or folder does not hold what its format promises."""
+    """A file or folder violates its format."""
 
 
-def nearest(name: str, valid: object) -> str:
+def nearest(name: str, valid: Iterable[object]) -> str:
     """Advice that names the closest valid spelling, or all of them where none is close."""
     from difflib import get_close_matches
 
-    names = sorted(str(v) for v in valid)  # type: ignore[attr-defined]
+    names = sorted(map(str, valid))
     close = get_close_matches(name, names, n=1, cutoff=0.6)
     return f"did you mean '{close[0]}'?" if close else f"valid: {', '.join(names)}"

@@ -1,7 +1,7 @@
-"""Writing that is all or nothing, and reading that stays inside its folder.
+"""Atomic writing, and reading that stays inside a folder.
 
-Every file is written to a temporary name in its own folder, flushed to the disk and renamed, so that a
-reader, a full disk or a kill never meets half a file.
+Every file is written to a temporary name in its own folder, flushed to the disk and renamed: readers
+never see half a file, even after a full disk or a killed process.
 """
 
 import hashlib
@@ -19,11 +19,11 @@ import numpy as np
 from datasets.core.errors import DatasetError, UsageError, nearest
 
 MAX_JSON_BYTES = 2**26
-"""Larger JSON files are refused: one of ten thousand frames has a fifth of this."""
+"""Larger JSON files are refused; one of ten thousand frames has a fifth of this size."""
 LONGEST_NAME = 255
-"""Bytes of a file's name that file systems can hold."""
-FEW = 12
-"""So many names are listed where none is near."""
+"""Longest file name that file systems allow [bytes]."""
+MOST_LISTED = 12
+"""Largest number of names that advice lists."""
 
 
 @contextmanager
@@ -128,22 +128,18 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
         if found != kind:
             raise DatasetError(f"is not a {kind} file", where=path, why=f"its format says {found!r}")
         if version is not None and content.get("version") != version:
-            raise DatasetError(
-                f"{kind} version {content.get('version')} cannot be read",
-                where=path,
-                why=f"this Koala reads version {version}",
-                remedy="use the Koala version that wrote it",
-            )
+            what, why = f"{kind} version {content.get('version')} cannot be read", f"this Koala reads version {version}"
+            raise DatasetError(what, where=path, why=why, remedy="use the Koala version that wrote it")
     return content
 
 
 def neighbour(path: Path, *suffixes: str) -> str:
-    """Advice for somebody who named a file that is not there: the nearest name beside it, or the few that there are."""
+    """Advice for a missing file: the most similar name in its folder, or all names where they are few."""
     if not path.parent.is_dir():
         return f"there is no folder {path.parent}"
     names = [other.name for other in path.parent.iterdir() if other.suffix in suffixes]
     advice = nearest(path.name, names)
-    return advice if names and (len(names) <= FEW or advice.startswith("did you mean")) else "check the path"
+    return advice if names and (len(names) <= MOST_LISTED or advice.startswith("did you mean")) else "check the path"
 
 
 def inside(folder: Path, name: str, *, where: object = "") -> Path:
@@ -158,7 +154,7 @@ def inside(folder: Path, name: str, *, where: object = "") -> Path:
         if any(len(os.fsencode(part)) > LONGEST_NAME for part in path.parts):
             raise ValueError("a name in it is too long")
         leaves = Path(name).is_absolute() or not path.is_relative_to(root)
-    except (TypeError, ValueError, OSError, RuntimeError) as error:  # no text, a zero byte, too long, links in a circle
+    except (TypeError, ValueError, OSError, RuntimeError) as error:  # not text, a zero byte, too long, circular links
         raise DatasetError(f"path {str(name)[:80]!r} is not usable", where=where or folder, why=str(error)) from None
     if leaves:
         raise DatasetError(f"path {name!r} leaves the folder", where=where or folder, remedy="use paths relative to it")
@@ -166,7 +162,7 @@ def inside(folder: Path, name: str, *, where: object = "") -> Path:
 
 
 def within(folder: Path, path: Path, *, where: object = "") -> Path:
-    """`path`, which begins with `folder`. Raises DatasetError where it leaves it, also through a symbolic link."""
+    """`path`, which begins with `folder`. Raises DatasetError where it leaves the folder, also through a symbolic link."""
     return inside(folder, os.path.relpath(path, folder), where=where)
 
 

@@ -1,5 +1,6 @@
-"""What a check finds: what, where, how bad, and how to mend it."""
+"""What a check finds: what is wrong, where, how serious it is, and how to fix it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datasets.core.errors import KoalaError
@@ -17,10 +18,16 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """All of it in one line."""
+        """The finding in one line."""
         return f"{self.level}: {KoalaError(self.what, where=self.where, why=self.why, remedy=self.remedy)}"
 
 
 def from_error(error: KoalaError) -> Finding:
-    """An error of a reader as a finding."""
+    """A reader's error as a finding."""
     return Finding("error", error.what, error.where, error.why, error.remedy)
+
+
+def tally(findings: Sequence[Finding]) -> tuple[int, int]:
+    """Number of errors and of warnings."""
+    errors = sum(finding.level == "error" for finding in findings)
+    return errors, len(findings) - errors

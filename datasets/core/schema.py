@@ -1,11 +1,11 @@
-"""What a person writes: YAML read against one typed schema, every mistake told in one line with file and line number.
+"""Configuration files: YAML read against one typed schema, with every mistake reported in one line with file and line number.
 
     class Trajectory(Schema):
         speed: float = Field(1.0, gt=0, description="joint speed [rad/s]")
 
     trajectory = load_yaml(path, Trajectory, overrides=["speed=0.5"])
 
-Unknown keys, keys given twice, wrong types and impossible values raise UsageError; so does a file that is missing or no YAML.
+Unknown keys, keys given twice, wrong types and impossible values raise UsageError; so does a file that is missing or is not YAML.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ Place = tuple[str | int, ...]
 
 
 class Schema(BaseModel):
-    """Base of everything that is configured: frozen, finite, no key that is not declared."""
+    """Base of all configuration: frozen, finite, without undeclared keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
@@ -37,7 +37,7 @@ def load_yaml(path: Path | str, model: type[Model], *, overrides: Sequence[str] 
     Args:
         path: the file.
         model: the schema.
-        overrides: "a.b=value" with value in YAML, "a.0.b=value" inside a list, applied before validation; later ones win over earlier ones.
+        overrides: "a.b=value" with value in YAML, "a.0.b=value" inside a list, applied before validation; the last one wins.
 
     Raises:
         UsageError: in one line, with the file, the line number, the key and what would have been valid.
@@ -106,19 +106,15 @@ def _note_lines(node: yaml.Node, place: Place, lines: dict[Place, int], where: o
         for index, item in enumerate(node.value):
             _note_lines(item, (*place, index), lines, where)
     elif isinstance(node, yaml.MappingNode):
-        seen: dict[str, int] = {}
+        first: dict[str, int] = {}
         for key, value in node.value:
             number = key.start_mark.line + 1
             if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
                 raise UsageError("key is not a plain word", where=f"{where}, line {number}")
-            if key.value in seen:
-                raise UsageError(
-                    f"key '{key.value}' is given twice",
-                    where=f"{where}, line {number}",
-                    why=f"first in line {seen[key.value]}",
-                    remedy="keep one of them",
-                )
-            seen[key.value] = number
+            if key.value in first:
+                why = f"first in line {first[key.value]}"
+                raise UsageError(f"key '{key.value}' is given twice", where=f"{where}, line {number}", why=why, remedy="keep one")
+            first[key.value] = number
             lines[(*place, key.value)] = number
             _note_lines(value, (*place, key.value), lines, where)
 
@@ -137,19 +133,16 @@ def _with_overrides(content: dict[str, Any], overrides: Iterable[str]) -> dict[s
 
 
 def _set(content: Any, keys: list[str], value: Any, override: str) -> Any:
-    """A copy of nested mappings and lists with one value in another's place; a list's keys are its items' numbers."""
+    """A copy of nested mappings and lists with one value replaced; the keys of a list are indices."""
     if not keys:
         return value
     key, *rest = keys
     if isinstance(content, list):
         if not key.isdecimal() or int(key) >= len(content):
             last = len(content) - 1
-            raise UsageError(
-                "there is no such item",
-                where=f"--set {override}",
-                why=f"'{key}' in a list of {last + 1}",
-                remedy=f"items are numbered from 0 to {last}" if content else "write the whole list",
-            )
+            remedy = f"items are numbered from 0 to {last}" if content else "write the whole list"
+            why = f"'{key}' in a list of {last + 1}"
+            raise UsageError("there is no such item", where=f"--set {override}", why=why, remedy=remedy)
         return [_set(item, rest, value, override) if index == int(key) else item for index, item in enumerate(content)]
     if not isinstance(content, dict):
         raise UsageError("has no keys inside", where=f"--set {override}", why=f"'{key}' does not exist there")
@@ -172,17 +165,16 @@ def _misuse(error: ValidationError, content: Any, model: type[BaseModel], where:
         return UsageError(f"key '{missing}' is missing", where=location, remedy=_describe(models, str(problem["loc"][-1])))
     words = problem["msg"].removeprefix("Value error, ")
     more = f"; {len(problems) - 1} more after it" if len(problems) > 1 else ""
-    given = (
-        "" if problem["type"] == "value_error" or isinstance(problem["input"], dict | list) else f"given: {problem['input']!r}"
-    )
+    shown = problem["type"] != "value_error" and not isinstance(problem["input"], dict | list)
+    given = f"given: {problem['input']!r}" if shown else ""
     what = f"key '{key}': {words}" if key else words
     return UsageError(what, where=location, why=f"{given}{more}".removeprefix("; "))
 
 
 def _resolve(location: Place, content: Any, models: list[type[BaseModel]]) -> tuple[Place, list[type[BaseModel]]]:
-    """Place in the file that pydantic's location means (it adds the tags of unions), and the schemas that rule there.
+    """Place in the file of pydantic's location, which includes the tags of unions, and the schemas that apply there.
 
-    For an unknown key these are the schemas of the mapping that holds it; a missing key is not part of the place.
+    For an unknown key these are the schemas of its mapping; a missing key is not part of the place.
     """
     place: Place = ()
     for part in location:

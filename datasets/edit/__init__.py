@@ -1,1 +1,1 @@
-"""Scenes made from scenes: subset, merge, crop, resize."""
+"""Editing of scenes: subset, split, merge, downscale, undistort, crop."""

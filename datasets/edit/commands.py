@@ -1,4 +1,4 @@
-"""Commands of `datasets` that make scenes from scenes; `datasets.cli` registers them."""
+"""The `datasets` commands that make scenes from scenes; `datasets.cli` registers them."""
 
 import tempfile
 from collections.abc import Callable
@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from datasets.core import console
-from datasets.core.console import Json
+from datasets.core import console, options
+from datasets.core.options import DataRoot, Json, OutFolder
 
 if TYPE_CHECKING:
     from datasets.scene import Scene
 
-Root = Annotated[Path | None, typer.Option(help="Folder in which scene names are looked up, before $KOALA_DATA.")]
-Out = Annotated[Path, typer.Option(help="Folder to write; must not exist.")]
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Folder, or a name such as koala/gold_head.")]
 Edit = Callable[["Scene", Path, Callable[[], None]], "Scene"]
 
 
@@ -26,15 +23,15 @@ def add_to(app: typer.Typer) -> None:
 
 
 def subset(
-    scene: SceneName,
-    out: Out,
-    keep: Annotated[str, typer.Option(help="Names to keep, with * and ? as in file names.")] = "*",
-    every: Annotated[int, typer.Option(help="Keep each so-many-th of them.")] = 1,
+    scene: options.Scene,
+    out: OutFolder,
+    keep: Annotated[str, typer.Option(help="Names of the views to keep, with the wildcards * and ?.")] = "*",
+    every: Annotated[int, typer.Option(help="Keep every Nth of these views.", metavar="N", min=1)] = 1,
     splits: Annotated[str, typer.Option(help="Splits to keep, separated by commas.")] = "train,val,test",
-    data_root: Root = None,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a scene with some of the views of another."""
+    """Write a scene with a part of the views of another."""
     from datasets.core.errors import UsageError, nearest
     from datasets.edit import edit
     from datasets.scene import SPLITS
@@ -47,27 +44,27 @@ def subset(
 
 
 def split(
-    scene: SceneName,
-    out: Out,
-    every: Annotated[int, typer.Option(help="Each so-many-th view by sorted name is a test view.")] = 8,
-    test: Annotated[str, typer.Option(help="Names of the test views instead, with * and ?.")] = "",
-    val: Annotated[str, typer.Option(help="Names of the validation views, with * and ?.")] = "",
-    data_root: Root = None,
+    scene: options.Scene,
+    out: OutFolder,
+    every: Annotated[int, typer.Option(help="Every Nth view by sorted name is a test view.", metavar="N")] = 8,
+    test: Annotated[str, typer.Option(help="Names of the test views instead, with the wildcards * and ?.")] = "",
+    val: Annotated[str, typer.Option(help="Names of the validation views, with the wildcards * and ?.")] = "",
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a scene with its views divided anew into training and test."""
+    """Write a scene with a new division of its views into training and test."""
     from datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.split(s, every=every, test=test, val=val))
 
 
 def merge(
-    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scenes in one coordinate frame.")],
-    out: Out,
-    data_root: Root = None,
+    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scenes that share a coordinate frame.")],
+    out: OutFolder,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write one scene with the views of several that share a world."""
+    """Write one scene with the views of several that share a coordinate frame."""
     from datasets.edit import edit
     from datasets.formats import load_scene
 
@@ -76,43 +73,43 @@ def merge(
 
 
 def downscale(
-    scene: SceneName,
-    out: Out,
-    factor: Annotated[int, typer.Option(help="By how much smaller: 4 for a quarter of the width and height.")],
-    data_root: Root = None,
+    scene: options.Scene,
+    out: OutFolder,
+    factor: Annotated[int, typer.Option(help="Divide width and height by this factor.")],
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a scene with smaller pictures."""
+    """Write a scene with smaller images."""
     from datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.downscaled(s, factor, folder, done=done))
 
 
-def undistort(scene: SceneName, out: Out, data_root: Root = None, as_json: Json = False) -> None:
-    """Write a scene with every picture as a centred pinhole would have taken it."""
+def undistort(scene: options.Scene, out: OutFolder, data_root: DataRoot = None, as_json: Json = False) -> None:
+    """Write a scene with every image resampled to a centred pinhole camera."""
     from datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done))
 
 
 def crop(
-    scene: SceneName,
-    out: Out,
-    width: Annotated[int, typer.Option(help="Width that is left [px].")],
-    height: Annotated[int, typer.Option(help="Height that is left [px].")],
-    left: Annotated[int, typer.Option(help="Columns to cut off on the left [px].")] = 0,
-    top: Annotated[int, typer.Option(help="Rows to cut off above [px].")] = 0,
-    data_root: Root = None,
+    scene: options.Scene,
+    out: OutFolder,
+    width: Annotated[int, typer.Option(help="Width of the result [px].")],
+    height: Annotated[int, typer.Option(help="Height of the result [px].")],
+    left: Annotated[int, typer.Option(help="Columns to remove at the left [px].")] = 0,
+    top: Annotated[int, typer.Option(help="Rows to remove at the top [px].")] = 0,
+    data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a scene with every picture cut to one rectangle."""
+    """Write a scene with every image cropped to one rectangle."""
     from datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))
 
 
 def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit) -> None:
-    """Load a scene, change it and write it as a Koala scene, all or nothing."""
+    """Load a scene, change it, and write it as a Koala scene, all or nothing."""
     from datasets.build import extra_truth
     from datasets.core.files import refuse_existing
     from datasets.formats import find, koala, load_scene
@@ -126,7 +123,7 @@ def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: 
     ):
         changed = change(loaded, Path(work), shown.advance)
         koala.save(changed, out, extra=extra_truth(find(name, data_root)))
-    counts = {split: sum(view.split == split for view in changed.views) for split in ("train", "val", "test")}
+    counts = changed.counts()
     sizes = sorted({(view.camera.width, view.camera.height) for view in changed.views})
     words = ", ".join(f"{count} {split}" for split, count in counts.items() if count)
     shown_sizes = ", ".join(f"{width}x{height}" for width, height in sizes[:4])

@@ -1,7 +1,7 @@
-"""Scenes from scenes: fewer views, other splits, several in one, other pictures. Sources are never touched.
+"""Scenes made from scenes: fewer views, other splits, several in one, other images. Sources are never modified.
 
-`subset`, `split` and `merge` only choose; `downscaled`, `undistorted` and `cropped` write new pictures into a folder, and with
-them change intrinsics, truth and sightings, so that every ray stays where it was.
+`subset`, `split` and `merge` only select views. `downscaled`, `undistorted` and `cropped` write new images into a folder and
+change intrinsics, truth and sightings accordingly: every ray stays where it was.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export
 from datasets.formats.koala import file_name
 from datasets.imaging import downscale, images
@@ -22,30 +23,29 @@ from datasets.scene import SPLITS, Scene, Sightings, View
 
 Pixels = NDArray[np.float64]
 LOSSY = frozenset({".jpg", ".jpeg"})
-"""Suffixes of pictures that would lose something if they were written again: PNG is written instead."""
+"""Suffixes of lossy formats, for which PNG is written instead."""
 _CENTRED = export.Layout("", lambda camera: camera.is_centred, "", mask="masks/{stem}")
 
 
 def subset(scene: Scene, *, keep: str = "*", every: int = 1, splits: Sequence[str] = SPLITS) -> Scene:
-    """The views of some splits whose names match `keep` (as file names do, "*" and "?"), and of these each `every`-th.
+    """Every `every`-th of the views in the given splits whose names match `keep`, with the wildcards "*" and "?".
 
     Raises:
         UsageError: there is no such view, or `every` is not positive.
     """
     if every < 1:
-        raise UsageError("is to be 1 or more", where="every", why=str(every))
+        raise UsageError("must be 1 or more", where="every", why=str(every))
     chosen = [view for view in scene.views if view.split in splits and fnmatch(view.name, keep)][::every]
     if not chosen:
-        raise UsageError(
-            "no view is left", where=scene.name, why=f"of {len(scene.views)}, none matches {keep!r} in {', '.join(splits)}"
-        )
+        why = f"of {len(scene.views)}, none matches {keep!r} in {', '.join(splits)}"
+        raise UsageError("no view is left", where=scene.name, why=why)
     return scene.with_views(tuple(chosen))
 
 
 def split(scene: Scene, *, every: int = 8, test: str = "", val: str = "") -> Scene:
     """The views whose names match `test` or `val` in these splits, the others for training.
 
-    Where both are empty, each `every`-th by sorted name is a test view, from the first on.
+    Where both are empty, every `every`-th view by sorted name, from the first on, is a test view.
     """
     if not (test or val):
         return scene.with_views(assemble.hold_out(scene.views, every))
@@ -61,21 +61,19 @@ def split(scene: Scene, *, every: int = 8, test: str = "", val: str = "") -> Sce
 
 
 def merge(scenes: Sequence[Scene], name: str) -> Scene:
-    """All views of scenes with one world. Names that occur twice get their scene's name before them.
+    """All views of scenes that share a world. Names that occur twice get their scene's name as a prefix.
 
     Raises:
-        UsageError: fewer than two scenes, or they differ in background or in whether the unit is the metre.
+        UsageError: there are fewer than two scenes, or they differ in background or unit.
     """
     if len(scenes) < 2:
-        raise UsageError("merging takes two scenes or more", where=name)
+        raise UsageError("merging needs at least two scenes", where=name)
     for what in ("background", "metric"):
         found = [getattr(scene, what) for scene in scenes]
         if len(set(found)) > 1:
-            raise UsageError(
-                f"scenes differ in {what}",
-                why=", ".join(f"{s.name}: {f}" for s, f in zip(scenes, found, strict=True)),
-                remedy="merge scenes of one kind, in one coordinate frame",
-            )
+            why = ", ".join(f"{s.name}: {f}" for s, f in zip(scenes, found, strict=True))
+            remedy = "merge scenes of one kind, in one coordinate frame"
+            raise UsageError(f"scenes differ in {what}", why=why, remedy=remedy)
     names = [view.name for scene in scenes for view in scene.views]
     prefixes = [scene.name if [s.name for s in scenes].count(scene.name) == 1 else f"{i}" for i, scene in enumerate(scenes)]
     renamed = [
@@ -119,10 +117,10 @@ def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -
     )
 
 
-def downscaled(scene: Scene, factor: int, folder: Path, *, done: Callable[[], None] = lambda: None) -> Scene:
-    """The scene with all pictures at 1/`factor` of their size, area averages of linear light, written below `folder`."""
+def downscaled(scene: Scene, factor: int, folder: Path, *, done: Step = ignore) -> Scene:
+    """The scene with all images at 1/`factor` of their size, as area averages of linear light, written below `folder`."""
     if factor < 2:
-        raise UsageError("is to be 2 or more", where="factor", why=str(factor))
+        raise UsageError("must be 2 or more", where="factor", why=str(factor))
     views = []
     for view in scene.views:
         small = downscale.camera(view.camera, factor)
@@ -145,7 +143,7 @@ def downscaled(scene: Scene, factor: int, folder: Path, *, done: Callable[[], No
 
 
 def _smaller_truth(key: str, values: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Means over what each new pixel covers: normals as vectors brought to unit length, depth over what has one."""
+    """Area averages: of normals, brought to unit length again; of depth, over the pixels that have one."""
     small = images.resize(values, camera.width, camera.height, srgb=False)
     if key == "normals":
         length = np.linalg.norm(small, axis=-1, keepdims=True)
@@ -156,8 +154,8 @@ def _smaller_truth(key: str, values: NDArray[np.float32], camera: Camera) -> NDA
     return small
 
 
-def undistorted(scene: Scene, folder: Path, *, done: Callable[[], None] = lambda: None) -> Scene:
-    """The scene with every view as a centred pinhole, written below `folder`; views that are one already keep their files."""
+def undistorted(scene: Scene, folder: Path, *, done: Step = ignore) -> Scene:
+    """The scene with every view as a centred pinhole, written below `folder`; views that already are one keep their files."""
     views = []
     for view in scene.views:
         views.append(export.place(view, folder, f"images/{file_name(view)}", _CENTRED).view)
@@ -172,21 +170,17 @@ def undistorted(scene: Scene, folder: Path, *, done: Callable[[], None] = lambda
     return _with_views(scene, views, moved)
 
 
-def cropped(
-    scene: Scene, left: int, top: int, width: int, height: int, folder: Path, *, done: Callable[[], None] = lambda: None
-) -> Scene:
-    """The scene with every picture cut to `width` x `height` pixels from (`left`, `top`), written below `folder`.
+def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: Path, *, done: Step = ignore) -> Scene:
+    """The scene with every image cropped to `width` x `height` pixels from (`left`, `top`), written below `folder`.
 
     Raises:
-        UsageError: a picture does not hold all of that.
+        UsageError: an image does not contain that rectangle.
     """
     for view in scene.views:
-        if min(left, top) < 0 or min(width, height) < 1 or left + width > view.camera.width or top + height > view.camera.height:
-            raise UsageError(
-                "picture does not hold what is to be left",
-                where=f"view {view.name}",
-                why=f"{width}x{height} at ({left}, {top}) of {view.camera.width}x{view.camera.height}",
-            )
+        full = view.camera
+        if min(left, top) < 0 or min(width, height) < 1 or left + width > full.width or top + height > full.height:
+            why = f"{width}x{height} at ({left}, {top}) of {full.width}x{full.height}"
+            raise UsageError("image does not contain this rectangle", where=f"view {view.name}", why=why)
 
     def cut(source: Path, target: Path) -> Path:
         stored = images.read_stored(source)[top : top + height, left : left + width]
@@ -198,7 +192,7 @@ def cropped(
         camera = replace(view.camera, width=width, height=height, cx=view.camera.cx - left, cy=view.camera.cy - top)
         mask = cut(view.mask, _path(folder, "masks", view, view.mask)) if view.mask else None
         truth = {key: cut(path, _path(folder, f"truth/{key}", view, path)) for key, path in view.truth.items() if key != "depth"}
-        if "depth" in view.truth:  # may be coded by the old camera's rays
+        if "depth" in view.truth:  # may be encoded along the rays of the old camera
             truth["depth"] = _exr(folder, "depth", view)
             images.write(truth["depth"], view.read_truth("depth")[top : top + height, left : left + width])
         image = cut(view.image, _path(folder, "images", view, view.image))
@@ -216,7 +210,7 @@ def _exr(folder: Path, key: str, view: View) -> Path:
 
 
 def _with_views(scene: Scene, views: Sequence[View], moved: Callable[[str, Pixels], Pixels]) -> Scene:
-    """The scene with other pictures; sightings move with them, and those outside the new picture are dropped."""
+    """The scene with other images; sightings move with them, and those outside the new image are dropped."""
     seen = scene.sightings
     if seen is None:
         return scene.with_views(tuple(views))

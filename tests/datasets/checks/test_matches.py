@@ -43,7 +43,7 @@ def test_right_poses_have_no_findings(two_walls: Callable[..., Scene]) -> None:
 def test_the_wrong_convention_is_named(two_walls: Callable[..., Scene], name: str) -> None:
     found = check_matches(moved(two_walls(), MISTAKES[name]))
     assert len(found) == 1 and found[0].level == "error" and "another convention" in found[0].what
-    assert f"were they not {name}" in found[0].why
+    assert f"after correcting: {name}" in found[0].why
 
 
 def test_poses_of_something_else_are_told(two_walls: Callable[..., Scene]) -> None:

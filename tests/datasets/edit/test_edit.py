@@ -46,7 +46,7 @@ def test_subset_and_split(make_scene: Callable[..., Scene]) -> None:
     assert {v.split for v in edit.subset(scene, splits=("test",)).views} == {"test"}
     with pytest.raises(UsageError, match="no view is left"):
         edit.subset(scene, keep="x*")
-    with pytest.raises(UsageError, match="is to be 1 or more"):
+    with pytest.raises(UsageError, match="must be 1 or more"):
         edit.subset(scene, every=0)
     assert [v.name for v in edit.split(scene, every=3).split("test")] == ["000", "003", "006"]
     new = edit.split(scene, test="00[01]", val="008")
@@ -69,7 +69,7 @@ def test_merge_keeps_names_apart_and_points_together(make_scene: Callable[..., S
     assert "other/000" in seen_by and "little/000" not in seen_by
     with pytest.raises(UsageError, match="scenes differ in background"):
         edit.merge([first, replace(second, background="white")], "both")
-    with pytest.raises(UsageError, match="two scenes or more"):
+    with pytest.raises(UsageError, match="at least two scenes"):
         edit.merge([first], "alone")
 
 
