@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets import splits
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, export
-from datasets.formats.koala import file_name
+from datasets.formats import export
+from datasets.formats.links import file_name
 from datasets.imaging import downscale, images
 from datasets.scene import SPLITS, Scene, Sightings, View
 
@@ -48,7 +49,7 @@ def split(scene: Scene, *, every: int = 8, test: str = "", val: str = "") -> Sce
     Where both are empty, every `every`-th view by sorted name, from the first on, is a test view.
     """
     if not (test or val):
-        return scene.with_views(assemble.hold_out(scene.views, every))
+        return scene.with_views(splits.hold_out(scene.views, every))
 
     def named(view: View) -> str:
         return "test" if test and fnmatch(view.name, test) else "val" if val and fnmatch(view.name, val) else "train"

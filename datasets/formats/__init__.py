@@ -1,4 +1,4 @@
-"""Scenes on disk, in every layout that Koala reads: `load_scene` finds out which one a folder has."""
+"""Reading and writing of scenes in every format; `load_scene` detects the format of a folder."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from datasets.core.errors import DatasetError, KoalaError, UsageError, nearest
-from datasets.formats import assemble, blender, colmap, dtu, koala, llff, nerfstudio
+from datasets.core.progress import Step, ignore
+from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio
+from datasets.formats.assemble import CAMERAS_ALONE
+from datasets.formats.links import Extra
 from datasets.scene import Scene
 
 FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
@@ -19,7 +22,7 @@ FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
     "dtu": (dtu.detect, dtu.load),
     "colmap": (colmap.detect, colmap.load),
 }
-"""Name of each layout with its test and its reader; the first whose test says yes is taken."""
+"""Detector and reader of each format, by name; the first detector that matches decides."""
 
 WRITERS: dict[str, Callable[..., str]] = {
     "koala": koala.save,
@@ -31,13 +34,11 @@ WRITERS: dict[str, Callable[..., str]] = {
     "colmap-text": partial(colmap.save, text=True),
     "mipnerf360": partial(colmap.save, sizes=(2, 4, 8)),
 }
-"""Name of each layout with its writer."""
+"""Writer of each format, by name."""
 SIZED = frozenset({"koala", "nerfstudio", "llff", "colmap", "colmap-text"})
-"""Layouts that have room for smaller images."""
-
-
+"""Formats that can hold smaller copies of the images."""
 _UNFORESEEN = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError, MemoryError)
-"""What values of the wrong kind lead to, deep inside a reader."""
+"""What values of the wrong type raise inside a reader."""
 
 
 def load_scene(
@@ -54,16 +55,16 @@ def load_scene(
 
     Args:
         path: a folder, or a name such as "koala/gold_head" below the current folder, `data_root` or $KOALA_DATA.
-        format: one of `FORMATS`; None finds out.
-        hold_out: where the files name no test views, every so-many-th by sorted name is one; 0 for none.
-        images: folder of the images to use where a layout offers several sizes ("images_8").
-        measure: where a scene has neither masks nor surface points, match and triangulate its pictures (some seconds), so
-            that box, near and far are measured; `Scene.bounds_from` says with what evidence.
-        problems: where a list is given, a damaged view is left out and its error put there; else it is raised.
+        format: one of `FORMATS`; None to detect it.
+        hold_out: where the files name no test views, every Nth view by sorted name is one; 0 for none.
+        images: folder of the images to use, where there are several sizes ("images_8").
+        measure: where a scene has neither masks nor surface points, measure box, near and far by matching and triangulating
+            its images (some seconds); `Scene.bounds_from` names the evidence.
+        problems: a list that collects the errors of damaged views, which are then left out; None to raise them.
 
     Raises:
-        UsageError: no such folder, or nothing in it that Koala knows.
-        DatasetError: a file does not hold what its layout promises.
+        UsageError: there is no such folder, or no known format in it.
+        DatasetError: a file violates its format.
     """
     folder = find(path, data_root)
     if format is not None and format not in FORMATS:
@@ -72,15 +73,11 @@ def load_scene(
     try:
         scene = FORMATS[kind][1](folder, hold_out=hold_out, images_folder=images, problems=problems)
     except _UNFORESEEN as error:
-        raise DatasetError(
-            f"is no {kind} scene",
-            where=folder,
-            why=f"{type(error).__name__}: {str(error)[:200]}",
-            remedy="write it again, or give the format that it has",
-        ) from error
+        why, remedy = f"{type(error).__name__}: {str(error)[:200]}", "write it again, or state its real format"
+        raise DatasetError(f"is no {kind} scene", where=folder, why=why, remedy=remedy) from error
     if images is not None:  # truth and sightings are of the full size
         scene = replace(scene, views=tuple(replace(view, truth={}) for view in scene.views), sightings=None)
-    if measure and scene.points is None and scene.bounds_from.startswith(assemble.CAMERAS_ALONE):
+    if measure and scene.points is None and scene.bounds_from.startswith(CAMERAS_ALONE):
         from datasets.structure.measure import measured
 
         scene = measured(scene)
@@ -93,54 +90,50 @@ def save_scene(
     format: str,
     *,
     sizes: Sequence[int] = (),
-    extra: dict[str, Path] | None = None,
-    done: Callable[[], None] = lambda: None,
+    extra: Extra = None,
+    done: Step = ignore,
 ) -> str:
-    """Write a scene in one of `WRITERS`' layouts, all or nothing.
+    """Write a scene in one of the formats of `WRITERS`, all or nothing.
 
     Args:
         scene: what to write.
         path: folder that is missing or empty.
-        format: name of the layout.
-        sizes: N for each folder `images_N` of images at 1/N of their size, where the layout has room for them.
-        extra: further files to take along, by relative name.
+        format: name of the format.
+        sizes: N for each folder `images_N` of images at 1/N of their size.
+        extra: further files to include, by relative name.
         done: called after each view.
 
     Returns:
-        One line on what the layout cannot hold, and what was done about it; empty where it holds everything.
+        One line on what the format cannot hold and what was done about it; empty where it holds everything.
 
     Raises:
-        UsageError: no such layout, `path` holds something, or sizes for a layout without room.
+        UsageError: there is no such format, it cannot hold `sizes`, or `path` is not empty.
         DatasetError: an image is missing or damaged, or a lens leaves no picture.
     """
     if format not in WRITERS:
         raise UsageError(f"cannot export to {format!r}", remedy=nearest(format, WRITERS))
     if sizes and format not in SIZED:
-        raise UsageError(f"{format} has no room for smaller images", remedy=f"sizes go with {', '.join(sorted(SIZED))}")
+        raise UsageError(f"{format} cannot hold smaller images", remedy=f"sizes work with {', '.join(sorted(SIZED))}")
     if any(size < 2 for size in sizes):
-        raise UsageError("sizes are to be 2 or more", why=", ".join(map(str, sizes)))
+        raise UsageError("sizes must be 2 or more", why=", ".join(map(str, sizes)))
     options: dict[str, Any] = {"sizes": tuple(sizes)} if sizes else {}
     return WRITERS[format](scene, path, extra=extra, done=done, **options)
 
 
 def detect(folder: Path) -> str:
-    """Name of the layout that a folder has. Raises UsageError where it has none of them."""
+    """Name of a folder's format. Raises UsageError where it has none of them."""
     for name, (matches, _) in FORMATS.items():
         if matches(folder):
-            return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both: a model says more
-    raise UsageError(
-        "holds no scene that Koala knows",
-        where=folder,
-        why="no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model",
-        remedy="give the folder that holds one of these",
-    )
+            return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
+    why = "no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model"
+    raise UsageError("holds no scene", where=folder, why=why, remedy="give the folder that holds one of these")
 
 
 def find(path: str | Path, data_root: Path | None = None) -> Path:
-    """The folder that `path` means: below `data_root`, else as it stands, else below $KOALA_DATA.
+    """The folder of a scene: below `data_root`, else `path` itself, else below $KOALA_DATA.
 
     Raises:
-        UsageError: it is in none of them; the message lists where it was looked for.
+        UsageError: it is in none of them; the message lists all.
     """
     path = Path(path).expanduser()
     roots = [data_root, Path(), os.environ.get("KOALA_DATA")]
@@ -150,16 +143,13 @@ def find(path: str | Path, data_root: Path | None = None) -> Path:
             return candidate
     if path.is_file():
         raise UsageError("is a file, not a scene", where=path, remedy="give the folder that holds it")
-    raise UsageError(
-        "no such scene",
-        where=path,
-        why=f"looked in {', '.join(str(c.absolute()) for c in candidates)}",
-        remedy=f"{_neighbours(path.name, candidates)}or set --data-root or KOALA_DATA",
-    )
+    why = f"looked in {', '.join(str(c.absolute()) for c in candidates)}"
+    remedy = f"{_neighbours(path.name, candidates)}or set --data-root or KOALA_DATA"
+    raise UsageError("no such scene", where=path, why=why, remedy=remedy)
 
 
 def _neighbours(name: str, candidates: Sequence[Path]) -> str:
-    """Advice that names the nearest folder beside those that were looked for."""
+    """Advice that names the most similar folder beside the candidates."""
     beside = {p.name for c in candidates if c.parent.is_dir() for p in c.parent.iterdir() if p.is_dir() and p.name[0] != "."}
     close = nearest(name, beside)
     return f"{close} " if beside and close.startswith("did") else "check the name, "

@@ -1,9 +1,8 @@
-"""What the readers of foreign layouts share: missing files, hold-out, background and bounds."""
+"""Shared by the readers of foreign formats: missing files, image sizes, background and bounds."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +16,16 @@ from datasets.structure import bounds
 from datasets.structure.hull import visual_hull
 
 SAME_SHAPE = 0.02
-"""Aspect ratios that differ by less are those of one image at two sizes, each rounded to pixels."""
+"""Relative difference of aspect ratios that rounding to pixels can cause."""
 SHORTEST, LONGEST = 1e-3, 1e6
-"""Focal lengths per width of the image between which there are cameras: views of 180 degrees, and of a ten-thousandth."""
+"""Range of plausible focal lengths, in image widths."""
 CAMERAS_ALONE = "cameras alone"
-"""`Scene.bounds_from` where nothing but where the cameras stand and look is known."""
+"""`Scene.bounds_from` where only the poses of the cameras are known."""
 
 
 @dataclass
 class Gathering:
-    """Views as they are read one by one, and what went wrong on the way."""
+    """Views read one by one, and the problems found while reading."""
 
     folder: Path
     problems: list[KoalaError] | None = None
@@ -35,10 +34,10 @@ class Gathering:
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     rescaled: list[str] = field(default_factory=list)
-    """For each view whose image has another size than its camera, both sizes."""
+    """Both sizes, for each view whose image has another size than its camera."""
 
     def complain(self, error: KoalaError) -> None:
-        """Keep an error for later, or raise it."""
+        """Collect an error, or raise it."""
         if self.problems is None:
             raise error
         self.problems.append(error)
@@ -48,14 +47,14 @@ class Gathering:
         return files.within(self.folder, path, where=where)
 
     def fitted(self, camera: Camera, picture: Path, *, where: object) -> Camera:
-        """`fitted` of this module, keeping in mind pictures of another size than their camera."""
+        """`fitted` of this module; images of another size than their camera are recorded."""
         found = fitted(camera, picture, where=where)
         if (found.width, found.height) != (camera.width, camera.height):
             self.rescaled.append(f"{camera.width}x{camera.height} for an image of {found.width}x{found.height}")
         return found
 
     def finished(self, *, listed_in: str) -> tuple[View, ...]:
-        """The views, once there are any, with a note that names the missing images.
+        """The views, checked, with notes on missing and rescaled images.
 
         Raises:
             DatasetError: no view is left, or two have one name.
@@ -76,14 +75,9 @@ class Gathering:
             raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images where it says")
         without = [view.name for view in self.views if view.mask is None]
         if 0 < len(without) < len(self.views):
-            self.complain(
-                DatasetError(
-                    "only some views have a mask",
-                    where=self.folder,
-                    remedy="give all of them one, or none",
-                    why=f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}",
-                )
-            )
+            why = f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}"
+            remedy = "give all of them one, or none"
+            self.complain(DatasetError("only some views have a mask", where=self.folder, why=why, remedy=remedy))
             self.views = [replace(view, mask=None) for view in self.views]
         names = [view.name for view in self.views]
         if len(set(names)) < len(names):
@@ -93,54 +87,39 @@ class Gathering:
 
 
 def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
-    """The camera at the size of its picture, which must have its shape: files often speak of larger images.
+    """The camera at the size of its image, which must have the same aspect ratio; files often describe larger images.
 
     Raises:
-        DatasetError: the picture has another shape, or is none.
+        DatasetError: the image has another aspect ratio, or cannot be read.
     """
     width, height = images.size(picture)
     camera = camera.checked(where=where)
     if (width, height) == (camera.width, camera.height):
         return camera
     if abs(width * camera.height / (height * camera.width) - 1) > SAME_SHAPE:
-        raise DatasetError(
-            "image has another shape than its camera",
-            where=where,
-            remedy="use the images that it was made for",
-            why=f"it is {width}x{height}, the file says {camera.width}x{camera.height}",
-        )
+        why = f"it is {width}x{height}, the file says {camera.width}x{camera.height}"
+        remedy = "use the images that it was made for"
+        raise DatasetError("image has another shape than its camera", where=where, why=why, remedy=remedy)
     return camera.scaled(width, height)
 
 
-def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
-    """The views with each `every`-th by sorted name, from the first on, as "test" and the rest as "train"."""
-    views = tuple(views)
-    test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
-    return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
+def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_far: tuple[float, float] | None = None) -> Scene:
+    """Scene of a format that states neither background nor box: both come from images and cameras.
 
-
-def scene(
-    gathering: Gathering, views: tuple[View, ...], *, near_far: tuple[float, float] | None = None, provenance: dict[str, Any]
-) -> Scene:
-    """Scene of a layout that says nothing of background and box: both are found from images and cameras.
-
-    Views with an alpha or a mask show an object before nothing ("white"): its box is the visual hull's. Otherwise the
-    surroundings are seen ("scene"), and the box is where the cameras look.
+    Views with an alpha or a mask show an object alone ("white"), and its box is the visual hull's. Otherwise the surroundings
+    are visible ("scene"), and the box is where the cameras look.
     """
     for view in views:
         focal = np.array([view.camera.fx, view.camera.fy]) / view.camera.width
         if not ((focal > SHORTEST) & (focal < LONGEST)).all():
-            raise DatasetError(
-                "focal length is out of all range",
-                where=f"{gathering.folder}, view {view.name}",
-                why=f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}",
-            )
-    masked = _has_nothing(views)
+            why = f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}"
+            raise DatasetError("focal length is out of range", where=f"{gathering.folder}, view {view.name}", why=why)
+    masked = _has_empty_pixels(views)
     train = tuple(view for view in views if view.split == "train") or views
     if masked:
         hull = visual_hull(train, bounds.visible_box(train))
         box, (near, far) = hull.box, hull.depth_range(views)
-        if near_far is not None and max(near, near_far[0]) < min(far, near_far[1]):  # else the file's are of something else
+        if near_far is not None and max(near, near_far[0]) < min(far, near_far[1]):  # else they describe something else
             near, far = max(near, near_far[0]), min(far, near_far[1])
         evidence = f"masks or alpha of {hull.views_used} views" if hull.views_used else CAMERAS_ALONE
     else:
@@ -152,35 +131,23 @@ def scene(
             if bounds.focus(np.stack([view.world_from_camera for view in train]))[1] < bounds.PARALLEL:
                 box = bounds.frustum_box(train, near, far)
     if not (np.isfinite(box).all() and 0 <= near < far):
-        raise DatasetError(
-            "no bounds fit these cameras",
-            where=gathering.folder,
-            why=f"near {near:.3g}, far {far:.3g}",
-            remedy="check poses and intrinsics",
-        )
-    name = gathering.folder.resolve().name
-    return Scene(
-        name,
-        views,
-        near,
-        far,
-        box,
-        "white" if masked else "scene",
-        notes=tuple(gathering.notes),
-        provenance=provenance,
-        bounds_from=evidence,
-    )
+        why, remedy = f"near {near:.3g}, far {far:.3g}", "check poses and intrinsics"
+        raise DatasetError("no bounds fit these cameras", where=gathering.folder, why=why, remedy=remedy)
+    name, notes = gathering.folder.resolve().name, tuple(gathering.notes)
+    provenance = {"format": format, "source": str(gathering.folder.absolute())}
+    background = "white" if masked else "scene"
+    return Scene(name, views, near, far, box, background, notes=notes, provenance=provenance, bounds_from=evidence)
 
 
-def _has_nothing(views: Sequence[View]) -> bool:
-    """True where a mask or an alpha says of some pixels that there is nothing; of five views, an opaque alpha says nothing."""
+def _has_empty_pixels(views: Sequence[View]) -> bool:
+    """True where a mask or an alpha of one of five views marks pixels as empty; an opaque alpha does not count."""
     chosen = [views[i] for i in sorted({int(i) for i in np.linspace(0, len(views) - 1, 5)})]
     having = [view for view in chosen if view.mask is not None or images.channels(view.image) in (2, 4)]
     return any(float(view.read()[..., -1].min()) < 0.5 for view in having)
 
 
 def with_points(scene: Scene, points: NDArray[np.float64]) -> Scene:
-    """The scene with (n, 3) surface points, and box and near from them where no mask gave better ones."""
+    """The scene with (n, 3) surface points; without masks, box and near are taken from them."""
     found = bounds.about_points(scene.views, points)
     if scene.background == "white" or found is None:
         return replace(scene, points=points)

@@ -1,24 +1,25 @@
 """Blender / NeRF-synthetic folders: `transforms_{train,val,test}.json`, RGBA images, OpenGL camera axes.
 
 `camera_angle_x` is the horizontal field of view; the principal point is the centre. Shiny Blender's `_normal.png`,
-`_disp.tiff` and `_alpha.png` beside an image are its truth. `koala.json`, where it lies beside, says what this layout cannot.
+`_disp.tiff` and `_alpha.png` beside an image are its truth. `koala.json` in the folder adds what this format cannot hold.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from datasets import splits
 from datasets.core import files
 from datasets.core.errors import KoalaError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, opengl, sidecar
-from datasets.formats.koala import file_name, link
+from datasets.formats.links import Extra, file_name, link_all
 from datasets.imaging import images
 from datasets.scene import DISPARITY, SPLITS, Scene, View
 
 TRUTH = {"normals": ("_normal.png",), "alpha": ("_alpha.png",), "depth": (f"{DISPARITY}.tiff", f"{DISPARITY}.tif")}
-"""What, after the image's name, each truth map is called that the layout knows; the first is written."""
+"""Name suffixes of the truth maps; the first of each is written."""
 LAYOUT = export.Layout("Blender's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point")
 
 
@@ -28,19 +29,19 @@ def detect(folder: Path) -> bool:
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a Blender folder. Without a test file every `hold_out`-th training view is a test view."""
+    """Read a Blender folder. Without a test file, every `hold_out`-th training view is a test view."""
     gathering = assemble.Gathering(folder, problems)
     present = [split for split in SPLITS if (folder / f"transforms_{split}.json").is_file()]
     for split in present:
         _gather(gathering, split)
     views = gathering.finished(listed_in="transforms_*.json")
-    known = sidecar.read(folder)
-    if known is not None:
-        return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+    stored = sidecar.read(folder)
+    if stored is not None:
+        return sidecar.restore(stored, views, folder, notes=tuple(gathering.notes))
     if not any(view.split == "test" for view in views):
-        train = assemble.hold_out([view for view in views if view.split == "train"], hold_out)
+        train = splits.hold_out([view for view in views if view.split == "train"], hold_out)
         views = (*train, *(view for view in views if view.split != "train"))
-    return assemble.scene(gathering, views, provenance={"format": "blender", "source": str(folder.absolute())})
+    return assemble.scene(gathering, views, "blender")
 
 
 def _gather(gathering: assemble.Gathering, split: str) -> None:
@@ -54,24 +55,19 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
                 gathering.missing.append(frame["file_path"])
                 continue
             camera = gathering.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
-            truth = {
-                key: image.with_name(image.stem + end)
-                for key, ends in TRUTH.items()
-                for end in reversed(ends)
-                if image.with_name(image.stem + end).is_file()
-            }
-            truth = {key: gathering.file(path, where=where) for key, path in truth.items()}
+            named = [(key, image.with_name(image.stem + end)) for key, ends in TRUTH.items() for end in reversed(ends)]
+            truth = {key: gathering.file(path, where=where) for key, path in named if path.is_file()}
             name = image.relative_to(gathering.folder).with_suffix("").as_posix()
             gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, truth=truth))
         except KoalaError as error:
             gathering.complain(error)
 
 
-def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
-    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) -> str:
+    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
 
     Returns:
-        One line on what the layout cannot hold; empty where it holds everything.
+        One line on what the format cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
         placed = {}
@@ -84,14 +80,13 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
             chosen = {name: p.view for name, p in placed.items() if p.view.split == split}
             if chosen or split == "train":
                 files.write_json(folder / f"transforms_{split}.json", _transforms(chosen))
-        for name, source in (extra or {}).items():
-            link(source, folder / name)
+        link_all(extra, folder)
         sidecar.write(folder, scene, {name: p.view for name, p in placed.items()})
     return export.limits(scene, list(placed.values()), LAYOUT)
 
 
 def _transforms(views: dict[str, View]) -> dict[str, Any]:
-    """Content of one transforms file. One camera is said once; several are said with each frame, where few look for it."""
+    """Content of one transforms file. Several cameras are written per frame, which few programs read."""
     cameras = {view.camera for view in views.values()}
 
     def frame(name: str, view: View) -> dict[str, Any]:
@@ -105,19 +100,12 @@ def _transforms(views: dict[str, View]) -> dict[str, Any]:
 
 def _intrinsics(view: View) -> dict[str, float]:
     camera = view.camera
-    return {
-        "camera_angle_x": 2 * float(np.arctan(0.5 * camera.width / camera.fx)),
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-    }
+    size = {"camera_angle_x": 2 * float(np.arctan(0.5 * camera.width / camera.fx)), "w": camera.width, "h": camera.height}
+    return {**size, "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
 
 
 def _shiny_truth(view: View) -> None:
-    """Shiny Blender's maps beside the image, for programs that know them."""
+    """Write Shiny Blender's maps beside the image, for other programs."""
     stem = view.image.with_suffix("")
     if "normals" in view.truth:
         images.write(stem.with_name(stem.name + TRUTH["normals"][0]), 0.5 + 0.5 * view.read_truth("normals"))

@@ -1,41 +1,42 @@
-"""COLMAP folders, also as mip-NeRF 360 lays them out: a model, `images/` and, where there are several sizes, `images_N/`.
+"""COLMAP folders, also in the layout of mip-NeRF 360: a model, `images/` and, where there are several sizes, `images_N/`.
 
-Poses are camera_from_world in our axes and pixel convention already; the world is that of the model. Reading is our own
-(`colmap_files`), writing goes through pycolmap, which is imported for files here alone.
+Poses are camera_from_world in our axes and pixel convention; the world is that of the model. `colmap_files` reads models;
+pycolmap, imported only when a model is written, writes them.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datasets import pose
+from datasets import pose, splits
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, KoalaError, UsageError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, llff, sidecar
 from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
-from datasets.formats.koala import file_name, link
+from datasets.formats.links import Extra, file_name, link_all
 from datasets.imaging import downscale
 from datasets.scene import Scene, Sightings, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
-"""Where a model may lie below the scene."""
+"""Where a scene may keep its model."""
 NEEDED = ("cameras", "images", "points3D")
+_FOCALS, _TANGENTIAL = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
 PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
-    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "PINHOLE": _FOCALS,
     "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
     "RADIAL": ("f", "cx", "cy", "k1", "k2"),
-    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
-    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "OPENCV": _FOCALS + _TANGENTIAL,
+    "FULL_OPENCV": (*_FOCALS, *_TANGENTIAL, "k3", "k4", "k5", "k6"),
+    "OPENCV_FISHEYE": (*_FOCALS, "k1", "k2", "k3", "k4"),
     "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
     "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
 }
-"""Meaning of each lens model's numbers; the others do not fit our camera."""
+"""Parameters of the lens models that our camera can represent."""
 LAYOUT = export.Layout("COLMAP's layout", lambda camera: True, "", mask="masks/{file}")
 
 
@@ -45,7 +46,7 @@ def detect(folder: Path) -> bool:
 
 
 def is_whole(folder: Path) -> bool:
-    """True where the folder has a model that can be read, and most of the images that it names."""
+    """True where the folder has a readable model and most of its images."""
     try:
         place, home = _place(folder, None)
         names = [image.name for image in _model(folder, place).images]
@@ -58,7 +59,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     """Read a COLMAP scene; every `hold_out`-th view by sorted name is a test view.
 
     Raises:
-        DatasetError: the model lacks a file or uses a lens model that Koala lacks.
+        DatasetError: the model lacks a file or uses an unsupported lens model.
     """
     place, home = _place(folder, images_folder)
     model = _model(folder, place)
@@ -83,18 +84,16 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
         except KoalaError as error:
             gathering.complain(error)
     if (folder / llff.FILE).is_file():
-        gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {place.relative_to(folder)} says more")
+        gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {place.relative_to(folder)} holds more")
     views = gathering.finished(listed_in=f"{place.name}/images")
     seen = _sightings(model, stored, pixels) if len(model.points) else None
-    known = sidecar.read(folder)
-    if known is not None:
+    stored_facts = sidecar.read(folder)
+    if stored_facts is not None:
         if seen is not None:
-            seen = replace(seen, names=tuple(sidecar.name_of(known, name) for name in seen.names))
-        scene = sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
+            seen = replace(seen, names=tuple(sidecar.name_of(stored_facts, name) for name in seen.names))
+        scene = sidecar.restore(stored_facts, views, folder, notes=tuple(gathering.notes))
         return replace(scene, points=model.points, sightings=seen) if seen is not None else scene
-    scene = assemble.scene(
-        gathering, assemble.hold_out(views, hold_out), provenance={"format": "colmap", "source": str(folder.absolute())}
-    )
+    scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
     return replace(assemble.with_points(scene, model.points), sightings=seen) if seen is not None else scene
 
 
@@ -125,9 +124,8 @@ def _model(folder: Path, place: Path) -> Model:
     suffix = ".bin" if (place / "cameras.bin").is_file() else ".txt"
     absent = [name + suffix for name in NEEDED if not (place / (name + suffix)).is_file()]
     if absent:
-        raise DatasetError(
-            "COLMAP model is not complete", where=place, why=f"{', '.join(absent)} is missing", remedy="copy the whole model"
-        )
+        why = f"{', '.join(absent)} is missing"
+        raise DatasetError("COLMAP model is not complete", where=place, why=why, remedy="copy the whole model")
     return read_model(*(files.within(folder, place / (name + suffix)) for name in NEEDED))
 
 
@@ -142,42 +140,34 @@ def _mask(gathering: assemble.Gathering, home: Path, name: str, *, where: str) -
 
 def _camera(stored: StoredCamera, *, where: str) -> Camera:
     if stored.model not in PARAMETERS:
-        raise DatasetError(
-            f"camera model {stored.model} is not supported", where=where, remedy="undistort the images with COLMAP first"
-        )
-    said: dict[str, Any] = dict(zip(PARAMETERS[stored.model], stored.parameters, strict=True))
-    if "f" in said:
-        said["fx"] = said["fy"] = said.pop("f")
-    said["fisheye"] = "FISHEYE" in stored.model
-    return Camera.from_json({"width": stored.width, "height": stored.height, **said}, where=where)
+        remedy = "undistort the images with COLMAP first"
+        raise DatasetError(f"camera model {stored.model} is not supported", where=where, remedy=remedy)
+    values: dict[str, Any] = dict(zip(PARAMETERS[stored.model], stored.parameters, strict=True))
+    if "f" in values:
+        values["fx"] = values["fy"] = values.pop("f")
+    values["fisheye"] = "FISHEYE" in stored.model
+    return Camera.from_json({"width": stored.width, "height": stored.height, **values}, where=where)
 
 
 def save(
-    scene: Scene,
-    path: Path,
-    *,
-    extra: dict[str, Path] | None = None,
-    done: Callable[[], None] = lambda: None,
-    sizes: tuple[int, ...] = (),
-    text: bool = False,
+    scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = (), text: bool = False
 ) -> str:
-    """Export a scene; all or nothing. Points and sightings go along where the scene has them.
+    """Export a scene, all or nothing, with its points and sightings.
 
     Args:
         scene: what to write.
         path: folder that is missing or empty.
-        extra: further files to take along, by relative name.
+        extra: further files to include, by relative name.
         done: called after each view.
-        sizes: N for each `images_N` to write, 1/N as large: (2, 4, 8) is mip-NeRF 360's layout.
-        text: write text instead of binary files.
+        sizes: N for each `images_N` to write, at 1/N of the size; (2, 4, 8) gives mip-NeRF 360's layout.
+        text: write text files instead of binary ones.
 
     Returns:
-        One line on what the layout cannot hold; empty where it holds everything.
+        One line on what the format cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
-        for name, source in (extra or {}).items():
-            link(source, folder / name)
+        link_all(extra, folder)
         downscale.folders([p.view for p in placed], folder, sizes, lambda view, source: source.name)
         _write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
@@ -185,7 +175,7 @@ def save(
 
 
 def _write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) -> None:
-    """The three files of the model, and those of 4.x, for views as exported."""
+    """Write the three files of the model, and those of COLMAP 4, for views as exported."""
     import pycolmap
 
     model = pycolmap.Reconstruction()
@@ -214,7 +204,7 @@ def _write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) -
 
 
 def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """By number of the image, from 1: (k,) points that it saw and (k, 2) where."""
+    """Per image number, from 1: (k,) points that it saw and (k, 2) their pixels."""
     seen = scene.sightings
     if seen is None or scene.points is None:
         return {number: (np.zeros(0, np.int64), np.zeros((0, 2))) for number in range(1, len(views) + 1)}
@@ -227,7 +217,7 @@ def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np
 
 
 def _parameters(camera: Camera) -> tuple[str, list[float]]:
-    """The plainest lens model that says all of a camera, and its numbers."""
+    """The simplest lens model that represents a camera, and its parameters."""
     straight = [camera.fx, camera.fy, camera.cx, camera.cy]
     if camera.is_pinhole:
         return "PINHOLE", straight

@@ -1,7 +1,7 @@
-"""COLMAP's model files, text and binary, read with suspicion: every count and reference is checked before it is used.
+"""Reader of COLMAP's model files, text and binary: every count and reference is checked before it is used.
 
-A model is three files, `cameras`, `images` and `points3D`; versions from 4 on add `rigs` and `frames`, from which the poses in
-`images` follow, so that these three say all. Writing goes through pycolmap.
+A model is three files, `cameras`, `images` and `points3D`. Version 4 adds `rigs` and `frames`, which repeat what the poses in
+`images` already contain. Writing goes through pycolmap.
 """
 
 import struct
@@ -17,22 +17,13 @@ from datasets import pose
 from datasets.core.errors import DatasetError
 
 MODELS = {
-    0: ("SIMPLE_PINHOLE", 3),
-    1: ("PINHOLE", 4),
-    2: ("SIMPLE_RADIAL", 4),
-    3: ("RADIAL", 5),
-    4: ("OPENCV", 8),
-    5: ("OPENCV_FISHEYE", 8),
-    6: ("FULL_OPENCV", 12),
-    7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4),
-    9: ("RADIAL_FISHEYE", 5),
-    10: ("THIN_PRISM_FISHEYE", 12),
-    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-}
-"""Name of each lens model by its number, and how many parameters it has."""
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}  # fmt: skip
+"""Name and number of parameters of each lens model, by its number in the file."""
 NOWHERE = 2**64 - 1
-"""Point of a feature that belongs to none."""
+"""Point id of a feature without a point."""
 LONGEST_NAME = 4096
 
 
@@ -73,7 +64,7 @@ def read_model(cameras: Path, images: Path, points: Path) -> Model:
     """Read the three files of a model, all binary or all text.
 
     Raises:
-        DatasetError: a file is cut off, promises more than it holds, or refers to what is not there.
+        DatasetError: a file is cut off, is shorter than its counts say, or refers to a missing record.
     """
     binary = cameras.suffix == ".bin"
     model = Model()
@@ -97,7 +88,7 @@ def read_model(cameras: Path, images: Path, points: Path) -> Model:
 
 
 def _rows(point_ids: NDArray[np.uint64], sorted_ids: NDArray[np.uint64], order: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(k,) row of each point id; -1 for those that are nowhere, or not among the points."""
+    """(k,) row of each point id; -1 for ids without a point."""
     if not len(sorted_ids):
         return np.full(len(point_ids), -1)
     place = np.minimum(np.searchsorted(sorted_ids, point_ids), len(sorted_ids) - 1)
@@ -105,7 +96,7 @@ def _rows(point_ids: NDArray[np.uint64], sorted_ids: NDArray[np.uint64], order: 
 
 
 class _Cursor:
-    """A place in a binary file, which never reads beyond its end."""
+    """A position in a binary file that never moves beyond its end."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.place = path, 0
@@ -122,31 +113,23 @@ class _Cursor:
     def need(self, size: int) -> None:
         """Raise where fewer than `size` bytes are left."""
         if size > len(self.data) - self.place:
-            raise DatasetError(
-                "is cut off",
-                where=self.path,
-                remedy="copy it again",
-                why=f"{size} bytes wanted at {self.place}, the file has {len(self.data)}",
-            )
+            why = f"{size} bytes expected at {self.place}, the file has {len(self.data)}"
+            raise DatasetError("is cut off", where=self.path, why=why, remedy="copy it again")
 
     def count(self, least: int, what: str) -> int:
         """A number of records of at least `least` bytes each."""
         (number,) = self.take("Q")
         room = (len(self.data) - self.place) // least
         if number > room:
-            raise DatasetError(
-                f"promises more {what} than it holds",
-                where=self.path,
-                remedy="copy it again",
-                why=f"{number} {what}, there is room for {room}",
-            )
+            why = f"{number} {what}, there is room for {room}"
+            raise DatasetError(f"promises more {what} than it holds", where=self.path, why=why, remedy="copy it again")
         return number
 
     def text(self) -> str:
         """Text up to the next zero byte."""
         end = self.data.find(b"\0", self.place, self.place + LONGEST_NAME)
         if end < 0:
-            raise DatasetError("name has no end", where=self.path, why=f"at byte {self.place}", remedy="copy it again")
+            raise DatasetError("name is not terminated", where=self.path, why=f"at byte {self.place}", remedy="copy it again")
         found = self.data[self.place : end].decode("utf-8", "replace")
         self.place = end + 1
         return found
@@ -194,11 +177,11 @@ def _finite(points: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
 
 
 def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
-    """(where, words) of each line that is no comment."""
+    """(where, words) of each line that is not a comment."""
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise DatasetError("is no text file", where=path, why=str(error)) from None
+        raise DatasetError("is not a text file", where=path, why=str(error)) from None
     for number, line in enumerate(text.splitlines(), 1):
         if not line.startswith("#") and (line.strip() or keep_empty):
             yield f"{path}, line {number}", line.split()
@@ -211,7 +194,7 @@ def _cameras_text(path: Path) -> Iterator[tuple[int, StoredCamera]]:
             camera_id, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
             parameters = tuple(float(word) for word in words[4:])
         except (IndexError, ValueError, OverflowError) as error:
-            raise DatasetError("line is no camera", where=where, why=str(error)) from None
+            raise DatasetError("line is not a camera", where=where, why=str(error)) from None
         if counts.get(model) != len(parameters):
             raise DatasetError(f"lens model {model[:40]} with {len(parameters)} parameters is unknown", where=where)
         yield camera_id, StoredCamera(model, width, height, parameters)
@@ -229,9 +212,11 @@ def _images_text(path: Path) -> Iterator[tuple[int, str, int, tuple[float, ...],
             pixels = np.array([features[0::3], features[1::3]], np.float64).T.reshape(-1, 2)
             points = np.array([int(word) % 2**64 for word in features[2::3]], np.uint64)  # -1 is `NOWHERE`
         except (IndexError, ValueError, OverflowError) as error:
-            raise DatasetError("lines are no image and its features", where=where, why=str(error)) from None
+            raise DatasetError("lines are not an image and its features", where=where, why=str(error)) from None
         if len(points) != len(pixels) or not name:
-            raise DatasetError("lines are no image and its features", where=where, why=f"{len(features)} words, name {name!r}")
+            raise DatasetError(
+                "lines are not an image and its features", where=where, why=f"{len(features)} words, name {name!r}"
+            )
         yield image_id, name, camera_id, placed, pixels, points
 
 
@@ -244,8 +229,8 @@ def _points_text(path: Path) -> tuple[NDArray[np.uint64], NDArray[np.float64], N
             colours.append([np.uint8(int(word)) for word in words[4:7]])
             complete = len(points[-1]) == 3 and len(colours[-1]) == 3
         except (IndexError, ValueError, OverflowError) as error:
-            raise DatasetError("line is no point", where=where, why=str(error)) from None
+            raise DatasetError("line is not a point", where=where, why=str(error)) from None
         if not complete:
-            raise DatasetError("line is no point", where=where, why=f"{len(words)} words")
+            raise DatasetError("line is not a point", where=where, why=f"{len(words)} words")
     array = np.array(points, np.float64).reshape(-1, 3)
     return np.array(ids, np.uint64), _finite(array, path), np.array(colours, np.uint8).reshape(-1, 3)

@@ -4,27 +4,26 @@
 `scale_mat_i` takes the unit sphere about the object to the world. The world is that of the file (millimetres for DTU).
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
+from datasets import pose, splits
 from datasets.camera_model import Camera
 from datasets.conventions import opencv_from_pixels, pixels_from_opencv
 from datasets.core import arrays, files
 from datasets.core.errors import DatasetError, KoalaError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, sidecar
-from datasets.formats.koala import link
+from datasets.formats.links import Extra, link_all
 from datasets.formats.llff import PICTURES
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 CAMERAS = ("cameras_sphere.npz", "cameras.npz")
-
 LAYOUT = export.Layout("DTU's layout", lambda camera: camera.is_pinhole, "lens distortion", mask="mask/{stem}")
 
 
@@ -36,11 +35,11 @@ def detect(folder: Path) -> bool:
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read a DTU folder; every `hold_out`-th view by sorted name is a test view.
 
-    The file does not say which image size its matrices are for: the power of two times the present size that puts the
-    principal point nearest to the middle is taken, and named in the notes.
+    The file does not state the image size of its matrices. It is taken as the current size times the power of two that puts
+    the principal point nearest to the image centre, and named in the notes.
 
     Raises:
-        DatasetError: a camera or a mask is missing, or the cameras are no plain arrays.
+        DatasetError: a camera or a mask is missing, or the cameras are not plain arrays.
     """
     source = next((folder / name for name in CAMERAS if (folder / name).is_file()), folder / CAMERAS[0])
     stored = _arrays(files.within(folder, source))
@@ -70,18 +69,17 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     known = sidecar.read(folder)
     if known is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
-    views = assemble.hold_out(views, hold_out)
-    scene = assemble.scene(gathering, views, provenance={"format": "dtu", "source": str(folder.absolute())})
+    scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "dtu")
     return _in_sphere(scene, stored["scale_mat_0"]) if "scale_mat_0" in stored else scene
 
 
-def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done: Callable[[], None] = lambda: None) -> str:
-    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) -> str:
+    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
 
-    The unit sphere of `scale_mat` is the one about the object's box.
+    The unit sphere of `scale_mat` encloses the object's box.
 
     Returns:
-        One line on what the layout cannot hold; empty where it holds everything.
+        One line on what the format cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
         placed = []
@@ -94,8 +92,7 @@ def save(scene: Scene, path: Path, *, extra: dict[str, Path] | None = None, done
         matrices |= {f"scale_mat_{number}": scale for number in range(len(placed))}
         with files.atomic_path(folder / CAMERAS[0]) as temporary:
             np.savez(temporary, allow_pickle=False, **matrices)
-        for name, source in (extra or {}).items():
-            link(source, folder / name)
+        link_all(extra, folder)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
     return export.limits(scene, placed, LAYOUT)
 
@@ -109,7 +106,7 @@ def _projection(view: View) -> NDArray[np.float64]:
 
 
 def _in_sphere(scene: Scene, scale_mat: NDArray[np.float64]) -> Scene:
-    """The scene with the box cut to the cube about the unit sphere, and near and far to it where nothing else is seen."""
+    """The scene with its box limited to the cube about the unit sphere, and near and far too where the background is empty."""
     centre, radius = scale_mat[:3, 3], float(scale_mat[0, 0])
     cube = np.stack([centre - radius, centre + radius])
     box = np.stack([np.maximum(scene.box[0], cube[0]), np.minimum(scene.box[1], cube[1])])
@@ -133,7 +130,7 @@ def _sorted(folder: Path) -> list[Path]:
 
 
 def _posed(world_mat: NDArray[np.float64], size: tuple[int, int], *, where: str) -> tuple[NDArray[np.float64], Camera, float]:
-    """World from camera, intrinsics at the picture's `size`, and by what the matrix's picture was larger."""
+    """world_from_camera, intrinsics at the image's `size`, and the factor by which the image of the matrix is larger."""
     from scipy.linalg import rq
 
     if world_mat.shape != (4, 4) or not np.isfinite(world_mat).all():

@@ -1,6 +1,6 @@
-"""What the writers of foreign layouts share: each view as the layout can hold it, its image, mask and truth in place.
+"""Shared by the writers of foreign formats: views as the format can hold them, with image, mask and truth in place.
 
-A view that the layout can hold keeps its files to the bit; any other is resampled once, to a centred pinhole.
+A view that the format can hold keeps its files bit for bit; any other is resampled once, to a centred pinhole.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,17 +12,18 @@ from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
-from datasets.formats.koala import file_name, link
+from datasets.core.progress import Step
+from datasets.formats.links import file_name, link
 from datasets.imaging import images, undistort
 from datasets.scene import DISPARITY, Scene, View
 
 ORDERS = {"normals": undistort.NEAREST, "depth": undistort.NEAREST}
-"""Interpolation of truth maps that must not be mixed across edges; the others are linear."""
+"""Interpolation of truth maps that must not be mixed across edges; the others are interpolated linearly."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """A view as exported, and by how much its axis was turned."""
+    """A view as exported, and the rotation of its axis."""
 
     view: View
     turned_deg: float
@@ -31,15 +32,15 @@ class Placed:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a layout can hold of a view."""
+    """What a format can hold of a view."""
 
     title: str
     holds: Callable[[Camera], bool]
     """True for cameras that it can describe."""
     lacks: str
-    """Of other cameras, what it cannot describe."""
+    """What it cannot describe of other cameras."""
     mask: str | None = None
-    """Name of a view's mask without its suffix, from {stem} and {file} of the image; None puts it into the image's alpha."""
+    """Path of a view's mask without suffix, from {stem} and {file} of the image; None to put it into the image's alpha."""
 
 
 def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
@@ -76,10 +77,8 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
     return Placed(placed, pinhole.turned_deg, True)
 
 
-def place_all(
-    views: Sequence[View], folder: Path, stem_of: Callable[[View], str], layout: Layout, done: Callable[[], None]
-) -> list[Placed]:
-    """`place` every view at the stem that `stem_of` gives it; `done` is called after each. Raises as `place` does."""
+def place_all(views: Sequence[View], folder: Path, stem_of: Callable[[View], str], layout: Layout, done: Step) -> list[Placed]:
+    """`place` every view at the stem that `stem_of` gives; `done` is called after each. Raises as `place` does."""
     placed = []
     for view in views:
         placed.append(place(view, folder, stem_of(view), layout))
@@ -88,7 +87,7 @@ def place_all(
 
 
 def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
-    """One line on what the layout cannot hold of this scene, and what was done about it; empty where it holds all."""
+    """One line on what the format cannot hold of this scene and what was done about it; empty where it holds everything."""
     lost = []
     resampled = [p for p in placed if p.resampled]
     if resampled:
@@ -116,7 +115,7 @@ def _kept(view: View, source: Path, target: Path) -> Path:
 
 
 def _redrawn(view: View, target: Path, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:
-    """The image with its mask as alpha, or resampled, or both; as deep as its file was."""
+    """The image with its mask as alpha, or resampled, or both, at the bit depth of its file."""
     as_float = view.image.suffix.lower() == ".exr"
     picture = view.read_image()
     if merged:
@@ -133,7 +132,7 @@ def _straightened(mask: Path, pinhole: undistort.Pinhole) -> NDArray[np.float32]
 
 
 def _written(target: Path, suffix: str, picture: NDArray[np.generic], source: Path | None = None) -> Path:
-    """Write a picture, with the metadata of the file that it is made from."""
+    """Write a picture with the metadata of its source file."""
     path = target.with_name(target.name + suffix)
     if path.exists():
         raise DatasetError("two views would share a file", where=path, remedy="give each view its own name")
@@ -144,7 +143,7 @@ def _written(target: Path, suffix: str, picture: NDArray[np.generic], source: Pa
 def _truth(view: View, key: str, target: Path, pinhole: undistort.Pinhole, same: bool) -> Path:
     if same:
         source = view.truth[key]
-        disparity = key == "depth" and source.stem.endswith(DISPARITY)  # its name says how it is coded
+        disparity = key == "depth" and source.stem.endswith(DISPARITY)  # its name states its encoding
         return _kept(view, source, target.with_name(target.name + DISPARITY) if disparity else target)
     values = pinhole.resample(view.read_truth(key), ORDERS.get(key, undistort.SMOOTH))
     if key == "depth":

@@ -1,17 +1,13 @@
-"""Koala's own layout: everything that a scene knows, in one folder that is written whole or not at all.
+"""Koala's own format: a complete scene in one folder, written atomically.
 
 SCENE/cameras.json   version, bounds, background, and for each view its camera, pose, split and files
 SCENE/images/        as captured, never re-encoded (a hard link where the disk allows)
-SCENE/images_N/      the same at 1/N of the size, where they were asked for
+SCENE/images_N/      the same at 1/N of the size, on request
 SCENE/masks/         where there are masks, with masks_N
-SCENE/points.npz     where surface points are known: points, and which views saw them where
-SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation alone
+SCENE/points.npz     where surface points are known: points and the pixels of the views that saw them
+SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation only
 """
 
-import errno
-import os
-import shutil
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +19,9 @@ from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core import arrays, files
 from datasets.core.errors import DatasetError, KoalaError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, sidecar
+from datasets.formats.links import Extra, file_name, link, link_all
 from datasets.imaging import downscale
 from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View
 
@@ -37,31 +35,23 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def save(
-    scene: Scene,
-    path: Path,
-    *,
-    extra: Mapping[str, Path] | None = None,
-    done: Callable[[], None] = lambda: None,
-    sizes: tuple[int, ...] = (),
-) -> str:
-    """Write a scene folder, images included. `extra` maps further relative names to files to take along.
+def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
+    """Write a scene folder, images included. `extra` names further files to include, by relative name.
 
-    For each N of `sizes`, `images_N` and `masks_N` hold the pictures at 1/N of their size.
+    For each N of `sizes`, `images_N` and `masks_N` hold the images at 1/N of their size.
 
     Returns:
-        What the layout cannot hold of the scene: nothing.
+        "": this format holds everything.
 
     Raises:
-        UsageError: `path` holds something already.
+        UsageError: `path` is not empty.
     """
     with files.atomic_folder(path) as folder:
         views = []
         for view in scene.views:
             views.append(_saved_view(view, folder))
             done()
-        for name, source in (extra or {}).items():
-            link(source, folder / name)
+        link_all(extra, folder)
         downscale.folders(scene.views, folder, sizes, lambda view, source: f"{file_name(view)}{source.suffix}")
         if scene.points is not None:
             _save_points(scene.points, scene.sightings, folder / POINTS)
@@ -70,17 +60,11 @@ def save(
 
 
 def _save_points(points: NDArray[np.float64], sightings: Sightings | None, path: Path) -> None:
-    seen = (
-        {}
-        if sightings is None
-        else {
-            "names": np.array(sightings.names, np.str_),
-            "index": sightings.index,
-            "pixels": sightings.pixels,
-            "colours": sightings.colours,
-        }
-    )
-    np.savez_compressed(path, points=points, **seen)
+    arrays = {"points": points}
+    if sightings is not None:
+        arrays |= {"names": np.array(sightings.names, np.str_), "index": sightings.index}
+        arrays |= {"pixels": sightings.pixels, "colours": sightings.colours}
+    np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
 def _load_points(path: Path) -> tuple[NDArray[np.float64], Sightings | None]:
@@ -100,7 +84,7 @@ def _load_points(path: Path) -> tuple[NDArray[np.float64], Sightings | None]:
     except KeyError as error:
         raise DatasetError("sightings are not complete", where=path, why=str(error)) from None
     if len(index) and not ((index >= 0).all() and (index < [len(points), len(names)]).all()):
-        raise DatasetError("sightings are of points or views that are not there", where=path)
+        raise DatasetError("sightings refer to missing points or views", where=path)
     return points, Sightings(names, index, pixels, colours)
 
 
@@ -108,7 +92,7 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
     name = file_name(view)
 
     def keep(source: Path, below: str) -> str:
-        disparity = DISPARITY if source.stem.endswith(DISPARITY) else ""  # its name says how it is coded
+        disparity = DISPARITY if source.stem.endswith(DISPARITY) else ""  # its name states its encoding
         relative = f"{below}/{name}{disparity}{source.suffix}"
         link(source, folder / relative)
         return relative
@@ -125,34 +109,8 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
     }
 
 
-def file_name(view: View) -> str:
-    """A view's name as the name of a file."""
-    return view.name.replace("/", "_")
-
-
-def link(source: Path, target: Path) -> None:
-    """Make `target` the same file as `source`: a hard link, or a copy where the disks differ. Refuses to overwrite."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if target.exists():
-        raise DatasetError("two views would share a file", where=target, remedy="give each view its own name")
-    try:
-        os.link(Path(source).resolve(), target)
-    except OSError:
-        _copy(source, target)
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy a file; a full disk is told of the target, where `shutil` would name the source."""
-    try:
-        shutil.copyfile(source, target)
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise OSError(error.errno, error.strerror, str(target)) from None
-        raise
-
-
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a scene folder. Splits are stated, so `hold_out` has no say; `images_folder` takes the pictures from `images_N`.
+    """Read a scene folder. Splits are stated, so `hold_out` is ignored; `images_folder` reads the images of `images_N` instead.
 
     Raises:
         DatasetError: a view or a bound is missing, damaged or impossible.
@@ -178,7 +136,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
 
 
 def _resized(view: View, folder: Path, home: str) -> View:
-    """The view with its picture from another folder, its intrinsics scaled to it."""
+    """The view with its image from another folder and intrinsics scaled to it."""
     where = f"{folder / FILE}, {view.name}"
     picture = files.within(folder, files.inside(folder, home) / view.image.name, where=where)
     mask = None
@@ -199,13 +157,5 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         raise DatasetError("view is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if split not in SPLITS:
         raise DatasetError(f"no split called {split!r}", where=where, remedy=f"valid: {', '.join(SPLITS)}")
-    return View(
-        name,
-        camera,
-        matrix,
-        split,
-        files.inside(folder, image, where=where),
-        files.inside(folder, mask, where=where) if mask else None,
-        truth,
-        unit,
-    )
+    mask = files.inside(folder, mask, where=where) if mask else None
+    return View(name, camera, matrix, split, files.inside(folder, image, where=where), mask, truth, unit)

@@ -1,30 +1,28 @@
 """LLFF folders: `poses_bounds.npy` and images whose sorted names correspond to its rows.
 
-A row is a 3x5 matrix, row by row, and near and far. Its columns: the camera axes down, right, back; the position;
-height, width and focal length of the full-size images, which need not be those that are there.
+A row is a 3x5 matrix in row-major order, near, and far. Its columns: the camera axes down, right, back; the position;
+height, width and focal length of the full-size images, which may be missing.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
+from datasets import pose, splits
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF
 from datasets.core import arrays, files
 from datasets.core.errors import DatasetError, KoalaError, UsageError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, sidecar
-from datasets.formats.koala import file_name, link
+from datasets.formats.links import Extra, file_name, link_all
 from datasets.imaging import downscale
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 FILE = "poses_bounds.npy"
 PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
-
-
 LAYOUT = export.Layout(
     "LLFF's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point", mask="masks/{stem}"
 )
@@ -38,20 +36,17 @@ def detect(folder: Path) -> bool:
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read an LLFF folder; every `hold_out`-th view by sorted name is a test view.
 
-    A folder `masks` with one picture for each image, of the same name, says what belongs to the object.
+    A folder `masks` may hold a mask of the object for each image, of the same name.
 
     Raises:
-        DatasetError: as many rows as images are not there, or the images have another shape than the file says.
+        DatasetError: the number of rows or the aspect ratio does not match the images.
     """
     rows = read_rows(files.inside(folder, FILE))
     pictures, chosen = find_images(folder, images_folder)
     if len(pictures) != len(rows):
-        raise DatasetError(
-            "rows and images do not correspond",
-            where=folder / FILE,
-            why=f"it has {len(rows)} rows, {chosen} holds {len(pictures)} images",
-            remedy="put every image in place: sorted names correspond to rows",
-        )
+        why = f"it has {len(rows)} rows, {chosen} holds {len(pictures)} images"
+        remedy = "put every image in place: sorted names correspond to rows"
+        raise DatasetError("rows and images do not correspond", where=folder / FILE, why=why, remedy=remedy)
     gathering = assemble.Gathering(folder, problems)
     masks = _masks(folder, chosen, pictures)
     for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
@@ -68,37 +63,26 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     known = sidecar.read(folder)
     if known is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
-    return assemble.scene(
-        gathering,
-        assemble.hold_out(views, hold_out),
-        near_far=(rows[:, 15].min(), rows[:, 16].max()),
-        provenance={"format": "llff", "source": str(folder.absolute())},
-    )
+    near_far = (rows[:, 15].min(), rows[:, 16].max())
+    return assemble.scene(gathering, splits.hold_out(views, hold_out), "llff", near_far=near_far)
 
 
 def read_rows(path: Path) -> NDArray[np.float64]:
-    """(n, 17) rows of a poses_bounds.npy. Raises DatasetError where it is no such array; never unpickles."""
+    """(n, 17) rows of a poses_bounds.npy. Raises DatasetError for any other content; nothing is unpickled."""
     rows = arrays.numbers(arrays.read_npy(path), (None, 17), where=path)
     if len(rows) and not (0 <= rows[:, 15].min() < rows[:, 16].max() < np.inf):
         raise DatasetError("near and far are not in order", where=path, why=f"{rows[:, 15].min()} and {rows[:, 16].max()}")
     return rows
 
 
-def save(
-    scene: Scene,
-    path: Path,
-    *,
-    extra: dict[str, Path] | None = None,
-    done: Callable[[], None] = lambda: None,
-    sizes: tuple[int, ...] = (),
-) -> str:
-    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
+    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
 
-    Near and far of a row are those of the object's box, as its view sees it. For each N of `sizes`, `images_N` holds the
+    Near and far of a row are the depth range of the object's box in that view. For each N of `sizes`, `images_N` holds the
     images at 1/N of their size.
 
     Returns:
-        One line on what the layout cannot hold; empty where it holds everything.
+        One line on what the format cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
@@ -106,8 +90,7 @@ def save(
         rows = [row_of(v.world_from_camera, v.camera, *bounds.depth_range([v], scene.box)) for v in ordered]
         with files.atomic_path(folder / FILE) as temporary:
             np.save(temporary, np.stack(rows))
-        for name, source in (extra or {}).items():
-            link(source, folder / name)
+        link_all(extra, folder)
         downscale.folders(ordered, folder, sizes, lambda view, source: source.name)
         by_name = {view.image.stem: view for view in (p.view for p in placed)}
         sidecar.write(folder, scene, by_name)
@@ -150,7 +133,7 @@ def _masks(folder: Path, chosen: str, pictures: list[Path]) -> list[Path | None]
 def _posed(
     gathering: assemble.Gathering, row: NDArray[np.float64], picture: Path, *, where: str
 ) -> tuple[NDArray[np.float64], Camera]:
-    """World from camera in our axes, and intrinsics scaled to the picture as it is."""
+    """world_from_camera in our axes, and intrinsics scaled to the image."""
     matrix = row[:15].reshape(3, 5)
     if not np.isfinite(matrix[:, 4]).all() or not (matrix[:, 4] > 0).all():
         raise DatasetError("height, width and focal length are not positive", where=where, why=str(matrix[:, 4]))

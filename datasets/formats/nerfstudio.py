@@ -1,9 +1,9 @@
 """nerfstudio and instant-ngp folders: one `transforms.json`, OpenGL camera axes, OpenCV distortion.
 
-The world is that of the file: `applied_transform` and instant-ngp's `scale`, `offset` and `aabb_scale` are left alone.
+The world is that of the file: `applied_transform` and instant-ngp's `scale`, `offset` and `aabb_scale` are not applied.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets import splits
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, KoalaError
+from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, opengl, ply, sidecar
-from datasets.formats.koala import file_name, link
+from datasets.formats.links import Extra, file_name, link_all
 from datasets.imaging import downscale, images
 from datasets.scene import SPLITS, Scene, View
 
@@ -36,17 +38,17 @@ def detect(folder: Path) -> bool:
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a nerfstudio folder; images that are listed and missing are left out and named in the notes.
+    """Read a nerfstudio folder; missing images are left out and named in the notes.
 
     Views are sorted by file name. Without `train_filenames` and the like, every `hold_out`-th view is a test view.
     """
     source = folder / FILE
     content = files.read_json(files.within(folder, source))
     gathering = assemble.Gathering(folder, problems)
-    splits = _splits(content, where=source)
+    stated = _splits(content, where=source)
     for frame in sorted(opengl.frames_of(content, where=source), key=lambda frame: frame["file_path"]):
         try:
-            _gather(gathering, content, frame, splits, images_folder)
+            _gather(gathering, content, frame, stated, images_folder)
         except KoalaError as error:
             gathering.complain(error)
     views = gathering.finished(listed_in=FILE)
@@ -54,9 +56,9 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     known = sidecar.read(folder)
     if known is not None:
         return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points)
-    if not splits:
-        views = assemble.hold_out(views, hold_out)
-    scene = assemble.scene(gathering, views, provenance={"format": "nerfstudio", "source": str(folder.absolute())})
+    if not stated:
+        views = splits.hold_out(views, hold_out)
+    scene = assemble.scene(gathering, views, "nerfstudio")
     return scene if points is None else assemble.with_points(scene, points)
 
 
@@ -71,7 +73,7 @@ def _gather(
     gathering: assemble.Gathering,
     content: dict[str, Any],
     frame: dict[str, Any],
-    splits: dict[str, str],
+    stated: dict[str, str],
     images_folder: str | None,
 ) -> None:
     folder, listed = gathering.folder, frame["file_path"]
@@ -85,13 +87,13 @@ def _gather(
     mask = files.inside(folder, frame["mask_path"], where=where) if frame.get("mask_path") else None
     truth = {"depth": files.inside(folder, frame["depth_file_path"], where=where)} if frame.get("depth_file_path") else {}
     name = PurePosixPath(listed).with_suffix("").as_posix().removeprefix("./")
-    split = splits.get(listed, "train")
+    split = stated.get(listed, "train")
     matrix = opengl.world_from_camera(frame, where=where)
     gathering.views.append(View(name, camera, matrix, split, image, mask, truth, depth_unit=_depth_unit(content, where=where)))
 
 
 def _depth_unit(content: dict[str, Any], *, where: object) -> float:
-    """World units per step of a depth file: `depth_unit_scale_factor`, a millimetre where nothing is said."""
+    """World units per step of a depth file: `depth_unit_scale_factor`, by default a millimetre."""
     unit = content.get("depth_unit_scale_factor", 1e-3)
     if not isinstance(unit, int | float) or not 0 < unit < np.inf:
         raise DatasetError("depth_unit_scale_factor is not positive", where=where, why=str(unit)[:80])
@@ -104,30 +106,25 @@ def _splits(content: Any, *, where: object) -> dict[str, str]:
         raise DatasetError("holds no list of frames", where=where)
     listed = {split: content[f"{split}_filenames"] for split in SPLITS if f"{split}_filenames" in content}
     if not all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in listed.values()):
-        raise DatasetError("lists of file names are no lists of names", where=where, why=", ".join(listed))
+        raise DatasetError("lists of file names hold something else", where=where, why=", ".join(listed))
     frames = {frame["file_path"] for frame in opengl.frames_of(content, where=where)}
     for split, names in listed.items():
         stray = sorted(set(names) - frames)
         if stray:
-            raise DatasetError(f"{split}_filenames lists what is not among the frames", where=where, why=", ".join(stray[:5]))
+            raise DatasetError(
+                f"{split}_filenames lists names that are not among the frames", where=where, why=", ".join(stray[:5])
+            )
     return {name: split for split, names in listed.items() for name in names}
 
 
-def save(
-    scene: Scene,
-    path: Path,
-    *,
-    extra: dict[str, Path] | None = None,
-    done: Callable[[], None] = lambda: None,
-    sizes: tuple[int, ...] = (),
-) -> str:
-    """Export a scene; all or nothing. `done` is called after each view, `extra` names further files to take along.
+def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
+    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
 
-    For each N of `sizes`, `images_N` holds the images at 1/N of their size, where nerfstudio looks for them. Depth goes
-    along, in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits.
+    For each N of `sizes`, `images_N` holds the images at 1/N of their size, where nerfstudio looks for them. Depth is included,
+    in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits.
 
     Returns:
-        One line on what the layout cannot hold; empty where it holds everything.
+        One line on what the format cannot hold; empty where it holds everything.
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
@@ -140,44 +137,32 @@ def save(
             ply.write_points(folder / "sparse.ply", scene.points)
             content["ply_file_path"] = "sparse.ply"
         files.write_json(folder / FILE, content)
-        for name, source in (extra or {}).items():
-            link(source, folder / name)
+        link_all(extra, folder)
         sidecar.write(folder, scene, {v.image.relative_to(folder).with_suffix("").as_posix(): v for v in views})
     return export.limits(scene, placed, LAYOUT)
 
 
 def _global(scene: Scene, views: Sequence[View]) -> dict[str, Any]:
-    """What is true of all frames."""
+    """Content of the file that all frames share."""
     reach = max(float(np.abs(scene.box).max()), 1e-9) * 0.33 + 0.5  # instant-ngp's own scale and offset
     aabb = int(min(2 ** np.ceil(np.log2(max(2 * reach - 1, 1.0))), 128)) if scene.background == "white" else 16
     names = {split: [f"images/{view.image.name}" for view in views if view.split == split] for split in SPLITS}
     cameras = {view.camera for view in views}
     common = _intrinsics(views[0].camera) if len(cameras) == 1 else {}
-    return {
-        **common,
-        "aabb_scale": aabb,
-        "depth_unit_scale_factor": DEPTH_STEP,
-        "applied_transform": np.eye(4)[:3].tolist(),
-        "orientation_override": "none",
-        **{f"{split}_filenames": listed for split, listed in names.items()},
-    }
+    transform = {"applied_transform": np.eye(4)[:3].tolist(), "orientation_override": "none"}
+    listed = {f"{split}_filenames": paths for split, paths in names.items()}
+    return {**common, "aabb_scale": aabb, "depth_unit_scale_factor": DEPTH_STEP, **transform, **listed}
 
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
-    terms = {"k4": camera.k4} if camera.fisheye else {"p1": camera.p1, "p2": camera.p2}
-    return {
+    values: dict[str, Any] = {
         "camera_model": opengl.FISHEYE if camera.fisheye else "OPENCV",
         "w": camera.width,
         "h": camera.height,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "k1": camera.k1,
-        "k2": camera.k2,
-        "k3": camera.k3,
-        **terms,
     }
+    values |= {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    terms = ("k1", "k2", "k3", "k4") if camera.fisheye else ("k1", "k2", "k3", "p1", "p2")
+    return values | {term: getattr(camera, term) for term in terms}
 
 
 def _frame(view: View, folder: Path, depth: Path | None, *, common: bool) -> dict[str, Any]:
@@ -198,7 +183,7 @@ def _depths(views: Sequence[View], folder: Path) -> dict[str, Path]:
         counts = view.read_truth("depth") / DEPTH_STEP
         if counts.max(initial=0) > 65535:
             return {}
-        counts = np.where(np.isnan(counts), 0, counts)  # 0 is the layout's word for a pixel without depth
+        counts = np.where(np.isnan(counts), 0, counts)  # the format's value of a pixel without depth
         written[view.name] = folder / "depths" / f"{view.image.stem}.png"
         images.write(written[view.name], counts.round().clip(0, 65535).astype(np.uint16))
     return written

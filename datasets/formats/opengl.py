@@ -1,4 +1,4 @@
-"""What Blender's and nerfstudio's JSON share: OpenGL camera axes and the many ways to say the intrinsics."""
+"""Shared by Blender's and nerfstudio's JSON: OpenGL camera axes and the variants of intrinsics."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from datasets.core.errors import DatasetError
 from datasets.imaging import images
 
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr", ".JPG", ".PNG")
-"""What may be left off a `file_path`."""
+"""Suffixes that a `file_path` may lack."""
 PINHOLES = frozenset({"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", ""})
 FISHEYE = "OPENCV_FISHEYE"
 DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
@@ -30,7 +30,7 @@ def frames_of(content: Any, *, where: object) -> list[dict[str, Any]]:
 
 
 def image_path(folder: Path, file_path: str, *, where: object) -> Path | None:
-    """The existing image that a `file_path` means, with or without its suffix; None where there is none.
+    """The existing image of a `file_path`, with or without suffix; None where there is none.
 
     Raises:
         DatasetError: the path is absolute or leaves the folder, also through a symbolic link.
@@ -58,42 +58,31 @@ def transform_matrix(world_from_camera: NDArray[np.float64]) -> list[list[float]
 
 
 def camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where: object) -> Camera:
-    """Intrinsics of one frame: its own keys before the file's, the image's header where neither gives the size.
+    """Intrinsics of one frame: its own keys override those of the file; a missing size comes from the image's header.
 
     Raises:
-        DatasetError: a lens model that Koala lacks, or no focal length in any form.
+        DatasetError: the lens model is not supported, or there is no focal length.
     """
-    said = {**content, **frame}
-    model = str(said.get("camera_model", "")).upper()
+    keys = {**content, **frame}
+    model = str(keys.get("camera_model", "")).upper()
     if model not in PINHOLES | {FISHEYE}:
-        raise DatasetError(
-            f"camera model {model} is not supported", where=where, remedy="undistort the images to a pinhole first"
-        )
-    if said.get("distortion_params") is not None:
-        said |= dict(zip(DISTORTION_PARAMS, said["distortion_params"], strict=False))
-    fisheye = model == FISHEYE or bool(said.get("is_fisheye", False))
-    if said.get("k4") and not fisheye:
-        raise DatasetError(
-            "distortion k4 is not supported",
-            where=where,
-            why=f"k4 = {said['k4']}",
-            remedy="undistort the images to a pinhole first",
-        )
-    width, height = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else images.size(image)
-    fx = said.get("fl_x") or _focal(width, said.get("camera_angle_x"))
-    fy = said.get("fl_y") or (_focal(height, said.get("camera_angle_y")) if "fl_x" not in said else None) or fx
+        remedy = "undistort the images to a pinhole first"
+        raise DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
+    if keys.get("distortion_params") is not None:
+        keys |= dict(zip(DISTORTION_PARAMS, keys["distortion_params"], strict=False))
+    fisheye = model == FISHEYE or bool(keys.get("is_fisheye", False))
+    if keys.get("k4") and not fisheye:
+        why, remedy = f"k4 = {keys['k4']}", "undistort the images to a pinhole first"
+        raise DatasetError("distortion k4 is not supported", where=where, why=why, remedy=remedy)
+    width, height = (int(keys["w"]), int(keys["h"])) if "w" in keys and "h" in keys else images.size(image)
+    fx = keys.get("fl_x") or _focal(width, keys.get("camera_angle_x"))
+    fy = keys.get("fl_y") or (_focal(height, keys.get("camera_angle_y")) if "fl_x" not in keys else None) or fx
     if not fy:
         raise DatasetError("no focal length", where=where, why="neither fl_x nor camera_angle_x is given")
-    values = {
-        "width": width,
-        "height": height,
-        "fx": fx or fy,
-        "fy": fy,
-        "cx": said.get("cx", width / 2),
-        "cy": said.get("cy", height / 2),
-    }
+    cx, cy = keys.get("cx", width / 2), keys.get("cy", height / 2)
+    values = {"width": width, "height": height, "fx": fx or fy, "fy": fy, "cx": cx, "cy": cy}
     terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
-    return Camera.from_json(values | {k: said.get(k, 0.0) for k in terms} | {"fisheye": fisheye}, where=where)
+    return Camera.from_json(values | {k: keys.get(k, 0.0) for k in terms} | {"fisheye": fisheye}, where=where)
 
 
 def _focal(length: int, angle: float | None) -> float | None:

@@ -1,5 +1,6 @@
-"""Points in PLY files: the vertices of ASCII and little-endian binary ones, read with suspicion."""
+"""Points in PLY files: the vertices of ASCII and binary files, with every count checked before memory is allocated."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,24 +9,12 @@ from numpy.typing import NDArray
 from datasets.core import files
 from datasets.core.errors import DatasetError
 
-KINDS = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "<i2",
-    "ushort": "<u2",
-    "int": "<i4",
-    "uint": "<u4",
-    "float": "<f4",
-    "double": "<f8",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "<i2",
-    "uint16": "<u2",
-    "int32": "<i4",
-    "uint32": "<u4",
-    "float32": "<f4",
-    "float64": "<f8",
-}
+TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+"""Byte order of each encoding; none for text."""
 LONGEST_HEADER = 2**16
 
 
@@ -33,23 +22,23 @@ def read_points(path: Path) -> NDArray[np.float64]:
     """(n, 3) vertices.
 
     Raises:
-        DatasetError: it is no such file, cut off, or a vertex is not finite.
+        DatasetError: it is no such file, it is cut off, or a vertex is not finite.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise DatasetError("cannot be read", where=path, why=error.strerror or str(error)) from None
-    end = data.find(b"end_header\n", 0, LONGEST_HEADER)
-    if not data.startswith(b"ply\n") or end < 0:
+    header = re.match(rb"ply\r?\n(.*?)end_header\r?\n", data[:LONGEST_HEADER], re.DOTALL)
+    if header is None:
         raise DatasetError("is not a PLY file", where=path, why="it has no header")
-    coding, count, properties = _header(data[:end].decode("ascii", "replace"), where=path)
-    body = data[end + len("end_header\n") :]
-    if coding == "ascii":
-        points = _from_text(body, count, properties, where=path)
+    encoding, count, properties = _header(header[1].decode("ascii", "replace"), where=path)
+    body = data[header.end() :]
+    if encoding == "ascii":
+        points = _from_text(body, count, [name for name, _ in properties], where=path)
     else:
-        layout = np.dtype(properties)
+        layout = np.dtype([(name, ORDERS[encoding] + kind) for name, kind in properties])
         if count * layout.itemsize > len(body):
-            raise DatasetError("is cut off", where=path, why=f"{count} vertices are promised, {len(body)} bytes are there")
+            raise DatasetError("is cut off", where=path, why=f"{count} vertices expected, {len(body)} bytes found")
         vertices = np.frombuffer(body, layout, count)
         points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     if not np.isfinite(points).all():
@@ -65,35 +54,33 @@ def write_points(path: Path, points: NDArray[np.float64]) -> None:
 
 
 def _header(text: str, *, where: Path) -> tuple[str, int, list[tuple[str, str]]]:
-    """(coding, number of vertices, their properties); vertices come first in all files of points."""
-    coding, count, properties, element = "", -1, [], ""
+    """(encoding, number of vertices, their properties). Vertices must be the first element, as in all files of points."""
+    encoding, count, properties, element = "", -1, [], ""
     try:
-        for words in (line.split() for line in text.splitlines()[1:]):
+        for words in (line.split() for line in text.splitlines()):
             if words[:1] == ["format"]:
-                coding = words[1]
+                encoding = words[1]
             elif words[:1] == ["element"]:
                 element = words[1]
                 count = int(words[2]) if element == "vertex" else count
                 if element != "vertex" and count < 0:
                     raise DatasetError("vertices do not come first", where=where)
             elif words[:1] == ["property"] and element == "vertex":
-                properties.append((words[2], KINDS[words[1]]))
+                properties.append((words[2], TYPES[words[1]]))
     except (IndexError, KeyError, ValueError) as error:
         raise DatasetError("header cannot be read", where=where, why=str(error)) from None
     names = [name for name, _ in properties]
-    known = coding in ("ascii", "binary_little_endian") and len(set(names)) == len(names)
-    if count < 0 or not known or not {"x", "y", "z"} <= set(names):
-        raise DatasetError("holds no points that can be read", where=where, why=f"format {coding}, {count} vertices with {names}")
-    return coding, count, properties
+    if count < 0 or encoding not in ORDERS or len(set(names)) < len(names) or not {"x", "y", "z"} <= set(names):
+        raise DatasetError("holds no readable points", where=where, why=f"format {encoding}, {count} vertices with {names}")
+    return encoding, count, properties
 
 
-def _from_text(body: bytes, count: int, properties: list[tuple[str, str]], *, where: Path) -> NDArray[np.float64]:
-    words = body.split()
-    width = len(properties)
+def _from_text(body: bytes, count: int, names: list[str], *, where: Path) -> NDArray[np.float64]:
+    words, width = body.split(), len(names)
     if count * width > len(words):
-        raise DatasetError("is cut off", where=where, why=f"{count} vertices are promised, {len(words)} numbers are there")
+        raise DatasetError("is cut off", where=where, why=f"{count} vertices expected, {len(words)} numbers found")
     try:
         table = np.array(words[: count * width], np.float64).reshape(count, width)
     except ValueError as error:
-        raise DatasetError("vertex is no number", where=where, why=str(error)) from None
-    return table[:, [[name for name, _ in properties].index(axis) for axis in "xyz"]]
+        raise DatasetError("vertex is not a number", where=where, why=str(error)) from None
+    return table[:, [names.index(axis) for axis in "xyz"]]

@@ -1,10 +1,9 @@
-"""`koala.json` beside an exported folder: what Blender's and LLFF's layouts cannot say.
+"""`koala.json` in an exported folder: what foreign formats cannot hold.
 
-Other programs do not look at it; Koala's readers take split, names, truth, masks, bounds and background from it, so
-that an exported scene trains as the one that it came from.
+Other programs ignore it. Koala's readers take splits, names, truth, bounds and background from it, so that an exported scene
+trains like the original.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,32 +19,18 @@ FORMAT, VERSION = "koala-sidecar", 1
 
 
 def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
-    """Write what a layout cannot say. `views` maps its own name of each view to the view as exported."""
+    """Write what a format cannot hold. `views` maps the format's name of each view to the view as exported."""
 
-    def relative(path: Path) -> str:
-        return path.relative_to(folder).as_posix()
+    def entry(view: View) -> dict[str, Any]:
+        truth = {key: path.relative_to(folder).as_posix() for key, path in view.truth.items()}
+        return {"name": view.name, "split": view.split, "truth": truth, "depth_unit": view.depth_unit}
 
-    files.write_json(
-        folder / FILE,
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            **facts(scene),
-            "views": {
-                name: {
-                    "name": view.name,
-                    "split": view.split,
-                    "truth": {k: relative(p) for k, p in view.truth.items()},
-                    "depth_unit": view.depth_unit,
-                }
-                for name, view in views.items()
-            },
-        },
-    )
+    content = {"format": FORMAT, "version": VERSION, **facts(scene), "views": {name: entry(v) for name, v in views.items()}}
+    files.write_json(folder / FILE, content)
 
 
 def facts(scene: Scene) -> dict[str, Any]:
-    """What is true of a scene as a whole, for JSON; an infinite far is null."""
+    """The values of a whole scene, for JSON; an infinite far is null."""
     return {
         "name": scene.name,
         "metric": scene.metric,
@@ -77,18 +62,9 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
         raise DatasetError("box is empty or not finite", where=where, why=str(box.tolist()))
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
-    return Scene(
-        name,
-        views,
-        near,
-        far,
-        box,
-        background,
-        metric,
-        notes=tuple(content.get("notes", ())),
-        provenance=content.get("provenance", {}),
-        bounds_from=str(content.get("bounds_from", STATED)),
-    )
+    notes, provenance = tuple(content.get("notes", ())), content.get("provenance", {})
+    evidence = str(content.get("bounds_from", STATED))
+    return Scene(name, views, near, far, box, background, metric, notes=notes, provenance=provenance, bounds_from=evidence)
 
 
 def read(folder: Path) -> dict[str, Any] | None:
@@ -102,30 +78,30 @@ def read(folder: Path) -> dict[str, Any] | None:
 
 
 def name_of(content: dict[str, Any], name: str) -> str:
-    """What a view that the layout calls `name` was called in the scene that was exported."""
-    said = content["views"].get(name)
-    return str(said["name"]) if isinstance(said, dict) and "name" in said else name
+    """Original name of the view that the format calls `name`."""
+    entry = content["views"].get(name)
+    return str(entry["name"]) if isinstance(entry, dict) and "name" in entry else name
 
 
 def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, notes: tuple[str, ...]) -> Scene:
-    """The scene that was exported: views of the layout with the sidecar's names, splits, truth and facts."""
+    """The original scene: views of the format with the names, splits, truth and facts of the sidecar."""
     where = folder / FILE
     known = content["views"]
 
     def restored(view: View) -> View:
-        said = known.get(view.name)
-        if said is None:
+        entry = known.get(view.name)
+        if entry is None:
             return view
         try:
-            truth = {key: files.inside(folder, path, where=where) for key, path in said["truth"].items()}
-            if said["split"] not in SPLITS:
-                raise DatasetError(f"no split called {said['split']!r}", where=f"{where}, {view.name}")
-            unit = float(said.get("depth_unit", view.depth_unit))
-            return replace(view, name=str(said["name"]), split=said["split"], truth=truth, depth_unit=unit)
+            truth = {key: files.inside(folder, path, where=where) for key, path in entry["truth"].items()}
+            if entry["split"] not in SPLITS:
+                raise DatasetError(f"no split called {entry['split']!r}", where=f"{where}, {view.name}")
+            unit = float(entry.get("depth_unit", view.depth_unit))
+            return replace(view, name=str(entry["name"]), split=entry["split"], truth=truth, depth_unit=unit)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise DatasetError("view is not complete", where=f"{where}, {view.name}", why=str(error)) from None
 
     order: dict[str, int] = {name: index for index, name in enumerate(known)}
-    by_order: Callable[[View], int] = lambda view: order.get(view.name, len(order))  # noqa: E731
-    scene = scene_of(content, tuple(restored(view) for view in sorted(views, key=by_order)), where=where)
+    ordered = sorted(views, key=lambda view: order.get(view.name, len(order)))
+    scene = scene_of(content, tuple(map(restored, ordered)), where=where)
     return replace(scene, notes=(*scene.notes, *notes))

@@ -107,7 +107,7 @@ def test_a_missing_file_is_answered_with_the_nearest_name(tmp_path: Path) -> Non
         files.read_json(tmp_path / "x.json")
     with pytest.raises(UsageError, match="there is no folder"):
         files.read_json(tmp_path / "nowhere" / "x.json")
-    for index in range(files.FEW):
+    for index in range(files.MOST_LISTED):
         files.write_json(tmp_path / f"{index}.json", {})
     with pytest.raises(UsageError, match="check the path"):
         files.read_json(tmp_path / "run_of_mine.json")

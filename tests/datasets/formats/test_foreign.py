@@ -65,7 +65,7 @@ def test_splits_of_the_file_are_kept(transforms: Callable[..., Path]) -> None:
     names = [f"images/{index:02d}.png" for index in range(10)]
     scene = load_scene(transforms(train_filenames=names[:6], val_filenames=names[6:8], test_filenames=names[8:]))
     assert [view.split for view in scene.views] == ["train"] * 6 + ["val"] * 2 + ["test"] * 2
-    with pytest.raises(DatasetError, match=r"test_filenames lists what is not among the frames \(other\.png\)"):
+    with pytest.raises(DatasetError, match=r"test_filenames lists names that are not among the frames \(other\.png\)"):
         load_scene(transforms(test_filenames=["other.png"]))
 
 

@@ -164,7 +164,7 @@ def test_points_and_sightings_survive(layout: str, make: Callable[[Path], Scene]
 def test_a_writer_says_what_it_has_no_room_for(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="did you mean 'colmap'"):
         save_scene(make_scene(), tmp_path / "x", "colmapp")
-    with pytest.raises(UsageError, match="dtu has no room for smaller images"):
+    with pytest.raises(UsageError, match="dtu cannot hold smaller images"):
         save_scene(make_scene(), tmp_path / "x", "dtu", sizes=(2,))
     lens = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12)
     said = save_scene(make_scene(lens, mask=True), tmp_path / "b", "blender")

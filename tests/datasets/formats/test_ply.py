@@ -26,13 +26,23 @@ def test_another_programs_vertices_with_colours(tmp_path: Path) -> None:
     assert np.array_equal(read_points(tmp_path / "b.ply"), [[1, 2, 3], [4, 5, 6]])
 
 
+def test_big_endian_and_windows_line_ends(tmp_path: Path) -> None:
+    """As other programs write them."""
+    head = b"element vertex 2\r\nproperty float x\r\nproperty float y\r\nproperty double z\r\nend_header\r\n"
+    rows = np.array([(1, 2, 3), (4, 5, 6)], ">f4, >f4, >f8")
+    (tmp_path / "b.ply").write_bytes(b"ply\r\nformat binary_big_endian 1.0\r\n" + head + rows.tobytes())
+    (tmp_path / "t.ply").write_bytes(b"ply\r\nformat ascii 1.0\r\n" + head + b"1 2 3\r\n4 5 6\r\n")
+    for name in ("b.ply", "t.ply"):
+        assert np.array_equal(read_points(tmp_path / name), [[1, 2, 3], [4, 5, 6]])
+
+
 @pytest.mark.parametrize(("old", "new", "words"), [
     (b"vertex 7", b"vertex 99999999999999", "is cut off"),
-    (b"vertex 7", b"vertex -1", "holds no points"),
+    (b"vertex 7", b"vertex -1", "holds no readable points"),
     (b"vertex 7", b"vertex x", "header cannot be read"),
-    (b"little", b"big", "format binary_big_endian"),
+    (b"little", b"middle", "format binary_middle_endian"),
     (b"double z", b"list uchar int z", "header cannot be read"),
-    (b"property double z\n", b"", "holds no points"),
+    (b"property double z\n", b"", "holds no readable points"),
     (b"end_header", b"", "is not a PLY file"),
 ])  # fmt: skip
 def test_damage_is_named(tmp_path: Path, old: bytes, new: bytes, words: str) -> None:

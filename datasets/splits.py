@@ -1,0 +1,21 @@
+"""Held-out views: every Nth view for testing, and folds for cross-validation."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.scene import View
+
+
+def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
+    """The views with every `every`-th by sorted name, from the first on, as "test" and the rest as "train"; 0 for no test views."""
+    views = tuple(views)
+    test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
+    return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
+
+
+def folds(count: int, most: int) -> NDArray[np.int64]:
+    """(count,) fold of each of `count` views, in up to `most` folds: fold k holds out every `most`-th view from view k on."""
+    return np.arange(count) % max(min(most, count), 1)
