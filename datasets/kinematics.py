@@ -1,12 +1,12 @@
-"""Forward kinematics of a serial arm: joint angles [rad] to `base_from_flange` [m], and how it changes with them.
+"""Forward kinematics of a serial arm: joint angles [rad] to `base_from_flange` [m], and its derivative.
 
-Base and flange are those of the teach pendant. The links are Denavit-Hartenberg frames with the maker's parameters
+Base and flange are those of the teach pendant. The links are Denavit-Hartenberg frames with the manufacturer's parameters
 (Universal Robots, "DH parameters for calculations of kinematics and dynamics", UR5e):
 
     previous_from_link = rot_z(theta) trans_z(d) trans_x(a) rot_x(alpha)
 
-A real arm differs from them, by up to centimetres: they serve planning, and small changes of measured poses. Measured poses come
-from the controller.
+A real arm differs from them by up to centimetres. They are good enough for planning and for small corrections of measured poses,
+which come from the controller.
 """
 
 from dataclasses import dataclass
@@ -30,9 +30,9 @@ class Links:
     """Added to the joint angles; zero for the nominal arm."""
 
     def calibrated(self, rng: np.random.Generator, length_m: float, angle_rad: float) -> "Links":
-        """An arm as built: each parameter off by a normal error of the given standard deviations.
+        """An arm as built: every parameter has a normal error of the given standard deviation.
 
-        The second and third joint axes are parallel, so that only the sum of their d counts: it gets one error.
+        The second and third joint axes are parallel, so only the sum of their d matters, and it gets one error.
         """
         length, angle = rng.normal(0, length_m, (2, 6)), rng.normal(0, angle_rad, (2, 6))
         length[0, 1] = 0.0
@@ -75,7 +75,7 @@ def forward(joints: ArrayLike, links: Links = UR5E) -> Array:
 
 
 def jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
-    """(..., 6, 6) velocity of the flange [m/s over rad/s] for (..., 6) joint speeds [rad/s]: linear rows, then angular, in the base."""
+    """(..., 6, 6) Jacobian: flange velocity [m/s, rad/s] per joint speed [rad/s], linear rows first, in base axes."""
     frames = link_frames(joints, links)
     axes, origins = frames[..., :6, :3, 2], frames[..., :6, :3, 3]
     columns = np.concatenate([np.cross(axes, frames[..., 6:, :3, 3] - origins), axes], axis=-1)
@@ -83,16 +83,16 @@ def jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
 
 
 def flange_jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
-    """`jacobian` with the velocity in the flange's own axes."""
+    """`jacobian` with the velocity in flange axes."""
     in_base, flange_from_base = jacobian(joints, links), np.swapaxes(forward(joints, links)[..., :3, :3], -1, -2)
     return np.concatenate([flange_from_base @ in_base[..., :3, :], flange_from_base @ in_base[..., 3:, :]], axis=-2)
 
 
 def turned(base_from_flange: ArrayLike, joints: ArrayLike, offsets: ArrayLike, links: Links = UR5E) -> Array:
-    """(..., 4, 4) where the flange is if each joint stands further by its offset than the arm knew when it reported its pose.
+    """(..., 4, 4) pose of the flange if each joint angle differs by its offset from the one the arm reported.
 
-    The change alone is computed from `links`: by nominal ones it is wrong by the size of the offset times the angle between the axes as
-    drawn and as built, a thousandth of itself.
+    Only the change is computed from `links`. Nominal links make it wrong by the offset times the angle between nominal and real
+    axes, a thousandth of itself.
 
     Args:
         base_from_flange: (..., 4, 4) as reported [m].
@@ -101,8 +101,5 @@ def turned(base_from_flange: ArrayLike, joints: ArrayLike, offsets: ArrayLike, l
         links: the arm's parameters.
     """
     joints = np.asarray(joints, np.float64)
-    return (
-        np.asarray(base_from_flange, np.float64)
-        @ pose.inverse(forward(joints, links))
-        @ forward(joints + np.asarray(offsets, np.float64), links)
-    )
+    change = pose.inverse(forward(joints, links)) @ forward(joints + np.asarray(offsets, np.float64), links)
+    return np.asarray(base_from_flange, np.float64) @ change

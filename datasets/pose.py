@@ -13,7 +13,7 @@ from datasets.core.errors import DatasetError
 Matrix = NDArray[np.float64]
 
 FURTHEST = 1e12
-"""Positions further away than this [world unit] are mistakes: their squares and products would lose all digits."""
+"""Positions further away than this [world unit] are mistakes: their products would lose all digits."""
 
 
 def rigid(rotation: ArrayLike, translation: ArrayLike) -> Matrix:
@@ -71,7 +71,7 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 0, 1)) -
         raise ValueError("position and target coincide")
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, np.asarray(up, np.float64))
-    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any roll is as good
+    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any roll will do
         right = np.cross(forward, (0.0, 1.0, 0.0) if abs(forward[1]) < 0.9 else (1.0, 0.0, 0.0))
     right /= np.linalg.norm(right)
     return rigid(np.stack([right, np.cross(forward, right), forward], axis=-1), position)
@@ -94,17 +94,14 @@ def checked(pose: ArrayLike, *, where: object, tolerance: float = 1e-3) -> Matri
     if not np.isfinite(matrix).all():
         raise DatasetError("pose is not finite", where=where, why="it holds NaN or infinity", remedy="drop the frame")
     if np.abs(matrix).max() > FURTHEST:
-        raise DatasetError(
-            "pose is out of all range", where=where, why=f"it holds {np.abs(matrix).max():.3g}", remedy="drop the frame"
-        )
+        why = f"it holds {np.abs(matrix).max():.3g}"
+        raise DatasetError("pose is out of range", where=where, why=why, remedy="drop the frame")
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) < 0:
-        raise DatasetError(
-            "pose is left-handed", where=where, why="its determinant is negative", remedy="check the axis convention of the file"
-        )
+        why, remedy = "its determinant is negative", "check the axis convention of the file"
+        raise DatasetError("pose is left-handed", where=where, why=why, remedy=remedy)
     error = np.abs(u @ vt - matrix[:3, :3]).max()
     if error > tolerance:
-        raise DatasetError(
-            "pose is not a rotation and a translation", where=where, why=f"rotation is {error:.3g} away from orthonormal"
-        )
+        why = f"rotation is {error:.3g} away from orthonormal"
+        raise DatasetError("pose is not a rotation and a translation", where=where, why=why)
     return rigid(u @ vt, matrix[:3, 3])

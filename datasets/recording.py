@@ -1,11 +1,11 @@
-"""A recording: the folder that a capture leaves, written so that a kill at any moment loses nothing.
+"""A recording: the folder that a capture writes, safe against a kill at any moment.
 
-    RECORDING/manifest.json    what was asked for and with what: trajectory, rig, camera state, seed, versions
-    RECORDING/frames.jsonl     one line per exposure, appended and flushed to the disk after its image is there
+    RECORDING/manifest.json    configuration and equipment: trajectory, rig, camera state, seed, versions
+    RECORDING/frames.jsonl     one line per exposure, appended and flushed to the disk after its image
     RECORDING/images/*.png     lossless images
-    RECORDING/truth/           only from a simulation; read by evaluation and by nothing else
+    RECORDING/truth/           of a simulation only; read by evaluation and nothing else
 
-A frame counts once its line is complete; an image without a line is taken again on resume.
+A frame counts once its line is complete; an image without a line is recorded again on resume.
 """
 
 import json
@@ -27,7 +27,7 @@ MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "tr
 
 @dataclass(frozen=True)
 class Frame:
-    """One exposure: where the arm was, when, and the picture."""
+    """One exposure: pose of the arm, time, and image."""
 
     index: int
     """Index of the viewpoint in the trajectory."""
@@ -60,15 +60,11 @@ class Frame:
 
     @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
-        """Frame from `to_json`'s dictionary; raises DatasetError naming what is wrong in it."""
+        """Frame from `to_json`'s dictionary; raises DatasetError where it is not valid."""
         try:
-            frame = cls(
-                **{
-                    **content,
-                    "joints": np.asarray(content["joints"], np.float64),
-                    "base_from_flange": pose.checked(content["base_from_flange"], where=where),
-                }
-            )
+            arrays = {"joints": np.asarray(content["joints"], np.float64)}
+            arrays["base_from_flange"] = pose.checked(content["base_from_flange"], where=where)
+            frame = cls(**{**content, **arrays})
         except (TypeError, KeyError, ValueError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
         if frame.joints.shape != (6,) or not np.isfinite(frame.joints).all():
@@ -78,7 +74,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording on disk. `manifest` is what `create` was given, with format, version and software added."""
+    """A recording on disk. `manifest` is the argument of `create` with format and version added."""
 
     path: Path
     manifest: dict[str, Any]
@@ -86,7 +82,7 @@ class Recording:
 
     @classmethod
     def create(cls, path: Path, manifest: dict[str, Any]) -> Self:
-        """Start a new recording in a folder that is missing or empty. Raises UsageError where it holds something."""
+        """Start a new recording in a folder that is missing or empty. Raises UsageError where it is not empty."""
         path = Path(path)
         files.refuse_existing(path)
         (path / IMAGES).mkdir(parents=True, exist_ok=True)
@@ -99,13 +95,12 @@ class Recording:
         """Read a recording, complete or not. A last line cut off by a kill is dropped; any other damage raises."""
         path = Path(path)
         if not (path / MANIFEST).is_file():
-            raise UsageError(
-                "is not a recording", where=path, why=f"no {MANIFEST} in it", remedy="give a folder made by 'capture run'"
-            )
+            why, remedy = f"no {MANIFEST} in it", "give a folder made by 'capture run'"
+            raise UsageError("is not a recording", where=path, why=why, remedy=remedy)
         manifest = files.read_json(files.inside(path, MANIFEST), kind=FORMAT, version=VERSION)
         lines = _lines(files.inside(path, FRAMES))
         frames = []
-        for number, line in enumerate(lines[:-1], 1):  # what follows the last newline was never finished
+        for number, line in enumerate(lines[:-1], 1):  # text after the last newline is an incomplete line
             where = f"{path / FRAMES}, line {number}"
             try:
                 content = json.loads(line)
@@ -117,14 +112,14 @@ class Recording:
         return cls(path, manifest, frames)
 
     def append(self, frame: Frame) -> None:
-        """Make a frame part of the recording; returns once it is on the disk. Its image must be there already."""
+        """Add a frame; returns once it is on the disk. Its image must exist already."""
         path = self.path / FRAMES
         line = json.dumps(frame.to_json(), allow_nan=False) + "\n"
         with open(path, "r+b" if path.exists() else "w+b") as file:
             for _ in self.frames:
                 file.readline()
             file.seek(file.tell())
-            file.truncate()  # drops what a kill left of a line
+            file.truncate()  # drops an incomplete line left by a kill
             file.write(line.encode())
             file.flush()
             os.fsync(file.fileno())
@@ -132,7 +127,7 @@ class Recording:
 
     @property
     def trajectory(self) -> dict[str, Any]:
-        """The resolved trajectory that was asked for."""
+        """The resolved trajectory of the request."""
         return self.manifest["trajectory"]
 
     def image_path(self, frame: Frame) -> Path:

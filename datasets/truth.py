@@ -1,4 +1,4 @@
-"""What a simulation knows to be true, beside what was found. For evaluation alone: nothing else reads RECORDING/truth."""
+"""Comparison with the ground truth of a simulation. Only evaluation reads RECORDING/truth."""
 
 from pathlib import Path
 from typing import Any
@@ -21,18 +21,17 @@ def has_truth(recording: Path) -> bool:
 
 
 def calibration_error(recording: Path, calibration: Calibration) -> dict[str, Any]:
-    """How far a calibration is from the rig that made a recording.
+    """Error of a calibration against the true geometry of the simulated rig.
 
     Returns:
-        `hand_eye_mm` and `hand_eye_deg`, the error of flange_from_camera; `camera_mm` and `camera_deg`, that of the
-        cameras' poses as a scene built from the recording would have them (median over its frames), the arm's own error
-        included.
+        `hand_eye_mm` and `hand_eye_deg`: error of flange_from_camera. `camera_mm` and `camera_deg`: median error of the camera
+        poses that a scene of this recording would have, the arm's own error included.
 
     Raises:
         UsageError: the recording is of a real rig, or the calibration holds no hand-eye pose.
     """
     if not has_truth(recording):
-        raise UsageError("recording knows no truth", where=recording, remedy="only simulated recordings have one")
+        raise UsageError("recording has no ground truth", where=recording, remedy="only simulated recordings have it")
     if calibration.flange_from_camera is None:
         raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     source = Path(recording) / TRUTH / POSES
@@ -43,18 +42,10 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
     frames = [frame for frame in Recording.open(recording).frames if frame.name in content["base_from_camera"]]
     if not frames:
         raise UsageError("recording holds no frames", where=recording, remedy="record it first")
-    cameras = [
-        pose.difference(
-            calibration.camera_pose(frame.base_from_flange, frame.joints),
-            pose.checked(content["base_from_camera"][frame.name], where=source),
-        )
-        for frame in frames
-    ]
+    cameras = []
+    for frame in frames:
+        expected = pose.checked(content["base_from_camera"][frame.name], where=source)
+        cameras.append(pose.difference(calibration.camera_pose(frame.base_from_flange, frame.joints), expected))
     camera_shift, camera_turn = np.median(cameras, axis=0)
-    return {
-        "hand_eye_mm": float(1e3 * shift),
-        "hand_eye_deg": float(np.rad2deg(turn)),
-        "frames": len(frames),
-        "camera_mm": float(1e3 * camera_shift),
-        "camera_deg": float(np.rad2deg(camera_turn)),
-    }
+    errors = {"hand_eye_mm": float(1e3 * shift), "hand_eye_deg": float(np.rad2deg(turn)), "frames": len(frames)}
+    return errors | {"camera_mm": float(1e3 * camera_shift), "camera_deg": float(np.rad2deg(camera_turn))}

@@ -178,8 +178,11 @@ def _resolve(location: Place, content: Any, models: list[type[BaseModel]]) -> tu
     """
     place: Place = ()
     for part in location:
-        if (isinstance(content, dict) and part in content) or (isinstance(content, list) and isinstance(part, int)):
-            content = content[part]
+        inside: dict[Any, Any] = (
+            dict(enumerate(content)) if isinstance(content, list) else content if isinstance(content, dict) else {}
+        )
+        if part in inside:
+            content = inside[part]
             place = (*place, part)
             fields = [m.model_fields[part] for m in models if part in m.model_fields]
             inner = [m for field in fields for m in _models_in(field.annotation)]

@@ -1,1 +1,1 @@
-"""Pictures: reading, resampling, undistortion, regions of the sensor."""
+"""Images: reading, resampling, undistortion, regions of the sensor."""

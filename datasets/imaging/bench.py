@@ -1,4 +1,4 @@
-"""How fast pictures are read and made smaller here, and in how much memory."""
+"""Time and memory needed to read images and shrink them."""
 
 import resource
 import tempfile
@@ -13,13 +13,13 @@ from datasets.imaging import downscale, images
 def read_and_shrink(
     count: int = 50, *, width: int = 1920, height: int = 1080, factor: int = 4, suffix: str = ".png"
 ) -> dict[str, float]:
-    """Read `count` pictures and make them smaller, two at a time.
+    """Read `count` images and shrink them, two at a time.
 
-    The pictures look like photographs: smooth, with a grey level of noise, so that they are as hard to decode.
+    The images are smooth with one grey level of noise, so that decoding costs as much as for photographs.
 
     Returns:
-        `seconds` and `seconds_per_image` by the clock, `cpu_seconds` of all processors together, `peak_growth_mb` after the first ten pictures (0 where memory does not
-        grow with their number), and what was read.
+        `seconds` and `seconds_per_image` of wall time, `cpu_seconds` of all cores, `peak_growth_mb` of memory after the first ten
+        images (0 where memory does not grow with their number), and what was read.
     """
     random = np.random.default_rng(0)
     columns, rows = np.meshgrid(np.linspace(0, 9, width), np.linspace(0, 7, height))
@@ -40,19 +40,10 @@ def read_and_shrink(
             if number == min(9, count - 1):
                 settled = _peak_kb()
         seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - start_cpu
-    return {
-        "images": count,
-        "width": width,
-        "height": height,
-        "factor": factor,
-        "file_mb": megabytes,
-        "seconds": seconds,
-        "cpu_seconds": cpu_seconds,
-        "seconds_per_image": seconds / count,
-        "peak_growth_mb": (_peak_kb() - settled) / 1e3,
-        "small_width": target.shape[1],
-        "small_height": target.shape[0],
-    }
+    read = {"images": count, "width": width, "height": height, "factor": factor, "file_mb": megabytes}
+    small = {"small_width": target.shape[1], "small_height": target.shape[0]}
+    times = {"seconds": seconds, "cpu_seconds": cpu_seconds, "seconds_per_image": seconds / count}
+    return {**read, **times, "peak_growth_mb": (_peak_kb() - settled) / 1e3, **small}
 
 
 def _peak_kb() -> int:

@@ -1,6 +1,6 @@
-"""Pictures made smaller, file by file: area averages of linear light, the file's depth and metadata kept.
+"""Shrinking image files by area averages of linear light; bit depth and metadata are kept.
 
-One picture for each worker is in memory at a time, so that memory does not grow with their number.
+Each worker holds one image at a time, so memory does not grow with their number.
 """
 
 from collections import deque
@@ -24,12 +24,12 @@ Result = TypeVar("Result")
 
 
 def camera(full: Camera, factor: int) -> Camera:
-    """The camera of a picture at 1/`factor` of its size, rounded to whole pixels."""
+    """The camera of an image at 1/`factor` of its size, rounded to whole pixels."""
     return full.scaled(max(round(full.width / factor), 1), max(round(full.height / factor), 1))
 
 
 def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDArray[Any]:
-    """(height, width, channels) of an image file at another size, as deep as the file: uint8, uint16 or float32.
+    """(height, width, channels) of an image file at another size, with the bit depth of the file: uint8, uint16 or float32.
 
     Args:
         path: file to read. Integers are sRGB, floats linear light; a second or fourth channel is a straight alpha.
@@ -53,7 +53,7 @@ def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDAr
 
 @dataclass(frozen=True)
 class Job:
-    """One picture to write at another size; the suffix of `target` says the format."""
+    """One image to write at another size; the suffix of `target` selects the format."""
 
     source: Path
     target: Path
@@ -63,7 +63,7 @@ class Job:
     """As of `shrunk`."""
 
     def run(self) -> None:
-        """Write the picture, its metadata kept. Raises DatasetError where `target` exists, or `source` is missing or damaged."""
+        """Write the image with its metadata. Raises DatasetError where `target` exists, or `source` is missing or damaged."""
         if self.target.exists():
             raise DatasetError("two views would share a file", where=self.target, remedy="give each view its own name")
         small = shrunk(self.source, self.width, self.height, colours=self.colours)
@@ -71,15 +71,15 @@ class Job:
 
 
 def run(jobs: Iterable[Job], *, workers: int = 2) -> None:
-    """Run all jobs, `workers` at a time, each with one picture in memory. Raises as `Job.run` does, at the first that fails."""
+    """Run all jobs, `workers` at a time. Raises as `Job.run` does, at the first that fails."""
     for _ in streamed(Job.run, jobs, workers=workers):
         pass
 
 
 def folders(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Callable[[View, Path], str]) -> None:
-    """For each N of `sizes`, `images_N/` and `masks_N/` below `folder` with the views' pictures at 1/N of their size.
+    """For each N of `sizes`, `images_N/` and `masks_N/` below `folder` with the views' images at 1/N of their size.
 
-    `name` gives a file's name from its view and the file that it is made from.
+    `name` gives the name of a new file from its view and its source file.
     """
     jobs = []
     for size, view in product(sizes, views):
@@ -92,9 +92,9 @@ def folders(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Cal
 
 
 def streamed(work: Callable[[Item], Result], items: Iterable[Item], *, workers: int = 2) -> Iterator[Result]:
-    """Results of `work` in the order of `items`, `workers` of them under way at a time: memory does not grow with their number.
+    """Results of `work` in the order of `items`, computed by `workers` threads that never run far ahead.
 
-    Decoding and averaging run outside Python's lock, so threads do.
+    Threads suffice: decoding and averaging release Python's lock.
     """
     waiting: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(workers) as pool:

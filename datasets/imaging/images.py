@@ -1,7 +1,7 @@
-"""Pictures on disk and in memory. The only module that knows OpenImageIO.
+"""Images on disk and in memory. The only module that imports OpenImageIO.
 
-In memory a picture is (height, width, channels). 8- and 16-bit files are scaled to 0..1 and otherwise left as they
-are: an sRGB file gives sRGB values, alpha stays straight. Float files (EXR, TIFF) are read as they are.
+In memory an image is (height, width, channels). 8- and 16-bit files are scaled to 0..1 and not converted otherwise: an sRGB
+file gives sRGB values, alpha stays straight. Float files (EXR, TIFF) are not scaled.
 """
 
 import errno
@@ -18,39 +18,27 @@ from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 
 MAX_PIXELS = 2**28
-"""Headers that promise more than this are refused before anything is decoded."""
+"""Larger images are refused before anything is decoded."""
 MOST_SHRUNK = 1200
-"""Bytes that a byte of a file can stand for at most: deflate's 1032, and something for headers."""
+"""Largest compression ratio of a valid file: deflate's 1032, and a margin for headers."""
 MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x76\x2f\x31\x01")
 """First bytes of the formats that are read: PNG, JPEG, TIFF, BigTIFF, EXR."""
 DESCRIPTIVE = frozenset(
-    {
-        "Make",
-        "Model",
-        "Software",
-        "DateTime",
-        "Artist",
-        "Copyright",
-        "ImageDescription",
-        "ExposureTime",
-        "FNumber",
-        "XResolution",
-        "YResolution",
-        "ResolutionUnit",
-    }
+    "Make Model Software DateTime Artist Copyright ImageDescription ExposureTime FNumber "
+    "XResolution YResolution ResolutionUnit".split()
 )
-"""Headers without a prefix that `metadata` keeps."""
+"""Header entries without a prefix that `metadata` keeps."""
 _STEPS = {"uint8": 255, "uint16": 65535}
 FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
-"""Files that hold float as it is; the others get 8 bits."""
+"""Formats that store floats; the others get 8 bits."""
 
 
 def read(path: Path) -> NDArray[np.float32]:
-    """(height, width, channels) float32 of an image file, turned as its orientation tag says.
+    """(height, width, channels) float32 of an image file, rotated by its orientation tag.
 
     Raises:
         UsageError: there is no such file.
-        DatasetError: it is no image, cut off, or larger than `MAX_PIXELS`.
+        DatasetError: it is not an image, cut off, or larger than `MAX_PIXELS`.
     """
     return _decoded(path, "float")
 
@@ -61,13 +49,13 @@ def read_stored(path: Path) -> NDArray[Any]:
 
 
 def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
-    """The picture as numbers of a kind; None for the file's own."""
+    """The image as an array of type `kind`; None for that of the file."""
     source, orientation = _open(path)
     stored = str(source.spec().format)
     try:
         pixels = source.read_image(kind or (stored if stored in _STEPS else "float"))
         complaint = source.geterror()
-    except (MemoryError, UnicodeDecodeError) as error:  # the second: the library quotes what it stumbled over
+    except (MemoryError, UnicodeDecodeError) as error:  # UnicodeDecodeError: the message quotes damaged bytes
         pixels, complaint = None, type(error).__name__
     finally:
         source.close()
@@ -95,7 +83,7 @@ def channels(path: Path) -> int:
 
 
 def steps(path: Path) -> int:
-    """255 or 65535 for files of integers, which `read` divides by it; 1 for floats. From the header alone."""
+    """The divisor of `read`, from the header alone: 255 or 65535 for integers, 1 for floats."""
     source, _ = _open(path)
     kind = str(source.spec().format)
     source.close()
@@ -103,37 +91,31 @@ def steps(path: Path) -> int:
 
 
 def metadata(path: Path) -> dict[str, str | int | float]:
-    """What an image's header says of how it was taken: camera, exposure, time, description. Not what belongs to its pixels.
+    """How an image was taken, from its header: camera, exposure, time, description.
 
-    The orientation is left out, since `read` has turned the picture by it. Raises as `read` does.
+    The orientation is left out, since `read` applies it. Raises as `read` does.
     """
     source, _ = _open(path)
     found: dict[str, Any] = {}
     for entry in source.spec().extra_attribs:
         try:
             found[entry.name] = entry.value
-        except UnicodeDecodeError:  # a text in another coding; nothing depends on it
+        except UnicodeDecodeError:  # text in another encoding, which nothing depends on
             continue
     source.close()
-    return {
-        name: value
-        for name, value in found.items()
-        if isinstance(value, str | int | float)
-        and name != "Orientation"
-        and (name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE)
-    }
+    kept = [name for name in found if name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE]
+    return {name: found[name] for name in kept if isinstance(found[name], str | int | float) and name != "Orientation"}
 
 
 def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | float] | None = None) -> None:
-    """Write (height, width) or (height, width, channels) atomically; the suffix says the format.
+    """Write (height, width) or (height, width, channels) atomically; the suffix selects the format.
 
-    uint8 and uint16 are stored as given. Float goes as float32 into EXR and TIFF, elsewhere it is taken as 0..1 and
-    rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` goes into the header as far as the format has
-    room for it.
+    uint8 and uint16 are stored unchanged. Floats are stored as float32 in EXR and TIFF; elsewhere they are taken as 0..1 and
+    rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` is stored as far as the format allows.
 
     Raises:
         DatasetError: the format cannot hold the array.
-        OSError: the disk is full or refuses.
+        OSError: the disk is full or not writable.
     """
     import OpenImageIO as oiio
 
@@ -157,8 +139,8 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
             raise DatasetError("image format cannot be written", where=path, why=f"suffix {path.suffix!r}")
         target = oiio.ImageBuf(spec)
         target.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
-        good = target.write(str(temporary))  # one call: of a file that Ctrl-C finds open without pixels, libpng complains aloud
-        if shutil.disk_usage(path.parent).free < max(pixels.nbytes, 2**20):  # encoders keep silent about the last block
+        good = target.write(str(temporary))  # in one call: libpng prints a message if Ctrl-C comes between opening and writing
+        if shutil.disk_usage(path.parent).free < max(pixels.nbytes, 2**20):  # encoders do not report a failure of the last block
             good = good and _is_whole(temporary)
             if not good:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
@@ -167,7 +149,7 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
 
 
 def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
-    """0..1 rounded to 0..255; what is outside is clipped. Raises DatasetError where a value is NaN."""
+    """0..1 clipped and rounded to 0..255. Raises DatasetError where a value is NaN."""
     array = np.asarray(array, np.float32)
     if np.isnan(array).any():
         raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
@@ -175,7 +157,7 @@ def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
 
 
 def to_uint16(array: ArrayLike) -> NDArray[np.uint16]:
-    """0..1 rounded to 0..65535; what is outside is clipped. Raises DatasetError where a value is NaN."""
+    """0..1 clipped and rounded to 0..65535. Raises DatasetError where a value is NaN."""
     array = np.asarray(array, np.float64)
     if np.isnan(array).any():
         raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
@@ -189,14 +171,14 @@ def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:
 
 
 def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
-    """sRGB values from linear light; above 1 the curve goes on."""
+    """sRGB values from linear light; the curve continues above 1."""
     linear = np.asarray(linear, np.float32)
     bright = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
 
 
 def linear_from_stored(stored: NDArray[Any]) -> NDArray[np.float32]:
-    """Linear light of what `read_stored` gives, alpha (the second or fourth channel) as it is. Integers go through a table."""
+    """Linear light of the result of `read_stored`; alpha, the second or fourth channel, is only scaled to 0..1."""
     if stored.dtype == np.float32:
         return stored.astype(np.float32)
     top = np.iinfo(stored.dtype).max
@@ -208,10 +190,10 @@ def linear_from_stored(stored: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> NDArray[np.float32]:
-    """Area average to (height, width, channels), any factor: each new pixel is the mean light of what it covers.
+    """Area average to (height, width, channels), for any factor: each new pixel is the mean light of the area it covers.
 
-    Light adds up where it is linear and weighted by alpha, so colours are averaged there and brought back.
-    With `srgb=False` the values are averaged as they are (masks, depth, linear light without alpha).
+    Colours are averaged as linear light weighted by alpha, then converted back. With `srgb=False` the values are averaged
+    unchanged (masks, depth, linear light without alpha).
     Channels: 1 or 3 colour, 2 or 4 colour and straight alpha.
     """
     pixels = np.asarray(array, np.float32)
@@ -228,7 +210,7 @@ def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> N
 
 
 def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """`resize` of linear light: 1 or 3 channels of colour, 2 or 4 of colour and straight alpha, by which it is weighted."""
+    """`resize` of linear light: 1 or 3 channels of colour, or 2 or 4 with a straight alpha, which weights the colours."""
     if light.shape[:2] == (height, width) or light.shape[-1] not in (2, 4):
         return _area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
     alpha = light[..., -1:]
@@ -270,7 +252,7 @@ def _open(path: Path) -> tuple[Any, int]:
         raise UsageError("no such image", where=path, remedy="check the path")
     with open(path, "rb") as file:
         if not file.read(4).startswith(MAGIC):  # the library would try dozens of other formats, some of which run programs
-            why = "the file is empty" if path.stat().st_size == 0 else "it is no PNG, JPEG, TIFF or EXR"
+            why = "the file is empty" if path.stat().st_size == 0 else "it is not a PNG, JPEG, TIFF or EXR"
             raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
@@ -287,12 +269,8 @@ def _open(path: Path) -> tuple[Any, int]:
         raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}x{spec.nchannels}")
     if spec.image_bytes() > MOST_SHRUNK * path.stat().st_size + 2**16:
         source.close()
-        raise DatasetError(
-            "image cannot be read",
-            where=path,
-            remedy="copy it again",
-            why=f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes",
-        )
+        why = f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes"
+        raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
     return source, int(spec.getattribute("Orientation") or 1)
 
 
@@ -305,7 +283,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def _upright(pixels: NDArray[np.float32], orientation: int) -> NDArray[np.float32]:
-    """Undo an EXIF orientation: 5 to 8 swap rows and columns, the rest mirrors."""
+    """Undo an EXIF orientation: 5 to 8 transpose, the others only mirror."""
     if orientation >= 5:
         pixels = pixels.transpose(1, 0, 2)
     if orientation in (3, 4, 7, 8):

@@ -1,7 +1,7 @@
-"""Which part of the sensor a picture shows: region of interest and binning, and what they do to the intrinsics.
+"""Region of interest and binning of a sensor, and their effect on intrinsics.
 
-A lens is calibrated for the whole sensor; a recording may read out less of it. Both pictures are areas of the same
-sensor in our pixel convention, so that the change is exact: shift by the offset, then divide by the binning.
+Calibration and recording may read out different regions of one sensor. In our pixel convention the conversion is exact: divide
+by the binning, then shift by the offset.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +13,7 @@ from datasets.core.errors import DatasetError
 
 @dataclass(frozen=True)
 class Region:
-    """Width, height and offsets in pixels of the picture, that is after binning."""
+    """Width, height and offsets in image pixels, that is after binning."""
 
     width: int
     height: int
@@ -22,36 +22,22 @@ class Region:
     offset_y: int = 0
     """Upper edge on the sensor [binned px]."""
     binning: int = 1
-    """Sensor pixels per picture pixel along both axes."""
+    """Sensor pixels per image pixel along both axes."""
 
     def camera(self, sensor: Camera) -> Camera:
-        """The camera of this region's pictures, given that of the whole unbinned sensor."""
+        """The camera of this region's images, given that of the whole unbinned sensor."""
         b = self.binning
-        return replace(
-            sensor,
-            width=self.width,
-            height=self.height,
-            fx=sensor.fx / b,
-            fy=sensor.fy / b,
-            cx=sensor.cx / b - self.offset_x,
-            cy=sensor.cy / b - self.offset_y,
-        )
+        cx, cy = sensor.cx / b - self.offset_x, sensor.cy / b - self.offset_y
+        return replace(sensor, width=self.width, height=self.height, fx=sensor.fx / b, fy=sensor.fy / b, cx=cx, cy=cy)
 
     def sensor_camera(self, camera: Camera, width: int, height: int) -> Camera:
-        """The camera of the whole sensor of `width` x `height` [px], given that of this region's pictures."""
+        """The camera of the whole sensor of `width` x `height` [px], given that of this region's images."""
         b = self.binning
-        return replace(
-            camera,
-            width=width,
-            height=height,
-            fx=camera.fx * b,
-            fy=camera.fy * b,
-            cx=(camera.cx + self.offset_x) * b,
-            cy=(camera.cy + self.offset_y) * b,
-        )
+        cx, cy = (camera.cx + self.offset_x) * b, (camera.cy + self.offset_y) * b
+        return replace(camera, width=width, height=height, fx=camera.fx * b, fy=camera.fy * b, cx=cx, cy=cy)
 
     def converted(self, camera: Camera, to: "Region") -> Camera:
-        """The camera of pictures of region `to`, given that of this region's pictures."""
+        """The camera of images of region `to`, given that of this region's images."""
         return to.camera(self.sensor_camera(camera, self.width * self.binning, self.height * self.binning))
 
     def to_json(self) -> dict[str, int]:
@@ -60,7 +46,7 @@ class Region:
 
     @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
-        """Region from `to_json`'s dictionary; raises DatasetError where it is not complete."""
+        """Region from `to_json`'s dictionary; raises DatasetError where it is not valid."""
         try:
             region = cls(**{key: int(value) for key, value in content.items()})
         except (TypeError, ValueError, AttributeError) as error:

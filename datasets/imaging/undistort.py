@@ -1,8 +1,7 @@
-"""From a real lens to a centred pinhole, for formats that hold nothing else.
+"""From a real lens to a centred pinhole, for formats without a lens model.
 
-The new camera stands where the old one stood. It is turned so that its axis meets the middle of the old picture (an
-off-centre lens thus costs no picture), keeps the focal length, so that pixels stay as large as they were, and is cut so
-that every pixel of it was seen.
+The new camera has the old one's position and focal length. Its axis is turned to the middle of the old image, so that an
+off-centre lens loses no part of it, and its image is cut so that every pixel was seen by the old camera.
 """
 
 from dataclasses import dataclass
@@ -15,16 +14,16 @@ from datasets import pose
 from datasets.camera_model import Camera
 
 COLOUR, SMOOTH, NEAREST = 5, 1, 0
-"""Orders of interpolation. COLOUR: quintic spline, nearly as sharp as a sinc, so that detail and noise survive (Thevenaz
-et al. 2000, "Interpolation Revisited"); SMOOTH: linear, never overshoots; NEAREST: for what must not be mixed."""
+"""Orders of interpolation. COLOUR: quintic spline, nearly as sharp as a sinc, which keeps detail and noise (Thevenaz et al. 2000,
+"Interpolation Revisited"). SMOOTH: linear, never overshoots. NEAREST: for values that must not be mixed."""
 
 BORDER = 12
-"""Pixels by which a picture is carried on around its border, slope and all, so that the spline has no kink there."""
+"""Pixels of antisymmetric padding around an image, which keep the spline smooth at the border."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A centred pinhole that sees what `source` saw."""
+    """A centred pinhole whose image `source` covers."""
 
     source: Camera
     camera: Camera
@@ -37,23 +36,23 @@ class Pinhole:
         return float(np.rad2deg(pose.rotation_angle(self.source_from_camera)))
 
     def source_pixels(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """(..., 2) pixels of the new picture to (..., 2) pixels of the old one."""
+        """(..., 2) pixels of the new image to (..., 2) pixels of the old one."""
         return self.source.project(self.camera.directions(pixels) @ self.source_from_camera[:3, :3].T)
 
     @cached_property
     def _centres(self) -> NDArray[np.float64]:
-        """(height, width, 2) where the new picture's pixel centres lie in the old one."""
+        """(height, width, 2) positions of the new pixel centres in the old image."""
         return self.source_pixels(self.camera.pixel_centres())
 
     def depth_factor(self) -> NDArray[np.float32]:
-        """(height, width, 1) what a depth along the old z is multiplied by to lie along the new z."""
+        """(height, width, 1) factor from depth along the old z to depth along the new z."""
         directions = self.camera.directions(self.camera.pixel_centres()) @ self.source_from_camera[:3, :3].T
         return (1 / directions[..., 2:]).astype(np.float32)
 
     def resample(self, picture: NDArray[np.float32], order: int = COLOUR) -> NDArray[np.float32]:
-        """(height, width, channels) of the new camera from the old one's picture; with COLOUR, values stay in 0..1.
+        """(height, width, channels) of the new camera from the old one's image; COLOUR clips to 0..1.
 
-        Two or four channels with COLOUR end in a straight alpha, by which the colours are weighted.
+        With COLOUR, the second or fourth channel is a straight alpha, which weights the colours.
         """
         from scipy.ndimage import map_coordinates
 
@@ -66,7 +65,7 @@ class Pinhole:
             map_coordinates(wider[..., k], [rows, columns], np.float32, order, mode="mirror") for k in range(picture.shape[-1])
         ]
         result = np.stack(channels, axis=-1)
-        if has_alpha:  # both overshoot alike at an edge: divide before either is clipped
+        if has_alpha:  # both overshoot alike at an edge, so divide before clipping
             alpha = result[..., -1:]
             result = np.concatenate([result[..., :-1] / np.where(alpha > 1e-3, alpha, 1.0), alpha], axis=-1)
         return (np.clip(result, 0, 1) if order == COLOUR else result).astype(np.float32)
@@ -74,10 +73,10 @@ class Pinhole:
 
 @lru_cache(maxsize=8)
 def pinhole(source: Camera) -> Pinhole:
-    """The largest centred pinhole of `source`'s shape that sees only what `source` saw.
+    """The largest centred pinhole with the aspect ratio of `source` whose image `source` covers.
 
     Raises:
-        ValueError: the lens folds over so early that no picture is left.
+        ValueError: the lens distorts so strongly that no image is left.
     """
     axis = source.directions([source.width / 2, source.height / 2])
     source_from_camera = np.eye(4) if source.is_centred else _turn(axis / np.linalg.norm(axis))
@@ -95,7 +94,7 @@ def pinhole(source: Camera) -> Pinhole:
         low, high = (middle, high) if _is_seen(sized(middle)) else (low, middle)
     found = sized(low)
     if min(found.camera.width, found.camera.height) < 2:
-        raise ValueError("the lens leaves no picture")
+        raise ValueError("the lens leaves no image")
     return found
 
 
@@ -108,15 +107,11 @@ def _turn(axis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _is_seen(candidate: Pinhole) -> bool:
-    """True where every pixel on the border lies between pixel centres of the source, and the lens does not fold there."""
+    """True where the whole border lies between pixel centres of the source and its distortion is invertible there."""
     camera, source = candidate.camera, candidate.source
     columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
-    border = np.concatenate(
-        [
-            np.stack(np.broadcast_arrays(*pair), axis=-1)
-            for pair in ((columns, rows[0]), (columns, rows[-1]), (columns[0], rows), (columns[-1], rows))
-        ]
-    )
+    edges = ((columns, rows[0]), (columns, rows[-1]), (columns[0], rows), (columns[-1], rows))
+    border = np.concatenate([np.stack(np.broadcast_arrays(*edge), axis=-1) for edge in edges])
     rays = camera.directions(border) @ candidate.source_from_camera[:3, :3].T
     if (rays[:, 2] <= 0).any():
         return False

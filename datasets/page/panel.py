@@ -1,4 +1,4 @@
-"""A picture with words in the side panel, for each browser its own: two people look at different views."""
+"""A picture with text in the side panel, separate for each browser: two people can look at different views."""
 
 import threading
 
@@ -12,11 +12,11 @@ from datasets.page.server import Page
 Picture = NDArray[np.floating] | NDArray[np.uint8]
 
 WIDTH = 640
-"""Pictures are sent at this width at most [px]."""
+"""Largest width of pictures that are sent [px]."""
 
 
 class PicturePanel:
-    """A folder of the panel that shows one picture and a text in each browser; empty until something is chosen."""
+    """A folder of the panel with one picture and a text per browser; empty until something is selected."""
 
     def __init__(self, page: Page, title: str, hint: str) -> None:
         self._folder = page.gui.add_folder(title)
@@ -28,12 +28,12 @@ class PicturePanel:
         page.server.on_client_disconnect(lambda client: self._forget(client.client_id))
 
     def show(self, client: viser.ClientHandle, words: str, picture: Picture | None) -> None:
-        """Show Markdown and a picture in one browser instead of what was there.
+        """Replace what one browser shows by Markdown and a picture.
 
         Args:
             client: the browser.
             words: Markdown.
-            picture: (height, width, 1 to 4) sRGB in 0..1, or bytes; None for words alone.
+            picture: (height, width, 1 to 4) sRGB in 0..1, or bytes; None for text only.
         """
         pixels = None if picture is None else bytes_of(picture, WIDTH)
         with self._lock:
@@ -64,4 +64,4 @@ def bytes_of(picture: Picture, width: int) -> NDArray[np.uint8]:
         values = values[..., :-1] * values[..., -1:] + 1 - values[..., -1:]
     if values.shape[-1] == 1:
         values = np.repeat(values, 3, axis=-1)
-    return images.to_uint8(np.where(np.isnan(values), 0, values))  # what has no value, as depth where nothing is, is black
+    return images.to_uint8(np.where(np.isnan(values), 0, values))  # NaN, such as the depth of empty pixels, becomes black

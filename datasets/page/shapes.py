@@ -1,4 +1,4 @@
-"""What pages draw: cameras, boxes, capsules, marks. Sizes in the world unit of what is shown."""
+"""Shapes on pages: cameras, boxes, capsules, markers. Sizes are in the world unit of the scene."""
 
 from collections.abc import Sequence
 
@@ -14,47 +14,41 @@ from datasets.structure.bounds import corners
 Colour = tuple[int, int, int]
 
 COLOURS: dict[str, Colour] = {
-    "train": (31, 119, 180),
-    "val": (148, 103, 189),
-    "test": (214, 39, 40),
-    "calibration": (44, 160, 44),
-    "blocked": (120, 120, 120),
-    "error": (220, 20, 20),
-    "warning": (240, 150, 0),
-    "box": (190, 150, 30),
-}
-"""sRGB of what is drawn, by its meaning."""
+    "train": (31, 119, 180), "val": (148, 103, 189), "test": (214, 39, 40), "calibration": (44, 160, 44),
+    "blocked": (120, 120, 120), "error": (220, 20, 20), "warning": (240, 150, 0), "box": (190, 150, 30),
+}  # fmt: skip
+"""sRGB colours by meaning."""
 SIDES = 16
-"""Corners of the circles that capsules are made of."""
+"""Number of corners of the circles of capsules."""
 
 
 def colour_of(name: str) -> Colour:
-    """sRGB bytes of a split or another meaning; dark grey for what has none."""
+    """sRGB colour of a split or another meaning; dark grey for unknown names."""
     return COLOURS.get(name, (60, 60, 60))
 
 
 def legend(counts: dict[str, int]) -> str:
-    """Markdown that says which colour means what: a line for each name, with its count."""
+    """Markdown legend of colours: a line per name, with its count."""
     dots = (f'<span style="color: rgb{colour_of(name)}">&#9679;</span> {name}: {count}' for name, count in counts.items())
     return "  \n".join(dots)
 
 
-def placed(world_from_thing: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(4,) quaternion `wxyz` and (3,) position of a (4, 4) pose, as the page wants them."""
-    matrix = np.asarray(world_from_thing, np.float64)
+def placed(world_from_object: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(4,) quaternion `wxyz` and (3,) position of a (4, 4) pose, in viser's form."""
+    matrix = np.asarray(world_from_object, np.float64)
     return pose.quaternion(matrix), matrix[:3, 3]
 
 
 def add_camera(
     page: Page, name: str, world_from_camera: ArrayLike, camera: Camera, *, colour: Colour, length: float
 ) -> viser.CameraFrustumHandle:
-    """A viewing pyramid of `length` at a (4, 4) pose; the picture, where one is given later, lies on its far side."""
+    """A viewing frustum of `length` at a (4, 4) pose; an image that is set later lies on its far plane."""
     rotation, position = placed(world_from_camera)
-    half = 0.5 * camera.height / camera.fy
+    fov, aspect = 2 * float(np.arctan(0.5 * camera.height / camera.fy)), camera.width / camera.height
     return page.scene.add_camera_frustum(
         name,
-        fov=2 * float(np.arctan(half)),
-        aspect=camera.width / camera.height,
+        fov=fov,
+        aspect=aspect,
         scale=length / 2,
         thickness=1.5,
         thickness_units="screen",
@@ -67,7 +61,7 @@ def add_camera(
 
 
 def look_through(client: viser.ClientHandle, world_from_camera: ArrayLike, camera: Camera, *, distance: float) -> None:
-    """Put a browser's camera at a (4, 4) pose, with as high a field of view, turning about a point `distance` ahead."""
+    """Move a browser's camera to a (4, 4) pose with the same vertical field of view, orbiting a point `distance` ahead."""
     matrix = np.asarray(world_from_camera, np.float64)
     with client.atomic():
         client.camera.up_direction = -matrix[:3, 1]
@@ -77,32 +71,32 @@ def look_through(client: viser.ClientHandle, world_from_camera: ArrayLike, camer
 
 
 def box_edges(box: ArrayLike) -> NDArray[np.float64]:
-    """(12, 2, 3) edges of an upright box of (2, 3) corners."""
+    """(12, 2, 3) edges of an axis-aligned box of (2, 3) corners."""
     places = corners(box)
     return np.array([(places[i], places[i | bit]) for i in range(8) for bit in (1, 2, 4) if not i & bit])
 
 
 def add_box(page: Page, name: str, box: ArrayLike, *, colour: Colour) -> viser.LineSegmentsHandle:
-    """The edges of an upright box of (2, 3) corners."""
+    """The edges of an axis-aligned box of (2, 3) corners."""
     edges = box_edges(box).astype(np.float32)
     return page.scene.add_line_segments(name, edges, colour, thickness=1.5, thickness_units="screen")
 
 
 def add_lines(page: Page, name: str, segments: ArrayLike, *, colour: Colour, thickness: float = 1.5) -> viser.LineSegmentsHandle:
-    """(n, 2, 3) line segments, `thickness` in pixels of the screen."""
+    """(n, 2, 3) line segments, `thickness` in screen pixels."""
     ends = np.asarray(segments, np.float32)
     return page.scene.add_line_segments(name, ends, colour, thickness=thickness, thickness_units="screen")
 
 
 def add_mark(page: Page, name: str, words: str, position: ArrayLike, *, colour: Colour, size: float) -> None:
-    """A ball of radius `size` with a few words beside it, at (3,) `position`."""
+    """A labelled ball of radius `size` at (3,) `position`."""
     place = np.asarray(position, np.float64)
     page.scene.add_icosphere(f"{name}/ball", size, colour, subdivisions=2, position=place)
     page.scene.add_label(f"{name}/words", words, position=place, anchor="bottom-left")
 
 
 def capsule(ends: ArrayLike, radius: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """(n, 3) vertices and (m, 3) faces, outward, of all that lies within `radius` of the segment of (2, 3) `ends`."""
+    """(n, 3) vertices and (m, 3) outward faces of the capsule of `radius` about the segment of (2, 3) `ends`."""
     start, end = np.asarray(ends, np.float64)
     axis = end - start
     length = float(np.linalg.norm(axis))
@@ -120,7 +114,7 @@ def capsule(ends: ArrayLike, radius: float) -> tuple[NDArray[np.float32], NDArra
 
 
 def _tube_faces(rings: int) -> NDArray[np.uint32]:
-    """(m, 3) faces of rings of SIDES vertices each, closed by one vertex more at either end."""
+    """(m, 3) faces of rings of SIDES vertices each, closed by one more vertex at either end."""
     corner, following = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
     faces = [np.stack([np.full(SIDES, rings * SIDES), following, corner], -1)]
     for ring in range(rings - 1):
@@ -135,7 +129,7 @@ def _tube_faces(rings: int) -> NDArray[np.uint32]:
 
 
 def upright(world_from_cameras: Sequence[ArrayLike]) -> NDArray[np.float64]:
-    """(3,) unit direction that is up in most of the pictures; the world's z where that is not far from it."""
+    """(3,) mean up direction of the images as a unit vector; the world's z axis where it is close to it."""
     mean = -np.mean([np.asarray(matrix)[:3, 1] for matrix in world_from_cameras], axis=0)
     length = float(np.linalg.norm(mean))
     if length < 1e-6 or mean[2] > 0.7 * length:

@@ -1,6 +1,6 @@
-"""The page of a scene: cameras by split with their pictures, points, bounds, and what `datasets check` finds, where it is.
+"""The page of a scene: cameras by split with their images, points, bounds, and the findings of `datasets check` in place.
 
-The page is there at once; thumbnails and findings follow as they are made.
+The page opens at once; thumbnails and findings follow when they are ready.
 """
 
 from collections import Counter
@@ -20,17 +20,17 @@ from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 THUMBNAIL = 96
-"""Width of the pictures on the cameras [px]."""
+"""Width of the images on the cameras [px]."""
 MOST_POINTS = 200_000
-"""More points than this are thinned out."""
+"""Largest number of points shown; larger clouds are thinned."""
 
 
 class _Stopped(Exception):
-    """The page has ended while a check was under way."""
+    """The page was closed during a check."""
 
 
 class SceneView:
-    """What is on the page of one scene."""
+    """The content of the page of one scene."""
 
     def __init__(self, page: Page, scene: Scene) -> None:
         self.page, self.scene = page, scene
@@ -39,7 +39,7 @@ class SceneView:
         centre, spread = bounds.focus(matrices)
         self.centre = centre if spread > bounds.PARALLEL else scene.box.mean(0)
         self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
-        """Median distance of the cameras from what they look at [world unit]."""
+        """Median distance of the cameras from their focus [world unit]."""
         self.cameras: dict[str, viser.CameraFrustumHandle] = {}
         self._look()
         self._overview()
@@ -53,7 +53,7 @@ class SceneView:
         self.page.look(position, self.centre, up=self.up, size=self.reach)
 
     def _overview(self) -> None:
-        """Words on the scene, what to show, and a list of its views."""
+        """Add a legend, switches for what is shown, and a list of views."""
         gui, counts = self.page.gui, Counter(view.split for view in self.scene.views)
         gui.add_markdown(f"**{self.scene.name}** ({self.scene.provenance.get('format', 'koala')})\n\n{shapes.legend(counts)}")
         shown = {"cameras": self._show_cameras, "bounds": self._show("/bounds")}
@@ -96,24 +96,19 @@ class SceneView:
                 "/points", scene.points[::step].astype(np.float32), colours, point_size=0.004 * self.reach, precision="float32"
             )
         for view in scene.views:
-            handle = shapes.add_camera(
-                page,
-                f"/cameras/{view.split}/{view.name}",
-                view.world_from_camera,
-                view.camera,
-                colour=shapes.colour_of(view.split),
-                length=0.12 * self.reach,
-            )
+            name, colour = f"/cameras/{view.split}/{view.name}", shapes.colour_of(view.split)
+            length = 0.12 * self.reach
+            handle = shapes.add_camera(page, name, view.world_from_camera, view.camera, colour=colour, length=length)
             handle.on_click(lambda event, view=view: self._chosen(event.client, view.name))
             self.cameras[view.name] = handle
 
     def _chosen(self, client: viser.ClientHandle | None, name: str) -> None:
-        """Show the picture of a view in one browser."""
+        """Show the image of a view in one browser."""
         if client is None:
             return
         view = next(view for view in self.scene.views if view.name == name)
         try:
-            self.panel.show(client, words_on(view, metric=self.scene.metric), view.read())
+            self.panel.show(client, caption(view, metric=self.scene.metric), view.read())
         except KoalaError as error:
             client.add_notification(f"view {name}", str(error), color="red")
 
@@ -124,7 +119,7 @@ class SceneView:
             self._chosen(client, name)
 
     def add_thumbnails(self) -> None:
-        """Put each view's picture on its camera, one after the other; a view that cannot be read keeps an empty one."""
+        """Put each view's image on its camera; the cameras of unreadable views become red."""
         for view in self.scene.views:
             if self.page.stopping.is_set():
                 return
@@ -134,7 +129,7 @@ class SceneView:
                 self.cameras[view.name].color = shapes.COLOURS["error"]
 
     def add_findings(self, path: str | Path, *, matches: bool, **options: Any) -> list[Finding]:
-        """Check the scene and mark each finding where it is; arguments as of `check`. Empty where the page ended before."""
+        """Check the scene and mark each finding in place; arguments as of `check`. Empty where the page was closed before."""
 
         def done(count: int, total: int) -> None:
             self._findings.content = f"*checking: {count} of {total} views*"
@@ -152,46 +147,35 @@ class SceneView:
         return findings
 
     def _mark(self, index: int, finding: Finding) -> None:
-        """A ball and a word at the cameras that a finding is about; above the bounds where it is about the whole scene."""
-        colour, words = shapes.colour_of(finding.level), f"{finding.level}: {finding.what}"
+        """Mark the cameras that a finding is about, or the space above the box where it is about the whole scene."""
+        colour, words, size = shapes.colour_of(finding.level), f"{finding.level}: {finding.what}", 0.02 * self.reach
         concerned = views_of(finding, self.scene)
         for view in concerned:
-            shapes.add_mark(
-                self.page,
-                f"/findings/{index}/{view.name}",
-                words,
-                view.world_from_camera[:3, 3],
-                colour=colour,
-                size=0.02 * self.reach,
-            )
+            name, place = f"/findings/{index}/{view.name}", view.world_from_camera[:3, 3]
+            shapes.add_mark(self.page, name, words, place, colour=colour, size=size)
             self.cameras[view.name].color = colour
         if not concerned:
             above = self.scene.box.mean(0) + self.up * (0.6 * np.ptp(self.scene.box, axis=0).max() + 0.06 * index * self.reach)
-            shapes.add_mark(self.page, f"/findings/{index}/scene", words, above, colour=colour, size=0.02 * self.reach)
+            shapes.add_mark(self.page, f"/findings/{index}/scene", words, above, colour=colour, size=size)
 
 
 def views_of(finding: Finding, scene: Scene) -> list[View]:
-    """The views that a finding names: by name, or by one of their files. Empty: it is about the scene."""
+    """The views that a finding names, directly or by one of their files; none where it is about the scene."""
     where = finding.where
     named = [view for view in scene.views if where in (f"view {view.name}", f"camera of view {view.name}")]
     if named:
         return named
-    return [
-        view
-        for view in scene.views
-        if f"(view {view.name})" in where or where in {str(path) for path in (view.image, view.mask, *view.truth.values())}
-    ]
+    return [v for v in scene.views if f"(view {v.name})" in where or where in map(str, (v.image, v.mask, *v.truth.values()))]
 
 
 def thumbnail(view: View) -> np.ndarray:
-    """(h, w, 3) bytes of a view's picture, `THUMBNAIL` pixels wide. Raises as `View.read` does."""
-    return bytes_of(
-        images.resize(view.read(), THUMBNAIL, max(1, round(THUMBNAIL * view.camera.height / view.camera.width))), THUMBNAIL
-    )
+    """(h, w, 3) bytes of a view's image, `THUMBNAIL` pixels wide. Raises as `View.read` does."""
+    height = max(1, round(THUMBNAIL * view.camera.height / view.camera.width))
+    return bytes_of(images.resize(view.read(), THUMBNAIL, height), THUMBNAIL)
 
 
-def words_on(view: View, *, metric: bool) -> str:
-    """Markdown on one view; `metric` says whether positions are in metres."""
+def caption(view: View, *, metric: bool) -> str:
+    """Markdown about one view; `metric` for positions in metres."""
     camera, position = view.camera, ", ".join(f"{value:.4g}" for value in view.world_from_camera[:3, 3])
     lens = "pinhole" if camera.is_pinhole else "fisheye" if camera.fisheye else "distorted"
     truth = f"  \ntruth: {', '.join(sorted(view.truth))}" if view.truth else ""
@@ -203,7 +187,7 @@ def words_on(view: View, *, metric: bool) -> str:
 
 
 def show(page: Page, path: str | Path, scene: Scene, *, quick: bool = False, **options: Any) -> SceneView:
-    """Put a scene on a page; thumbnails and findings follow in the background.
+    """Show a scene on a page; thumbnails and findings follow in the background.
 
     Args:
         page: to draw on.
@@ -224,5 +208,5 @@ def show(page: Page, path: str | Path, scene: Scene, *, quick: bool = False, **o
 
 
 def describe(scene: Scene) -> dict[str, Any]:
-    """What the command says of the scene that it shows."""
+    """The figures of a scene that `datasets view` prints."""
     return {key: value for key, value in summary(scene).items() if key in ("name", "views", "sizes", "points", "notes")}

@@ -1,1 +1,1 @@
-"""Reports as one HTML file: the page that all reports share, and the report of a scene."""
+"""HTML reports: the page shared by all reports, drawings, and the report of a scene."""

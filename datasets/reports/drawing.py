@@ -1,4 +1,4 @@
-"""Drawings for reports: matplotlib figures as SVG without a ground of their own, legible on white and on black."""
+"""Drawings for reports: matplotlib figures as SVG with a transparent background, legible on white and on black."""
 
 import io
 
@@ -7,7 +7,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 COLOURS = ("#2f6fde", "#d98324", "#2a9d5c", "#c0392b", "#8e5bbf", "#7f6a4f")
-"""Of curves, that can be told apart on both grounds."""
+"""Of curves, distinguishable on both backgrounds."""
 GREY = "#808080"
 
 
@@ -17,7 +17,7 @@ def blank(width: float, height: float) -> Figure:
 
 
 def svg_of(figure: Figure) -> str:
-    """A figure as SVG: axes and words become grey, grounds transparent. The same figure gives the same text."""
+    """A figure as SVG with grey axes and text on a transparent background. The same figure gives the same text."""
     for axes in figure.axes:
         axes.set_facecolor("none")
         legend = axes.get_legend()
@@ -27,6 +27,6 @@ def svg_of(figure: Figure) -> str:
         for line in (*axes.spines.values(), *axes.xaxis.get_ticklines(), *axes.yaxis.get_ticklines()):
             line.set_color(GREY)
     buffer = io.StringIO()
-    with rc_context({"svg.hashsalt": "koala"}):  # else names inside are random
+    with rc_context({"svg.hashsalt": "koala"}):  # else its ids are random
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
     return buffer.getvalue()

@@ -1,15 +1,17 @@
-"""A scene as one HTML file: what it holds, what `datasets check` finds, where its cameras are, every picture small."""
+"""A scene as one HTML file: figures, the findings of `datasets check`, camera positions, every view as a thumbnail."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from datasets.checks.check import check, summary
+from datasets.checks.check import check
 from datasets.core import files
 from datasets.core.errors import KoalaError
-from datasets.core.findings import Finding
+from datasets.core.findings import Finding, tally
+from datasets.core.progress import Count, ignore
 from datasets.formats import load_scene
 from datasets.imaging import images
 from datasets.reports.html import Number, ReportPage
@@ -17,47 +19,36 @@ from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 THUMBNAIL = 190
-"""Width of the small pictures [px]."""
+"""Width of the thumbnails [px]."""
 COLOURS = {"train": "#2f6fde", "val": "#8e5bbf", "test": "#d0342c"}
+COLUMNS = ("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth")
 
 
 def write(
-    path: str | Path,
-    out: Path,
-    *,
-    matches: bool = True,
-    made_by: str = "",
-    done: Callable[[int, int], None] = lambda count, total: None,
-    **options: Any,
+    path: str | Path, out: Path, *, matches: bool = True, made_by: str = "", done: Count = ignore, **options: Any
 ) -> list[Finding]:
-    """Write the report of a scene to the new file `out`; returns what `datasets check` finds.
+    """Write the report of a scene to the new file `out`; returns the findings of `datasets check`.
 
     Args:
         path: of the scene.
         out: HTML file.
-        matches: whether features are matched between views, which takes the longest.
-        made_by: the command.
-        done: called with the number of views checked and of all.
+        matches: match features between views, the slowest part.
+        made_by: the command line.
+        done: called with the number of views checked and their total.
         **options: of `load_scene`.
 
     Raises:
-        UsageError: `out` exists, or `path` is no scene.
+        UsageError: `out` exists, or `path` is not a scene.
     """
     files.refuse_existing(out)
     problems: list[KoalaError] = []
     scene = load_scene(path, problems=problems, **options)
     findings = check(path, matches=matches, done=done, **options)
     page = ReportPage(f"Scene {scene.name}", made_by=[made_by] if made_by else [])
-    errors = sum(finding.level == "error" for finding in findings)
-    found = summary(scene)
-    page.headline(
-        [
-            *((f"{split} views", Number(count, digits=0)) for split, count in found["views"].items() if count),
-            ("errors", Number(errors, digits=0)),
-            ("warnings", Number(len(findings) - errors, digits=0)),
-        ],
-        str(path),
-    )
+    errors, warnings = tally(findings)
+    figures = {f"{split} views": count for split, count in scene.counts().items() if count}
+    figures |= {"errors": errors, "warnings": warnings}
+    page.headline([(name, Number(count, digits=0)) for name, count in figures.items()], str(path))
     page.section("Findings of 'datasets check'")
     if findings:
         page.items(finding.line for finding in findings)
@@ -67,10 +58,7 @@ def write(
     page.section("Where the cameras are", "Training blue, test red; the object's box in ochre.")
     page.drawing(cameras(scene))
     page.section("Every view")
-    page.table(
-        ("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth"),
-        [_row(view, scene) for view in scene.views],
-    )
+    page.table(COLUMNS, [_row(view, scene) for view in scene.views])
     page.section("Pictures")
     page.pictures(_thumbnails(scene))
     page.write(out)
@@ -81,16 +69,13 @@ def _bounds(page: ReportPage, scene: Scene) -> None:
     unit = "m" if scene.metric else "units"
     page.section("Bounds", f"From {scene.bounds_from}.")
     low, high = scene.box
-    page.numbers(
-        [
-            ("near", Number(scene.near, unit), "nearest depth along z at which anything is seen"),
-            ("far", Number(scene.far, unit), "furthest; a dash: open"),
-            *(
-                (f"box along {axis}", Number(float(b - a), unit), f"from {a:.4g} to {b:.4g}")
-                for axis, a, b in zip("xyz", low, high, strict=True)
-            ),
-        ]
-    )
+    rows = [
+        ("near", Number(scene.near, unit), "smallest depth along z of anything visible"),
+        ("far", Number(scene.far, unit), "largest depth; a dash where it is infinite"),
+    ]
+    for axis, a, b in zip("xyz", low, high, strict=True):
+        rows.append((f"box along {axis}", Number(float(b - a), unit), f"from {a:.4g} to {b:.4g}"))
+    page.numbers(rows)
     if scene.notes:
         page.items(scene.notes)
 
@@ -102,8 +87,8 @@ def _row(view: View, scene: Scene) -> tuple:
     return (view.name, view.split, camera.width, camera.height, *pixels, Number(away, unit), ", ".join(sorted(view.truth)))
 
 
-def _thumbnails(scene: Scene):
-    """(name, small picture) of each view that can be read, over white where it has an alpha."""
+def _thumbnails(scene: Scene) -> Iterator[tuple[str, NDArray[np.floating]]]:
+    """(name, thumbnail) of each readable view, over white where it has an alpha."""
     for view in scene.views:
         try:
             picture = view.read()
@@ -117,7 +102,7 @@ def _thumbnails(scene: Scene):
 
 
 def cameras(scene: Scene) -> str:
-    """Cameras and box from above and from the side, as SVG in colours for light and dark."""
+    """Cameras and box from above and from the side, as SVG."""
     from matplotlib.patches import Rectangle
 
     from datasets.reports.drawing import blank, svg_of

@@ -1,1 +1,1 @@
-"""Where the object is: feature matches, triangulated points, visual hull, bounds."""
+"""Geometry measured in a scene: feature matches, triangulated points, visual hull, bounds."""

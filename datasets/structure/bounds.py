@@ -1,4 +1,4 @@
-"""Where the object is and how near and far the cameras see, from their geometry and from surface points.
+"""The object's box and the depth range of the cameras, from their poses and from surface points.
 
 Depth is along the camera's z. Boxes are (2, 3): lower and upper corner in the world.
 """
@@ -15,9 +15,9 @@ from datasets.scene import View
 Box = NDArray[np.float64]
 
 FEWEST_POINTS = 40
-"""Surface points that bounds need: fewer may all lie on one part of the object."""
+"""Smallest number of surface points for bounds; fewer may all lie on one part of the object."""
 PARALLEL = 0.05
-"""Axes whose directions spread less than this (mean squared sine about the common one) have no common point."""
+"""Axes whose directions spread less than this (mean squared sine about the mean) have no common point."""
 
 
 def focus(world_from_camera: ArrayLike) -> tuple[NDArray[np.float64], float]:
@@ -51,7 +51,7 @@ def depth_range(views: Sequence[View], box: ArrayLike) -> tuple[float, float]:
 
 
 def visible_box(views: Sequence[View]) -> Box:
-    """Cube about the cameras' common focus that is as wide as the widest of their pictures there."""
+    """Cube about the cameras' common focus, as wide as the widest of their images there."""
     matrices = np.stack([view.world_from_camera for view in views])
     centre, _ = focus(matrices)
     distances = np.linalg.norm(matrices[:, :3, 3] - centre, axis=1)
@@ -72,7 +72,7 @@ def frustum_box(views: Sequence[View], near: float, far: float) -> Box:
 
 
 def surroundings(views: Sequence[View]) -> tuple[Box, float, float]:
-    """(box, near, far) where the surroundings are seen and nothing else is known.
+    """(box, near, far) where the surroundings are visible and only the poses are known.
 
     The box is a cube about the common focus, half as far on each side as the median camera; near is a twentieth of the
     nearest camera's distance to the focus; far is infinite. For parallel axes the unit of length is the cameras' spread.
@@ -91,9 +91,9 @@ def surroundings(views: Sequence[View]) -> tuple[Box, float, float]:
 def about_points(views: Sequence[View], points: ArrayLike) -> tuple[Box, float, float] | None:
     """(box, near, far) from (n, 3) surface points; None where fewer than `FEWEST_POINTS` are in the common field of view.
 
-    The box holds the middle 98% of those points that at least half of the cameras have in their pictures, and a twentieth
-    more on each side. Near is 0.8 of the nearest depth that any camera has points at (its first percentile), far twice
-    the furthest: what has no texture may be a little nearer, or further.
+    The box contains the middle 98% of the points that at least half of the cameras have in their images, with a margin of a
+    twentieth on each side. Near is 0.8 of the nearest depth at which any camera has points (the first percentile), far twice the
+    furthest, since surfaces without texture may be nearer or further.
     """
     points = np.asarray(points, np.float64)
     in_sight = np.zeros(len(points), int)
@@ -114,7 +114,7 @@ def about_points(views: Sequence[View], points: ArrayLike) -> tuple[Box, float, 
 
 
 def depths_in_picture(view: View, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) depth of each point that a view has in its picture; NaN for the others. The lens is taken as ideal."""
+    """(n,) depth of each point that a view has in its image, NaN for the others; distortion is ignored."""
     local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
     front = local[:, 2] > 0
     pixels = view.camera.undistorted().project(np.where(front[:, None], local, [0.0, 0.0, 1.0]))
@@ -123,10 +123,6 @@ def depths_in_picture(view: View, points: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def half_field(camera: Camera) -> float:
-    """Tangent of the widest angle from the axis to an edge's middle."""
-    return max(
-        camera.cx / camera.fx,
-        (camera.width - camera.cx) / camera.fx,
-        camera.cy / camera.fy,
-        (camera.height - camera.cy) / camera.fy,
-    )
+    """Tangent of the widest angle from the axis to the middle of an image edge."""
+    right, bottom = camera.width - camera.cx, camera.height - camera.cy
+    return max(camera.cx / camera.fx, right / camera.fx, camera.cy / camera.fy, bottom / camera.fy)

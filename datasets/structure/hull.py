@@ -1,4 +1,4 @@
-"""The visual hull: what no alpha and no mask declares empty. It is the safest box that there is about an object."""
+"""The visual hull: the space that no alpha and no mask marks as empty. Its box is a safe bound of the object."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from datasets.structure.bounds import Box, depth_range, half_field
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """Where an object can be."""
+    """The space that an object can occupy."""
 
     box: Box
     """(2, 3) corners."""
     centres: NDArray[np.float64]
-    """(n, 3) centres of the voxels that it is made of."""
+    """(n, 3) centres of its voxels."""
     radius: float
     """Half the diagonal of a voxel [world unit]."""
     views_used: int
-    """Views whose masks were read; 0 where they exclude everything, and the hull is the box that was given."""
+    """Number of views whose masks were read; 0 where they exclude everything and the hull is the initial box."""
 
     def depth_range(self, views: Sequence[View]) -> tuple[float, float]:
         """Least and greatest depth of the hull over all cameras; near stays above a hundredth of far."""
@@ -37,10 +37,9 @@ class Hull:
 
 
 def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, resolution: int = 48) -> Hull:
-    """The part of `box` that no mask declares empty, as seen by at least a third of the views.
+    """The part of `box` that at least a third of the views see and no mask marks as empty.
 
-    Conservative: masks are widened by half a voxel's diagonal as each camera sees it. Three passes, each in
-    the box that the last one found.
+    Conservative: masks are dilated by half a projected voxel diagonal. Three passes, each in the box of the previous one.
     """
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
     masks = [_mask(view) for view in chosen]
@@ -67,7 +66,7 @@ _CELL = 2
 
 
 def _mask(view: View) -> NDArray[np.bool_]:
-    """(rows, columns) of mask cells: True where any pixel belongs to the object."""
+    """(rows, columns) mask cells: True where any pixel belongs to the object."""
     picture = images.read(view.mask or view.image)
     inside = picture[..., 0 if view.mask else -1] > 0
     height, width = inside.shape
@@ -79,7 +78,7 @@ def _mask(view: View) -> NDArray[np.bool_]:
 def _carve(
     view: View, mask: NDArray[np.bool_], points: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which (n, 3) points this view sees at all, and which it allows to belong to the object, as (n,) each."""
+    """(n,) flags of the (n, 3) points: which this view sees, and which its mask does not exclude."""
     from scipy.ndimage import maximum_filter
 
     camera = view.camera
@@ -87,7 +86,9 @@ def _carve(
     local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
     front = local[:, 2] > 2 * radius
     safe_depth = np.where(front, local[:, 2], 1.0)
-    index = np.flatnonzero(front & (np.abs(local[:, :2]).max(1) < 1.5 * half_field(camera) * safe_depth))  # a sane lens there
+    index = np.flatnonzero(
+        front & (np.abs(local[:, :2]).max(1) < 1.5 * half_field(camera) * safe_depth)
+    )  # where the lens model is valid
     pixels = camera.project(local[index])
     inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(1)
     index, pixels = index[inside], pixels[inside]

@@ -1,43 +1,44 @@
-"""Points that several pictures share: SIFT features and the matches between views, whatever their poses say.
+"""SIFT features and their matches between views.
 
-Nothing here believes a pose, so that matches can be evidence for poses and bounds alike.
+Poses are not used for matching, so that matches are independent evidence for poses and bounds.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets import conventions
+from datasets.core.progress import Step, ignore
 from datasets.imaging import images
 from datasets.scene import View
 
 SIDE = 640
-"""Longest side [px] at which features are sought: they are to be placed within a pixel of this size, not finer."""
+"""Longest side of the images in which features are detected [px]; it limits their accuracy."""
 COUNT = 900
-"""Features per view, the strongest."""
+"""Features per view; the strongest are kept."""
 RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What can be recognised in one view."""
+    """Features of one view."""
 
     directions: NDArray[np.float64]
     """(n, 3) rays in the camera's frame, z = 1."""
     descriptors: NDArray[np.float32]
-    """(n, 128) unit vectors: the root of SIFT's, so that their product is Hellinger's affinity."""
+    """(n, 128) unit vectors: the root of SIFT's, whose dot product is Hellinger's affinity."""
     light: NDArray[np.float32]
-    """(n,) linear light, mean of the channels, of the picture about each feature: 0..1."""
+    """(n,) linear light around each feature, mean of the channels, 0..1."""
     pixel: float
-    """Size of a pixel of the searched picture as a tangent: what an error of one pixel means."""
+    """Size of a pixel of the image that was searched, as a tangent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Features of some views and which of them are the same thing."""
+    """Features of several views and their correspondences."""
 
     views: tuple[View, ...]
     features: tuple[Features, ...]
@@ -50,10 +51,8 @@ class Matches:
         return sum(len(index) for _, _, index in self.pairs)
 
 
-def matched(
-    views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE, done: Callable[[], None] = lambda: None
-) -> Matches:
-    """Features of all views in pictures of at most `side` pixels, matched between the given pairs. `done` is called after each view."""
+def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE, done: Step = ignore) -> Matches:
+    """Features of all views, in images of at most `side` pixels, matched between the given pairs. `done` is called per view."""
     found = []
     for view in views:
         found.append(detect(view, side=side))
@@ -63,7 +62,7 @@ def matched(
 
 
 def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
-    """Features of a view; where it has an alpha or a mask, those of the object alone. Raises as `View.read` does."""
+    """Features of a view; with an alpha or a mask, only those of the object. Raises as `View.read` does."""
     import cv2
 
     picture = view.read()
@@ -71,7 +70,7 @@ def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
     small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
     grey = 255 * small[..., :3].mean(-1)
-    grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # what has no value, as behind a mask, is black
+    grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # NaN, as behind a mask, becomes black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
     sift = cv2.SIFT.create(nfeatures=count, contrastThreshold=0.02)
     keypoints, descriptors = sift.detectAndCompute(grey, mask)
@@ -105,9 +104,9 @@ def match(first: Features, second: Features) -> NDArray[np.int64]:
 def neighbours(
     world_from_camera: NDArray[np.float64], centre: NDArray[np.float64], *, count: int = 5, least_deg: float = 1.5
 ) -> list[tuple[int, int]]:
-    """Pairs of (n, 4, 4) cameras that see `centre` from nearly the same side, yet not the same: each with its `count` nearest.
+    """Pairs of (n, 4, 4) cameras that see `centre` from similar directions: each with its `count` nearest.
 
-    Cameras less than `least_deg` apart, as seen from `centre`, see the same picture and place nothing.
+    Cameras less than `least_deg` apart, as seen from `centre`, have no parallax and are left out.
     """
     outward = world_from_camera[:, :3, 3] - centre
     outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)

@@ -1,34 +1,34 @@
-"""Bounds measured in the pictures: features are matched between views and triangulated along the known poses.
+"""Bounds measured in the images: features are matched between views and triangulated with the known poses.
 
-For scenes that come without surface points and without masks, of which the cameras alone say little: how near the
-nearest thing is, for one. Takes some seconds, so it is done only where it is asked for.
+For scenes without surface points and without masks, whose camera poses alone do not tell how near the nearest object is. It takes
+some seconds and is done on request only.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.core.progress import Count, Step, ignore
 from datasets.scene import Scene, View
 from datasets.structure import bounds, matching
 from datasets.structure.matching import Matches
 from datasets.structure.triangulate import DOUBTFUL, Cloud, agreement, endless_share, triangulate
 
 VIEWS = 48
-"""Views that are searched at most."""
-SHRINK = (1, 2, 4)
-"""Where too few points are found, they are sought again in pictures so many times smaller: there noise is averaged away."""
+"""Largest number of views that are searched."""
+SHRINK = (2, 4)
+"""Factors by which images are shrunk, one after the other, until enough points are found: smaller images have less noise."""
 ENDLESS = 0.01
-"""Where more than this share of the matches has parallel rays, there is open background: far is infinite."""
+"""Share of matches with parallel rays from which the background is open and far infinite."""
 
 
-def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int], None] = lambda count, total: None) -> Scene:
-    """The scene with box, near, far and points as its pictures show them, and `bounds_from` saying on what evidence.
+def measured(scene: Scene, *, views_used: int = VIEWS, done: Count = ignore) -> Scene:
+    """The scene with box, near, far and points measured in its images; `bounds_from` names the evidence.
 
-    Where masks or an alpha tell the object from nothing, box, near and far are the visual hull's already and stay; only
-    the points are added. Where too little can be triangulated, everything stays, and `bounds_from` says so. `done` is
-    called with the number of views searched and of all.
+    Where masks or an alpha separate the object, box, near and far already come from the visual hull and only points are added.
+    Where too few points can be triangulated, nothing changes and `bounds_from` says so. `done` is called with the number of views
+    searched and their total.
 
     Raises:
         DatasetError: an image is missing, damaged or of the wrong size.
@@ -37,20 +37,20 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int]
     views = tuple(train[i] for i in np.unique(np.linspace(0, len(train) - 1, views_used).round().astype(int)))
     matrices = np.stack([view.world_from_camera for view in views])
     centre, spread = bounds.focus(matrices)
-    if spread < bounds.PARALLEL:  # the axes have no common point: any depth among those seen will do
+    if spread < bounds.PARALLEL:  # the axes have no common point: use any visible depth
         centre = scene.box.mean(0)
     searched = iter(range(1, len(views) + 1))
     matches, cloud, found = _placed(views, matrices, centre, lambda: done(next(searched), len(views)))
-    seen = f"{len(cloud.points)} points triangulated from {len(views)} views"
+    placed = f"{len(cloud.points)} points triangulated from {len(views)} views"
     if found is None:
-        return replace(scene, bounds_from=f"{scene.bounds_from}; only {seen}, too few to measure by")
+        return replace(scene, bounds_from=f"{scene.bounds_from}; only {placed}, too few")
     agreed = agreement(matches, matrices)
     doubt = f"; the poses explain only {100 * agreed:.0f}% of the matches, see 'datasets check'" if agreed < DOUBTFUL else ""
-    evidence = f"{seen} (median error {np.median(cloud.errors_px):.2f} px{doubt})"
+    evidence = f"{placed} (median error {np.median(cloud.errors_px):.2f} px{doubt})"
     if scene.background == "white":
         return replace(scene, points=cloud.points, bounds_from=f"{scene.bounds_from}; {evidence}")
     box, near, far = found
-    if np.isfinite(scene.far):  # stated by the file
+    if np.isfinite(scene.far):  # stated in the file
         near, far = scene.near, scene.far
     else:
         distance = float(np.median(np.linalg.norm(matrices[:, :3, 3] - centre, axis=1)))
@@ -62,15 +62,22 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Callable[[int, int]
 
 
 def _placed(
-    views: tuple[View, ...], matrices: NDArray[np.float64], centre: NDArray[np.float64], done: Callable[[], None]
+    views: tuple[View, ...], matrices: NDArray[np.float64], centre: NDArray[np.float64], done: Step
 ) -> tuple[Matches, Cloud, tuple[bounds.Box, float, float] | None]:
-    """Matches, points and bounds in the largest pictures that give enough of them; without bounds, in the smallest."""
+    """Matches, points and bounds from the largest images with enough points; None for bounds where there are too few in all."""
     pairs = matching.neighbours(matrices, centre)
     side = min(matching.SIDE, max(max(view.camera.width, view.camera.height) for view in views))
+    matches, cloud, found = _searched(views, matrices, pairs, side, done)
     for shrink in SHRINK:
-        matches = matching.matched(views, pairs, side=side // shrink, done=done if shrink == 1 else lambda: None)
-        cloud = triangulate(matches, matrices)
-        found = bounds.about_points(views, cloud.points)
-        if found is not None:
-            break
+        if found is None:
+            matches, cloud, found = _searched(views, matrices, pairs, side // shrink, ignore)
     return matches, cloud, found
+
+
+def _searched(
+    views: tuple[View, ...], matrices: NDArray[np.float64], pairs: list[tuple[int, int]], side: int, done: Step
+) -> tuple[Matches, Cloud, tuple[bounds.Box, float, float] | None]:
+    """Matches, points and bounds from images of at most `side` pixels."""
+    matches = matching.matched(views, pairs, side=side, done=done)
+    cloud = triangulate(matches, matrices)
+    return matches, cloud, bounds.about_points(views, cloud.points)

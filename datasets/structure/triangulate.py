@@ -1,7 +1,7 @@
-"""Surface points from matches along known poses, and how well poses and matches agree.
+"""Surface points triangulated from matches with known poses, and the agreement of poses and matches.
 
-A track is one point of the world as several views see it. Its position is the point nearest to all its rays; views that
-miss it by more than two pixels are dropped, and what fewer than three views see is not believed.
+A track is one point of the world seen by several views. Its position is the point nearest to all its rays. Views that miss it by
+more than two pixels are dropped, and so are points seen by fewer than three views.
 """
 
 from dataclasses import dataclass
@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 
 from datasets.structure.matching import Matches
 
+Indices = NDArray[np.int64]
+
 TOLERANCE_PX = 2.0
-"""Furthest that a ray may pass from its point [px of the searched picture]."""
+"""Largest distance of a ray from its point [px of the image that was searched]."""
 FEWEST = 3
-"""Views that a point needs: two rays can meet by chance."""
+"""Smallest number of views per point; two rays can meet by chance."""
 LEAST_SPREAD = 5e-4
 """Smallest eigenvalue, per ray, of the projections across a track's rays: about the squared sine of 2.5 degrees over 4."""
 DOUBTFUL = 0.15
-"""Share of matches that agree with the poses below which these are doubted: by chance it is 0.02. What shines moves between views: a golden
-head in small pictures has 0.34."""
+"""Poses are doubted where a smaller share of the matches agrees with them. Chance gives 0.02; a golden head in small images, whose
+reflections move between views, gives 0.34."""
 NO_PARALLAX = np.deg2rad(0.3)
-"""Rays closer than this are parallel: poses and features are not better."""
+"""Rays at a smaller angle count as parallel, given the accuracy of poses and features."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +33,9 @@ class Cloud:
     points: NDArray[np.float64]
     """(n, 3) in the world."""
     sightings: NDArray[np.int64]
-    """(m, 2) index of a point and of the view (in `Matches.views`) that saw it."""
+    """(m, 2) index of a point, and of a view in `Matches.views` that saw it."""
     errors_px: NDArray[np.float64]
-    """(m,) distance between point and feature in the searched picture."""
+    """(m,) distance between point and feature in the image that was searched."""
 
     @property
     def views_per_point(self) -> NDArray[np.int64]:
@@ -42,7 +44,7 @@ class Cloud:
 
 
 def triangulate(matches: Matches, world_from_camera: NDArray[np.float64]) -> Cloud:
-    """Points of all tracks that at least three views place alike. `world_from_camera` is (views, 4, 4)."""
+    """Points of all tracks on which at least three views agree. `world_from_camera` is (views, 4, 4)."""
     offsets = np.cumsum([0, *(len(features.directions) for features in matches.features)])
     rows = _tracks(matches, world_from_camera, offsets)
     view = np.repeat(np.arange(len(matches.views)), np.diff(offsets))
@@ -76,7 +78,7 @@ def agreement(matches: Matches, world_from_camera: NDArray[np.float64]) -> float
 
 
 def endless_share(matches: Matches, world_from_camera: NDArray[np.float64], baseline: float) -> float:
-    """Share of explained matches between cameras at least `baseline` apart whose rays are parallel: things very far away."""
+    """Share of explained matches between cameras at least `baseline` apart whose rays are parallel, so of distant points."""
     parallel = total = 0
     for pair in matches.pairs:
         i, j, _ = pair
@@ -101,18 +103,18 @@ def _meets(
     tolerance = TOLERANCE_PX * max(first.pixel, second.pixel)
     across = np.cross(baseline, a)
     length = np.linalg.norm(across, axis=1)
-    off_plane = np.abs((across * b).sum(1)) / np.maximum(length, 1e-300)
+    out_of_plane = np.abs((across * b).sum(1)) / np.maximum(length, 1e-300)
     cosine = (a * b).sum(1)
-    sine2 = np.maximum(1 - cosine**2, 1e-12)  # where two rays come nearest to each other, along each of them
+    sine2 = np.maximum(1 - cosine**2, 1e-12)  # the distances along both rays at which they are closest
     along_a = (a @ baseline - cosine * (b @ baseline)) / sine2
     along_b = (cosine * (a @ baseline) - b @ baseline) / sine2
     angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), cosine)
     in_front = ((along_a > 0) & (along_b > 0)) | (angle < NO_PARALLAX)
-    return (off_plane < tolerance) & in_front & (length > 0), angle
+    return (out_of_plane < tolerance) & in_front & (length > 0), angle
 
 
 def _tracks(matches: Matches, world_from_camera: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(all features,) index of the track that each feature belongs to: matches that the poses explain, joined."""
+    """(all features,) track of each feature: matches that the poses explain, joined."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -128,13 +130,9 @@ def _tracks(matches: Matches, world_from_camera: NDArray[np.float64], offsets: N
 
 
 def _nearest_points(
-    world_from_camera: NDArray[np.float64],
-    view: NDArray[np.int64],
-    local: NDArray[np.float64],
-    track: NDArray[np.int64],
-    count: int,
+    world_from_camera: NDArray[np.float64], view: Indices, local: NDArray[np.float64], track: Indices, count: int
 ) -> NDArray[np.float64]:
-    """(count, 3) point nearest to the rays of each track; NaN where they are too few or too parallel."""
+    """(count, 3) point nearest to the rays of each track; NaN where the rays are too few or too parallel."""
     rotation, origin = world_from_camera[view, :3, :3], world_from_camera[view, :3, 3]
     rays = np.einsum("nij,nj->ni", rotation, local)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -153,8 +151,8 @@ def _nearest_points(
 def _errors(
     world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(n,) distance at z = 1 between where a view saw each point and where it is; infinite for what is behind it."""
+    """(n,) distance at z = 1 between observation and projection of each point; infinite behind the camera."""
     seen = np.einsum("nij,ni->nj", world_from_camera[view, :3, :3], points - world_from_camera[view, :3, 3])
-    front = seen[:, 2] > 0  # false for NaN, too
+    front = seen[:, 2] > 0  # false for NaN too
     ideal = seen[:, :2] / np.where(front, seen[:, 2], 1.0)[:, None]
     return np.where(front, np.linalg.norm(ideal - local[:, :2], axis=1), np.inf)
