@@ -10,7 +10,7 @@ from datasets.scene import View
 
 
 def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
-    """The views with every `every`-th by sorted name, from the first on, as "test" and the rest as "train"; 0 for no test views."""
+    """The views with every `every`-th by sorted name, from the first on, as "test", the rest as "train"; 0 for no test views."""
     views = tuple(views)
     test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
     return tuple(replace(view, split="test" if view.name in test else "train") for view in views)

@@ -1,6 +1,10 @@
-"""The house's plan: who may import whom, and that `datasets` is ours."""
+"""The rules of the code base: who may import whom, how large folders, files and functions may be, and that `datasets` is ours."""
 
 import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,14 +23,65 @@ def modules() -> list[Path]:
     return [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def imported(path: Path) -> set[str]:
     """Top-level names of all imports of a file, those inside functions included."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            found.add(node.module.split(".")[0])
+    return {name.split(".")[0] for node in ast.walk(tree(path)) for name in imported_names(node)}
+
+
+def imported_names(node: ast.AST) -> set[str]:
+    """Full names that one import statement can refer to: of `from a import b`, both "a" and "a.b"."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names}
+    if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+        return {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return set()
+
+
+def running(node: ast.AST, *, functions: bool = True) -> Iterator[ast.AST]:
+    """All statements that run: not those for type checkers and, on request, not those inside functions."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+            continue
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) and not functions:
+            continue
+        yield child
+        yield from running(child, functions=functions)
+
+
+def folders() -> list[Path]:
+    """All folders with code, packages included."""
+    return sorted({path.parent for path in modules()})
+
+
+def part_of(name: str, package: str) -> str | None:
+    """The subfolder or top-level module of a package to which a full name belongs; None for other names."""
+    words = name.split(".")
+    if words[0] != package or len(words) < 2:
+        return None
+    place = ROOT / package / words[1]
+    return words[1] if place.is_dir() or place.with_suffix(".py").is_file() else None
+
+
+def uses(package: str) -> dict[str, set[str]]:
+    """For each subfolder and top-level module of a package, the others that it imports."""
+    found: dict[str, set[str]] = {}
+    for path in sorted((ROOT / package).rglob("*.py")):
+        part = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
+        names = {name for node in running(tree(path)) for name in imported_names(node)}
+        found.setdefault(part, set()).update({other for name in names if (other := part_of(name, package))} - {part})
+    return found
+
+
+def floors(graph: dict[str, set[str]]) -> list[set[str]]:
+    """The parts by floor, each importing from lower floors only. What is in a circle, or above one, has no floor."""
+    found: list[set[str]] = []
+    while ready := {part for part, below in graph.items() if below <= set().union(*found)} - set().union(*found):
+        found.append(ready)
     return found
 
 
@@ -35,7 +90,7 @@ def test_the_walk_finds_the_packages() -> None:
 
 
 def test_datasets_is_ours() -> None:
-    """Another package of this name is widely installed; importing that one would be a riddle to the user."""
+    """Another package of this name is widely installed; importing that one would confuse the user."""
     assert Path(datasets.__file__).parent == ROOT / "datasets"
 
 
@@ -59,15 +114,89 @@ def test_a_vendors_library_has_one_home(library: str, limit: int) -> None:
     assert len(homes) <= limit, homes
 
 
-def test_no_file_grows_beyond_500_lines() -> None:
-    assert not {str(path.relative_to(ROOT)) for path in modules() if len(path.read_text().splitlines()) > 500}
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_between_folders_form_no_circle(package: str) -> None:
+    graph = uses(package)
+    users = {part: {other for other, below in graph.items() if part in below} for part in graph}
+    circle = graph.keys() - set().union(*floors(graph)) - set().union(*floors(users))
+    assert not {f"{part} imports {other}" for part in circle for other in graph[part] & circle}
+
+
+def test_reconstruct_has_at_most_ten_floors() -> None:
+    found = floors(uses("reconstruct"))
+    assert len(found) <= 10, [sorted(floor) for floor in found]
+
+
+def test_only_pages_need_the_page_library() -> None:
+    """A module outside `page` folders imports neither viser nor a page, except inside a function: viser can be left out."""
+    wrong = set()
+    for path in modules():
+        if "page" in path.relative_to(ROOT).parts:
+            continue
+        for node in running(tree(path), functions=False):
+            wrong |= {
+                f"{path.relative_to(ROOT)}:{node.lineno} imports {name}"
+                for name in imported_names(node)
+                if name.split(".")[0] == "viser" or name.split(".")[1:2] == ["page"]
+            }
+    assert not wrong
+
+
+def test_datasets_imports_without_heavy_libraries() -> None:
+    """Everything but the pages is imported in a process where viser, pycolmap and matplotlib are missing."""
+    paths = [path for path in sorted((ROOT / "datasets").rglob("*.py")) if "page" not in path.parts and path.stem != "drawing"]
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths]
+    code = f"import sys; sys.modules.update(dict.fromkeys(['viser', 'pycolmap', 'matplotlib'])); import {', '.join(names)}"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)
+
+
+def test_every_folder_says_what_its_files_share() -> None:
+    inits = [folder / "__init__.py" for folder in folders()]
+    assert not {str(path.relative_to(ROOT)) for path in inits if not path.is_file() or not ast.get_docstring(tree(path))}
+
+
+def test_at_most_15_modules_are_in_a_folder() -> None:
+    counts = {
+        str(folder.relative_to(ROOT)): sum(path.name != "__init__.py" for path in folder.glob("*.py")) for folder in folders()
+    }
+    assert not {folder: count for folder, count in counts.items() if count > 15}
+
+
+def test_no_file_has_more_than_350_lines() -> None:
+    counts = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in modules()}
+    assert not {path: count for path, count in counts.items() if count > 350}
+
+
+def test_no_function_has_more_than_60_lines() -> None:
+    wrong = {}
+    for path in modules():
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (node.end_lineno or 0) - node.lineno >= 60:
+                wrong[f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"] = (node.end_lineno or 0) - node.lineno + 1
+    assert not wrong
+
+
+def test_no_line_has_more_than_130_characters() -> None:
+    lines = {
+        f"{path.relative_to(ROOT)}:{number}": len(line)
+        for path in (*modules(), *sorted((ROOT / "tests").rglob("*.py")))
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+    }
+    assert not {place: length for place, length in lines.items() if length > 130}
+
+
+def test_at_most_40_tables_are_laid_out_by_hand() -> None:
+    places = [
+        str(path.relative_to(ROOT)) for path in modules() for line in path.read_text().splitlines() if "# fmt: skip" in line
+    ]
+    assert len(places) <= 40, sorted(places)
 
 
 def test_no_print_outside_the_console() -> None:
     """Libraries return or log; only the console module writes to the terminal."""
     wrong = set()
     for path in modules():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print":
                 wrong.add(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not {place for place in wrong if not place.startswith("datasets/core/console.py")}
@@ -76,7 +205,7 @@ def test_no_print_outside_the_console() -> None:
 def test_nothing_is_executed_or_unpickled() -> None:
     forbidden = {"eval", "exec"}
     for path in modules():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Call):
                 assert not (isinstance(node.func, ast.Name) and node.func.id in forbidden), f"{path}:{node.lineno}"
                 for keyword in node.keywords:

@@ -9,7 +9,7 @@ from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 LEAK_DEG, LEAK_SHARE = 0.5, 0.005
-"""A test camera closer than this to a training camera, in angle and as a share of its distance to the focus, repeats its image."""
+"""A test camera closer than this to a training camera, in angle and relative to its distance to the focus, repeats its image."""
 OFF_CENTRE, NOT_SQUARE = 0.2, 0.05
 """Limits beyond which intrinsics look wrong: offset of the principal point as a share of the width, and |fx / fy - 1|."""
 METRES = (0.01, 100.0)

@@ -126,7 +126,7 @@ def detect(folder: Path) -> str:
         if matches(folder):
             return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
     why = "no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model"
-    raise UsageError("holds no scene", where=folder, why=why, remedy="give the folder that holds one of these")
+    raise UsageError("holds no scene in a known format", where=folder, why=why, remedy="give the folder that holds one of these")
 
 
 def find(path: str | Path, data_root: Path | None = None) -> Path:

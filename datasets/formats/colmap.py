@@ -18,7 +18,7 @@ from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, llff, sidecar
 from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
 from datasets.formats.links import Extra, file_name, link_all
-from datasets.imaging import downscale
+from datasets.formats.smaller import write_smaller
 from datasets.scene import Scene, Sightings, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
@@ -168,7 +168,7 @@ def save(
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         link_all(extra, folder)
-        downscale.folders([p.view for p in placed], folder, sizes, lambda view, source: source.name)
+        write_smaller([p.view for p in placed], folder, sizes, lambda view, source: source.name)
         _write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
     return export.limits(scene, placed, LAYOUT)

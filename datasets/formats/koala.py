@@ -22,7 +22,7 @@ from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, sidecar
 from datasets.formats.links import Extra, file_name, link, link_all
-from datasets.imaging import downscale
+from datasets.formats.smaller import write_smaller
 from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View
 
 FILE = "cameras.json"
@@ -52,7 +52,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
             views.append(_saved_view(view, folder))
             done()
         link_all(extra, folder)
-        downscale.folders(scene.views, folder, sizes, lambda view, source: f"{file_name(view)}{source.suffix}")
+        write_smaller(scene.views, folder, sizes, lambda view, source: f"{file_name(view)}{source.suffix}")
         if scene.points is not None:
             _save_points(scene.points, scene.sightings, folder / POINTS)
         files.write_json(folder / FILE, {"format": FORMAT, "version": VERSION, **sidecar.facts(scene), "views": views})

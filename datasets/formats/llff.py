@@ -17,7 +17,7 @@ from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, sidecar
 from datasets.formats.links import Extra, file_name, link_all
-from datasets.imaging import downscale
+from datasets.formats.smaller import write_smaller
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
@@ -91,7 +91,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
         with files.atomic_path(folder / FILE) as temporary:
             np.save(temporary, np.stack(rows))
         link_all(extra, folder)
-        downscale.folders(ordered, folder, sizes, lambda view, source: source.name)
+        write_smaller(ordered, folder, sizes, lambda view, source: source.name)
         by_name = {view.image.stem: view for view in (p.view for p in placed)}
         sidecar.write(folder, scene, by_name)
     return export.limits(scene, placed, LAYOUT)

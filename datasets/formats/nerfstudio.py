@@ -18,7 +18,8 @@ from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, opengl, ply, sidecar
 from datasets.formats.links import Extra, file_name, link_all
-from datasets.imaging import downscale, images
+from datasets.formats.smaller import write_smaller
+from datasets.imaging import images
 from datasets.scene import SPLITS, Scene, View
 
 FILE = "transforms.json"
@@ -129,7 +130,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         views = [p.view for p in placed]
-        downscale.folders(views, folder, sizes, lambda view, source: source.name)
+        write_smaller(views, folder, sizes, lambda view, source: source.name)
         content = _global(scene, views)
         depths = _depths(views, folder)
         content["frames"] = [_frame(view, folder, depths.get(view.name), common="fl_x" in content) for view in views]

@@ -4,10 +4,9 @@ Each worker holds one image at a time, so memory does not grow with their number
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
 from datasets.imaging import images
-from datasets.scene import View
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -74,21 +72,6 @@ def run(jobs: Iterable[Job], *, workers: int = 2) -> None:
     """Run all jobs, `workers` at a time. Raises as `Job.run` does, at the first that fails."""
     for _ in streamed(Job.run, jobs, workers=workers):
         pass
-
-
-def folders(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Callable[[View, Path], str]) -> None:
-    """For each N of `sizes`, `images_N/` and `masks_N/` below `folder` with the views' images at 1/N of their size.
-
-    `name` gives the name of a new file from its view and its source file.
-    """
-    jobs = []
-    for size, view in product(sizes, views):
-        small = camera(view.camera, size)
-        for source, home in ((view.image, "images"), (view.mask, "masks")):
-            if source is not None:
-                target = folder / f"{home}_{size}" / name(view, source)
-                jobs.append(Job(source, target, small.width, small.height, home == "images"))
-    run(jobs)
 
 
 def streamed(work: Callable[[Item], Result], items: Iterable[Item], *, workers: int = 2) -> Iterator[Result]:

@@ -1,7 +1,7 @@
 """Shared by the pages of all four commands: a local server, shapes, and a panel for pictures.
 
-Built on viser. `open_page` starts the server for this machine only; the `view` modules of the packages draw with its scene and panel.
-Only pages import this package, so that everything else works without viser.
+Built on viser. `open_page` starts the server for this machine only; the `view` modules of the packages draw with its scene and
+panel. Only pages import this package, so that everything else works without viser.
 """
 
 from datasets.page.panel import PicturePanel

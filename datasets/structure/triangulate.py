@@ -20,8 +20,8 @@ FEWEST = 3
 LEAST_SPREAD = 5e-4
 """Smallest eigenvalue, per ray, of the projections across a track's rays: about the squared sine of 2.5 degrees over 4."""
 DOUBTFUL = 0.15
-"""Poses are doubted where a smaller share of the matches agrees with them. Chance gives 0.02; a golden head in small images, whose
-reflections move between views, gives 0.34."""
+"""Poses are doubted where a smaller share of the matches agrees with them. Chance gives 0.02; small images of a golden head,
+whose reflections move between views, give 0.34."""
 NO_PARALLAX = np.deg2rad(0.3)
 """Rays at a smaller angle count as parallel, given the accuracy of poses and features."""
 

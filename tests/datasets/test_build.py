@@ -135,7 +135,7 @@ def unhinge(recording: Recording, calibration: Path, how: str) -> None:
         ("empty", UsageError, "holds no frames"),
     ],
 )
-def test_damage_is_told_and_leaves_nothing(
+def test_damage_is_reported_and_leaves_nothing(
     recording: Recording, calibration: Path, tmp_path: Path, how: str, kind: type, words: str
 ) -> None:
     unhinge(recording, calibration, how)
@@ -150,7 +150,7 @@ def test_nothing_is_overwritten(recording: Recording, calibration: Path, tmp_pat
         build(recording.path, calibration, tmp_path / "scene")
 
 
-def test_near_is_what_the_pictures_show(two_walls: Callable[..., Scene]) -> None:
+def test_near_is_measured_in_the_images(two_walls: Callable[..., Scene]) -> None:
     scene = two_walls()
     found = with_measured_near(scene)
     assert np.array_equal(found.box, scene.box) and found.far == scene.far
@@ -164,4 +164,4 @@ def test_near_stays_where_nothing_can_be_triangulated(two_walls: Callable[..., S
         images.write(view.image, np.full((150, 200, 3), 0.5))
     found = with_measured_near(scene)
     assert found == replace(scene, notes=found.notes)
-    assert "near is a guess: only 0 points triangulated from 12 views, too few to measure by" in found.notes[-1]
+    assert "near is a guess: only 0 points triangulated from 12 views, too few" in found.notes[-1]

@@ -60,7 +60,7 @@ def test_damage_is_named(tmp_path: Path, change: dict, words: str) -> None:
         Calibration.load(tmp_path / "c.json")
 
 
-def test_a_missing_file_is_misuse(tmp_path: Path) -> None:
+def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such file"):
         Calibration.load(tmp_path / "none.json")
 
@@ -78,7 +78,7 @@ def test_joint_offsets_come_back_and_move_the_camera(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("offsets", [{"offsets_rad": [0.1] * 6}, {"offsets_rad": [10.0] * 6, "std_rad": [0.0] * 6}, [1, 2]])
-def test_joint_offsets_that_cannot_be_are_refused(tmp_path: Path, offsets: object) -> None:
+def test_impossible_joint_offsets_are_refused(tmp_path: Path, offsets: object) -> None:
     Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
     content = json.loads((tmp_path / "c.json").read_text()) | {"joint_offsets": offsets}
     (tmp_path / "c.json").write_text(json.dumps(content))

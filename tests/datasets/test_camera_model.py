@@ -107,5 +107,5 @@ def test_a_fisheye_is_smooth_on_its_axis() -> None:
     np.testing.assert_allclose(slope, FISHEYE.k1 - 1 / 3, atol=1e-3)
 
 
-def test_plain_lenses_are_stored_as_they_always_were() -> None:
+def test_plain_lenses_are_stored_without_rational_terms() -> None:
     assert set(Camera(2, 2, 1, 1, 1, 1).to_json()) == {"width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}

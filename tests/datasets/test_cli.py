@@ -31,7 +31,7 @@ def saved(make_scene: Callable[..., Scene], tmp_path: Path) -> Path:
     return tmp_path / "koala" / "little"
 
 
-def test_info_for_a_person_and_for_a_program(saved: Path) -> None:
+def test_info_as_text_and_json(saved: Path) -> None:
     text = run("info", saved)
     assert text.returncode == 0 and "6 train, 3 test; 96x72 px" in text.stdout and "near, far" in text.stdout
     found = json.loads(run("info", "koala/little", "--json", KOALA_DATA=str(saved.parent.parent)).stdout)
@@ -121,7 +121,7 @@ def test_check_fails_where_something_is_wrong(saved: Path) -> None:
         (("inf",), 2, "inf"),
     ],
 )
-def test_misuse_is_one_line_and_exit_code_2(saved: Path, arguments: tuple[str, ...], code: int, words: str) -> None:
+def test_a_usage_error_is_one_line_and_exit_code_2(saved: Path, arguments: tuple[str, ...], code: int, words: str) -> None:
     failed = run(*(argument.format(scene=saved) for argument in arguments))
     assert failed.returncode == code and words in failed.stderr
     assert len(failed.stderr.strip().splitlines()) == 1 and "Traceback" not in failed.stderr

@@ -11,7 +11,7 @@ def joints():
     return np.random.default_rng(0).uniform(-2, 2, (5, 6))
 
 
-def test_many_joint_angles_at_once_are_as_one_by_one(joints):
+def test_batches_of_joint_angles_match_single_ones(joints):
     for function in (kinematics.forward, kinematics.jacobian, kinematics.flange_jacobian):
         np.testing.assert_allclose(function(joints), [function(one) for one in joints], atol=1e-14)
 
@@ -31,7 +31,7 @@ def test_turning_a_nominal_arm_is_exact(joints):
     np.testing.assert_allclose(found, kinematics.forward(joints + offsets), atol=1e-12)
 
 
-def test_turning_an_arm_as_built_is_right_to_a_hundredth(joints):
+def test_turning_an_arm_as_built_is_accurate_to_a_hundredth(joints):
     built = kinematics.UR5E.calibrated(np.random.default_rng(1), 1e-3, 1e-3)
     offsets = np.deg2rad([0.05, -0.03, 0.04, 0.02, -0.05, 0.03])
     true, reported = (kinematics.forward(joints + turn, built) for turn in (offsets, 0))

@@ -71,7 +71,7 @@ def test_impossible_poses_are_refused(bad: object, words: str) -> None:
 
 
 @given(poses)
-def test_checked_mends_rounding_and_nothing_else(matrix: np.ndarray) -> None:
+def test_checked_corrects_rounding_only(matrix: np.ndarray) -> None:
     rounded = pose.checked(matrix.round(6), where="here")
     assert np.abs(rounded - matrix).max() < 1e-5
     assert np.abs(rounded[:3, :3] @ rounded[:3, :3].T - np.eye(3)).max() < EXACT

@@ -31,7 +31,7 @@ def test_frames_come_back(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 20, 200])
-def test_a_last_line_cut_off_is_dropped_and_taken_again(recording: Recording, cut: int) -> None:
+def test_an_incomplete_last_line_is_dropped_and_recorded_again(recording: Recording, cut: int) -> None:
     path = recording.path / FRAMES
     path.write_bytes(path.read_bytes()[:-cut])
     resumed = Recording.open(recording.path)

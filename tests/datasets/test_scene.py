@@ -39,7 +39,7 @@ def test_normals_are_unit_or_nothing(make_scene: Callable[..., Scene], tmp_path:
         view.read_truth("specular")
 
 
-def test_split_names_what_there_is(make_scene: Callable[..., Scene]) -> None:
+def test_a_missing_split_names_the_existing_ones(make_scene: Callable[..., Scene]) -> None:
     scene = make_scene()
     assert len(scene.split("test")) == 3
     with pytest.raises(UsageError, match=r"no val views.*it has test, train"):
@@ -59,7 +59,7 @@ def test_names_are_looked_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_unknown_folders_and_formats(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="holds no scene that Koala knows"):
+    with pytest.raises(UsageError, match="holds no scene in a known format"):
         load_scene(tmp_path)
     with pytest.raises(UsageError, match="did you mean 'blender'"):
         load_scene(tmp_path, format="blendr")

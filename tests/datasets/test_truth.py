@@ -14,7 +14,7 @@ CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 FOUND = UncertainPose(np.eye(4), np.eye(6))
 
 
-def test_errors_are_those_that_were_put_in(simulated_session: Callable[..., Path], tmp_path: Path) -> None:
+def test_errors_match_the_simulated_ones(simulated_session: Callable[..., Path], tmp_path: Path) -> None:
     """The true mount is 0.3 mm and 0.2 degrees from the one found; the arm says another 0.4 mm, at right angles."""
     recording = simulated_session(tmp_path / "rec", hand_eye_shift_mm=0.3, hand_eye_turn_deg=0.2, arm_shift_mm=0.4)
     found = truth.calibration_error(recording, Calibration(CAMERA, {}, FOUND))
@@ -22,13 +22,13 @@ def test_errors_are_those_that_were_put_in(simulated_session: Callable[..., Path
     assert found["camera_mm"] == pytest.approx(0.5) and found["camera_deg"] == pytest.approx(0.2) and found["frames"] == 3
 
 
-def test_what_knows_no_truth_is_said_so(simulated_session: Callable[..., Path], tmp_path: Path) -> None:
+def test_recordings_without_truth_are_refused(simulated_session: Callable[..., Path], tmp_path: Path) -> None:
     recording = simulated_session(tmp_path / "rec")
     with pytest.raises(UsageError, match="no hand-eye pose"):
         truth.calibration_error(recording, Calibration(CAMERA, {}))
     (recording / "truth" / "poses.json").unlink()
     assert not truth.has_truth(recording)
-    with pytest.raises(UsageError, match="knows no truth"):
+    with pytest.raises(UsageError, match="has no ground truth"):
         truth.calibration_error(recording, Calibration(CAMERA, {}, FOUND))
 
 

@@ -46,7 +46,7 @@ def test_the_wrong_convention_is_named(two_walls: Callable[..., Scene], name: st
     assert f"after correcting: {name}" in found[0].why
 
 
-def test_poses_of_something_else_are_told(two_walls: Callable[..., Scene]) -> None:
+def test_poses_of_another_scene_are_reported(two_walls: Callable[..., Scene]) -> None:
     scene, random = two_walls(), np.random.default_rng(0)
     turned = [pose.from_rotation_vector(random.normal(0, 0.2, 3)) for _ in scene.views]
     views = tuple(replace(v, world_from_camera=v.world_from_camera @ t) for v, t in zip(scene.views, turned, strict=True))
@@ -74,7 +74,7 @@ def test_drifting_exposure_is_measured(two_walls: Callable[..., Scene]) -> None:
     assert float(gains["03"]) == pytest.approx(0.5, rel=0.1) and float(gains["08"]) == pytest.approx(2.0, rel=0.15)
 
 
-def test_nothing_is_said_where_nothing_can_be_matched(two_walls: Callable[..., Scene]) -> None:
+def test_no_findings_where_nothing_can_be_matched(two_walls: Callable[..., Scene]) -> None:
     scene = two_walls()
     for view in scene.views:
         images.write(view.image, np.full((150, 200, 3), 0.5))

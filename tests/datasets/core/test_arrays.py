@@ -20,7 +20,7 @@ def test_plain_arrays_come_back(tmp_path: Path, array: np.ndarray) -> None:
     assert list(found) == ["two"] and np.array_equal(found["two"], array)
 
 
-def test_a_missing_file_is_misuse(tmp_path: Path) -> None:
+def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
     for read, name in ((arrays.read_npy, "a.npy"), (arrays.read_npz, "a.npz")):
         with pytest.raises(UsageError, match="no such file"):
             read(tmp_path / name)
@@ -49,7 +49,7 @@ def test_nothing_is_unpickled(tmp_path: Path) -> None:
     assert (tmp_path / "sprung").exists()  # the premise: the trap works
 
 
-def test_headers_that_promise_more_than_there_is(tmp_path: Path) -> None:
+def test_headers_that_claim_more_than_the_file_holds(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros((4, 17)))
     data = (tmp_path / "a.npy").read_bytes()
     (tmp_path / "a.npy").write_bytes(data.replace(b"(4, 17)", b"(9999999999, 17)").replace(b" " * 12, b" " * 3, 1))
@@ -57,7 +57,7 @@ def test_headers_that_promise_more_than_there_is(tmp_path: Path) -> None:
         arrays.read_npy(tmp_path / "a.npy")
 
 
-def test_archives_that_unpack_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_archives_that_unpack_to_too_many_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrays, "MAX_BYTES", 10_000)
     np.savez_compressed(tmp_path / "a.npz", big=np.zeros(2000))
     assert (tmp_path / "a.npz").stat().st_size < 1000  # the premise
@@ -65,7 +65,7 @@ def test_archives_that_unpack_to_too_much(tmp_path: Path, monkeypatch: pytest.Mo
         arrays.read_npz(tmp_path / "a.npz")
 
 
-def test_an_archive_that_lies_about_its_sizes(tmp_path: Path) -> None:
+def test_an_archive_with_wrong_sizes(tmp_path: Path) -> None:
     buffer = io.BytesIO()
     np.save(buffer, np.zeros(50))
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:

@@ -57,14 +57,14 @@ def test_every_error_is_one_line(monkeypatch, capsys, error: BaseException, code
     assert stopped == code and json.loads(out)["exit_code"] == code
 
 
-def test_results_for_persons_and_programs(monkeypatch, capsys) -> None:
+def test_results_as_text_and_json(monkeypatch, capsys) -> None:
     assert outcome(monkeypatch, capsys, None, "work", "--count", "3") == (0, "count 3\n", "")
     assert outcome(monkeypatch, capsys, None, "work", "--json") == (0, '{"count": 1}\n', "")
     assert outcome(monkeypatch, capsys, None, "rest")[0] == 1
 
 
 @pytest.mark.parametrize("options", [("wrk",), ("work", "--cont", "3"), ("work", "--count", "many"), ("work", "extra")])
-def test_wrong_arguments_are_misuse(monkeypatch, capsys, options: tuple[str, ...]) -> None:
+def test_wrong_arguments_are_usage_errors(monkeypatch, capsys, options: tuple[str, ...]) -> None:
     code, _, err = outcome(monkeypatch, capsys, None, *options)
     assert code == 2 and err.startswith("error: ") and err.count("\n") == 1
 
@@ -73,11 +73,11 @@ def test_wrong_arguments_are_misuse(monkeypatch, capsys, options: tuple[str, ...
     (("wrk",), "'work'?"), (("work", "--cont", "3"), "there is no option '--cont'; did you mean '--count'?"),
     (("work", "extra"), "work --help' says what it takes"), (("--dbug", "work"), "did you mean '--debug'?"),
 ])  # fmt: skip
-def test_wrong_names_are_answered_with_the_nearest(monkeypatch, capsys, options: tuple[str, ...], words: str) -> None:
+def test_wrong_names_suggest_the_nearest(monkeypatch, capsys, options: tuple[str, ...], words: str) -> None:
     assert words in outcome(monkeypatch, capsys, None, *options)[2]
 
 
-def test_without_a_command_there_is_help(monkeypatch, capsys) -> None:
+def test_without_a_command_help_is_printed(monkeypatch, capsys) -> None:
     code, out, err = outcome(monkeypatch, capsys, None)
     assert code == 2 and out == "" and "error" not in err and "work" in err and err.count("\n") > 5
 
@@ -94,7 +94,7 @@ def test_the_shell_completes_names(typed: str, offered: str) -> None:
     assert offered in done.stdout.split(), done.stderr
 
 
-def test_progress_is_plain_lines_elsewhere_than_on_a_terminal(monkeypatch, capsys) -> None:
+def test_progress_without_a_terminal_is_plain_lines(monkeypatch, capsys) -> None:
     now = [0.0]
     monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
     with console.progress("reading", 10, "images") as shown:
@@ -104,6 +104,6 @@ def test_progress_is_plain_lines_elsewhere_than_on_a_terminal(monkeypatch, capsy
     assert capsys.readouterr().err.splitlines() == ["reading: 5/10 images, 5 s left", "reading: 10/10 images, 0 s left"]
 
 
-def test_nearest_spelling_or_all_of_them() -> None:
+def test_nearest_spelling_or_all_names() -> None:
     assert nearest("blendr", {"blender", "llff"}) == "did you mean 'blender'?"
     assert nearest("xyz", {"b", "a"}) == "valid: a, b"

@@ -45,7 +45,7 @@ def test_a_killed_writer_leaves_no_half_file_under_the_name(tmp_path: Path) -> N
     assert not (tmp_path / "a.bin").exists()
 
 
-def test_a_stopped_folder_writer_tidies_up(tmp_path: Path) -> None:
+def test_an_interrupted_folder_writer_cleans_up(tmp_path: Path) -> None:
     code = (
         "import sys, time; from datasets import files\n"
         f"with files.atomic_folder({str(tmp_path / 'scene')!r}) as f:\n"
@@ -99,7 +99,7 @@ def test_a_written_file_can_be_read_by_others(tmp_path: Path) -> None:
     assert os.stat(tmp_path / "a").st_mode & 0o777 == 0o644
 
 
-def test_a_missing_file_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
+def test_a_missing_file_suggests_the_nearest_name(tmp_path: Path) -> None:
     files.write_json(tmp_path / "calibration.json", {})
     with pytest.raises(UsageError, match=r"no such file; did you mean 'calibration.json'\?"):
         files.read_json(tmp_path / "calibratio.json")

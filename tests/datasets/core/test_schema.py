@@ -68,7 +68,7 @@ def test_a_missing_file_names_its_neighbour(tmp_path):
         load_yaml(tmp_path / "plans.yaml", _Plan)
 
 
-def test_overrides_win_and_their_mistakes_are_named(tmp_path):
+def test_overrides_and_their_mistakes(tmp_path):
     assert _load(tmp_path, "speed: 1\n", overrides=["speed=2", "camera.kind=grid", "speed=3"]).speed == 3
     assert _load(tmp_path, "speed: 1\n", overrides=["camera={kind: grid, spacing: 2}"]).camera.spacing == 2
     for override in ("speed", "spede=1", "speed.x=1", "speed=[1"):

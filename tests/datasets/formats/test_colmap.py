@@ -86,7 +86,7 @@ def test_our_reader_agrees_with_pycolmap_on_rigs(tmp_path: Path, text: bool) -> 
     ("points3D", 0, 2**62, "promises more points than it holds"),
     ("points3D", 51, 2**61, "promises more sightings than it holds"),
 ])  # fmt: skip
-def test_huge_counts_are_told_before_anything_is_reserved(
+def test_huge_counts_are_refused_before_allocation(
     make_scene: Callable[..., Scene], tmp_path: Path, name: str, at: int, value: int, words: str
 ) -> None:
     from dataclasses import replace
@@ -100,7 +100,7 @@ def test_huge_counts_are_told_before_anything_is_reserved(
         load_scene(tmp_path / "out")
 
 
-def test_of_a_model_and_poses_bounds_the_model_is_taken(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+def test_a_model_is_preferred_to_poses_bounds(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
     """mip-NeRF 360's folders have both; without the images that it names, a model is of no use."""
     lens = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12)
     save_scene(make_scene(lens, truth=False), tmp_path / "out", "mipnerf360")

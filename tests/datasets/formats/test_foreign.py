@@ -49,7 +49,7 @@ def test_nerfstudios_order_of_distortion_params(transforms: Callable[..., Path])
     assert (camera.k1, camera.k2, camera.k3, camera.p1, camera.p2) == (0.1, 0.2, 0.3, 0.4, 0.5)
 
 
-def test_field_of_view_stands_in_for_the_focal_length(transforms: Callable[..., Path]) -> None:
+def test_field_of_view_replaces_the_focal_length(transforms: Callable[..., Path]) -> None:
     folder = transforms(
         drop=("fl_x", "fl_y", "cx", "cy", "w", "h"), camera_angle_x=2 * np.arctan(20 / 70), camera_angle_y=2 * np.arctan(15 / 80)
     )
@@ -57,7 +57,7 @@ def test_field_of_view_stands_in_for_the_focal_length(transforms: Callable[..., 
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((70, 80, 20, 15))
 
 
-def test_a_frames_own_intrinsics_come_first(transforms: Callable[..., Path]) -> None:
+def test_a_frames_own_intrinsics_take_precedence(transforms: Callable[..., Path]) -> None:
     assert load_scene(transforms(frame={"fl_x": 60.0})).views[3].camera.fx == 60.0
 
 
@@ -110,7 +110,7 @@ def test_what_cannot_be_read_is_named(transforms: Callable[..., Path], content: 
     assert "\n" not in str(caught.value)
 
 
-def test_problems_are_gathered_where_a_list_is_given(transforms: Callable[..., Path]) -> None:
+def test_problems_are_collected_in_a_list(transforms: Callable[..., Path]) -> None:
     folder = transforms()
     content = json.loads((folder / "transforms.json").read_text())
     content["frames"][2]["transform_matrix"][0][0] = float("nan")
@@ -178,7 +178,7 @@ def test_pickles_are_never_opened(rows: Callable[..., Path]) -> None:
         load_scene(folder)
 
 
-def test_the_largest_images_are_taken_unless_others_are_asked_for(rows: Callable[..., Path]) -> None:
+def test_the_largest_images_are_used_by_default(rows: Callable[..., Path]) -> None:
     folder = rows()
     for index in range(8):
         images.write(folder / "images_2" / f"{index}.png", np.zeros((15, 20, 3)))

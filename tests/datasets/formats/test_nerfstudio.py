@@ -43,7 +43,7 @@ def test_their_rules_hold(make_scene: Callable[..., Scene], tmp_path: Path, mask
     assert b"element vertex 4" in head and np.array_equal(np.frombuffer(body, "<f8"), np.arange(12.0))
 
 
-def test_depth_goes_along_where_all_have_it(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+def test_depth_is_exported_where_all_views_have_it(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
     scene = make_scene()
     with_depth = scene.with_views(tuple(view for view in scene.views if view.truth))
     nerfstudio.save(with_depth, tmp_path / "out")

@@ -41,7 +41,7 @@ def test_lego_poses_agree_with_the_images(real_data: Folder) -> None:
         assert np.prod(high - low) < 2.5 * np.ptp(rows) * np.ptp(columns)  # perspective widens a box's corners
 
 
-def test_fox_is_measured_where_that_is_asked_for(real_data: Folder) -> None:
+def test_fox_is_measured_on_request(real_data: Folder) -> None:
     """Photographs of a wall and a head before it, 2 to 8 units away: found by a triangulation of another kind, once."""
     scene = load_scene(real_data("fox"), measure=True)
     assert 1.2 < scene.near < 1.9 and 14 < scene.far < 18 and scene.points is not None and len(scene.points) > 2000
@@ -103,7 +103,7 @@ def test_colmap_small_takes_the_model_that_has_images(real_data: Folder) -> None
 
 
 @pytest.mark.parametrize("name", ["visp_franka_handeye", "franka_charuco_handeye"])
-def test_sets_that_are_no_scenes_say_so(real_data: Folder, name: str) -> None:
+def test_folders_without_a_scene_are_refused(real_data: Folder, name: str) -> None:
     with pytest.raises(UsageError, match="holds no scene that Koala knows"):
         load_scene(real_data(name))
 

@@ -30,12 +30,12 @@ def test_floats_are_linear_light_weighted_by_alpha(tmp_path: Path) -> None:
     assert np.allclose(downscale.shrunk(tmp_path / "a.exr", 1, 1), [[[4, 0, 0, 0.5]]], atol=1e-6)
 
 
-def test_masks_are_averaged_as_they_are(tmp_path: Path) -> None:
+def test_masks_are_averaged_without_conversion(tmp_path: Path) -> None:
     images.write(tmp_path / "m.png", np.array([[0, 255], [0, 255]], np.uint8))
     assert downscale.shrunk(tmp_path / "m.png", 1, 1, colours=False).ravel() == [128]
 
 
-def test_metadata_goes_along(tmp_path: Path) -> None:
+def test_metadata_is_kept(tmp_path: Path) -> None:
     said = {"Make": "Basler", "Model": "acA1920", "ExposureTime": 0.0125, "Exif:FocalLength": 8.0}
     images.write(tmp_path / "a.jpg", RANDOM.random((16, 16, 3)), metadata=said)
     downscale.Job(tmp_path / "a.jpg", tmp_path / "small" / "a.jpg", 4, 4).run()
@@ -50,7 +50,7 @@ def test_camera_of_a_size_that_does_not_divide() -> None:
     assert (small.width, small.height, small.cx, small.cy) == (25, 19, 12.5, 9.5)
 
 
-def test_streamed_keeps_the_order_and_holds_few() -> None:
+def test_streamed_keeps_the_order_and_few_results() -> None:
     """Ten results of a megabyte each pass through; two are under way and one is being looked at."""
     tracemalloc.start()
     order = [int(result[0]) for result in downscale.streamed(lambda i: np.full(131072, float(i)), range(10))]

@@ -68,7 +68,7 @@ def test_missing_and_foreign_files(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["text.png"]
 
 
-def test_a_header_that_promises_too_much_is_refused_before_decoding(tmp_path: Path) -> None:
+def test_a_header_of_a_huge_image_is_refused_before_decoding(tmp_path: Path) -> None:
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
@@ -101,7 +101,7 @@ def test_orientation_tag_is_respected(tmp_path: Path, orientation: int) -> None:
     assert images.size(tmp_path / "a.tif") == (expected.shape[1], expected.shape[0])
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The encoder is made to lose the file's end, as it does in silence where the disk fills with the last block."""
     import shutil
     from collections import namedtuple

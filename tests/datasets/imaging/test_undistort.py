@@ -60,7 +60,7 @@ def test_colour_does_not_bleed_out_of_nothing() -> None:
     assert np.abs(result[solid][:, :3] - [0.2, 0.4, 0.6]).max() < 1e-3
 
 
-def test_nearest_invents_no_values_and_depth_follows_the_turn() -> None:
+def test_nearest_keeps_values_and_depth_follows_the_rotation() -> None:
     found = pinhole(LENS)
     labels = np.random.default_rng(0).integers(0, 9, (144, 192, 1)).astype(np.float32)
     assert set(np.unique(found.resample(labels, NEAREST))) <= set(range(9))
@@ -70,5 +70,5 @@ def test_nearest_invents_no_values_and_depth_follows_the_turn() -> None:
 
 
 def test_a_hopeless_lens_is_refused() -> None:
-    with pytest.raises(ValueError, match="no picture"):
+    with pytest.raises(ValueError, match="no image"):
         pinhole(Camera(192, 144, 30.0, 30.0, 96, 900.0, k1=-2.0))

@@ -14,7 +14,7 @@ def test_every_kind_of_picture_becomes_three_channels(channels: int) -> None:
     assert np.abs(sent - 255 * expected).max() <= 1  # rounding, and the way to linear light and back
 
 
-def test_small_pictures_keep_their_size_and_nothing_runs_over() -> None:
+def test_small_pictures_keep_their_size_and_are_clipped() -> None:
     picture = np.array([[[-0.5, 0.25, 1.5]]], np.float32)
     assert bytes_of(picture, 640).tolist() == [[[0, 64, 255]]]
     assert bytes_of(np.array([[[1, 2, 255]]], np.uint8), 640).tolist() == [[[1, 2, 255]]]

@@ -9,7 +9,7 @@ from datasets.page import shapes
 
 
 @pytest.mark.parametrize("ends", [[[0, 0, 0], [0, 0, 0.5]], [[0.1, 0.2, 0.3], [-0.4, 0.25, 0.1]], [[1, 1, 1], [1, 1, 1]]])
-def test_capsules_are_closed_and_as_large_as_they_say(ends: list) -> None:
+def test_capsules_are_closed_and_have_their_volume(ends: list) -> None:
     radius = 0.1
     mesh = trimesh.Trimesh(*shapes.capsule(ends, radius), process=False)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0  # volume is signed: faces look outward
@@ -28,7 +28,7 @@ def test_a_box_has_its_twelve_edges() -> None:
     assert len(np.unique(edges.reshape(-1, 3), axis=0)) == 8
 
 
-def test_up_is_z_where_pictures_agree_and_what_they_say_elsewhere() -> None:
+def test_up_is_z_or_the_mean_of_the_images() -> None:
     ring = [pose.look_at((np.cos(a), np.sin(a), 0.5), (0, 0, 0)) for a in np.arange(0, 6, 0.7)]
     assert np.allclose(shapes.upright(ring), [0, 0, 1])
     turned = pose.from_rotation_vector([np.pi / 2, 0, 0])  # takes z to -y, as in COLMAP's worlds
@@ -36,6 +36,6 @@ def test_up_is_z_where_pictures_agree_and_what_they_say_elsewhere() -> None:
     assert np.allclose(shapes.upright([np.eye(4), np.diag([1.0, -1, -1, 1])]), [0, 0, 1])  # they say nothing
 
 
-def test_a_legend_names_what_there_is() -> None:
+def test_a_legend_names_counts_and_colours() -> None:
     words = shapes.legend({"train": 3, "test": 1})
     assert "train: 3" in words and "test: 1" in words and "rgb(31, 119, 180)" in words

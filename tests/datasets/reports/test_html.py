@@ -22,7 +22,7 @@ from datasets.reports.html import Number, ReportPage
     (Number(None, "mm"), "–"), (Number(float("nan")), "–"), (Number(float("inf")), "–"), (Number(3.14159, digits=1), "3.1"),
     (Number(1.0, "", 0.0), "1.000"),
 ])  # fmt: skip
-def test_numbers_have_as_many_digits_as_they_are_known(number: Number, text: str) -> None:
+def test_digits_of_numbers_follow_their_deviation(number: Number, text: str) -> None:
     """Two significant digits of the deviation, where there is one; four of the value otherwise."""
     assert number.text == text
 

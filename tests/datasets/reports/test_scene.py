@@ -19,7 +19,7 @@ def saved(make_scene: Callable[..., Scene], tmp_path: Path) -> Path:
     return tmp_path / "scene"
 
 
-def test_a_whole_scene_is_told(saved: Path, tmp_path: Path) -> None:
+def test_the_report_of_a_sound_scene(saved: Path, tmp_path: Path) -> None:
     steps = []
     findings = report.write(
         saved, tmp_path / "page.html", matches=False, made_by="datasets report scene", done=lambda *n: steps.append(n)
@@ -31,7 +31,7 @@ def test_a_whole_scene_is_told(saved: Path, tmp_path: Path) -> None:
     assert steps and steps[-1][0] == steps[-1][1] and not re.search(r'src="(?!data:)', text)
 
 
-def test_what_is_wrong_is_said_and_a_damaged_view_left_out(saved: Path, tmp_path: Path) -> None:
+def test_findings_are_listed_and_damaged_views_left_out(saved: Path, tmp_path: Path) -> None:
     (saved / "images" / "003.png").write_bytes(b"no picture")
     findings = report.write(saved, tmp_path / "page.html", matches=False)
     text = (tmp_path / "page.html").read_text()

@@ -23,7 +23,7 @@ def test_focus_is_where_the_axes_meet() -> None:
     assert np.allclose(centre, [1, 2, 3], atol=1e-9) and spread > 0.3
 
 
-def test_parallel_axes_have_no_focus_and_say_so() -> None:
+def test_parallel_axes_have_no_focus() -> None:
     matrices = [pose.rigid(np.eye(3), (x, 0, 0)) for x in range(5)]
     centre, spread = bounds.focus(matrices)
     assert spread < 1e-12 and np.allclose(centre, [2, 0, 0])

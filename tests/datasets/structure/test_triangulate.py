@@ -53,7 +53,7 @@ def test_a_view_that_errs_is_dropped_and_the_point_stays() -> None:
     assert (cloud.views_per_point == 5).sum() == 1
 
 
-def test_two_views_are_not_believed() -> None:
+def test_two_views_are_not_enough() -> None:
     matches, matrices = made(np.repeat([[0.1], [0.2], [0.3]], 3, axis=1), count=2)
     assert len(triangulate(matches, matrices).points) == 0 and agreement(matches, matrices) == 1.0
 
@@ -68,12 +68,12 @@ def test_points_behind_a_camera_are_not_explained() -> None:
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(20.0, 0.0), (5000.0, 1.0)])
-def test_what_is_very_far_away_has_no_parallax(distance: float, expected: float) -> None:
+def test_distant_points_have_no_parallax(distance: float, expected: float) -> None:
     points = np.random.default_rng(3).uniform(-0.2, 0.2, (30, 3)) * distance + [0, 0, distance]
     matches, matrices = made(points)
     assert endless_share(matches, matrices, 0.3) == expected
 
 
-def test_nothing_matched_is_nothing_found() -> None:
+def test_without_matches_there_are_no_points() -> None:
     matches, matrices = made(np.zeros((0, 3)))
     assert len(triangulate(matches, matrices).points) == 0 and agreement(matches, matrices) == 0.0
