@@ -1,4 +1,4 @@
-"""What tests of every package share: real data where it is there, and small made-up scenes."""
+"""Shared by the tests of every package: real data where it exists, small synthetic scenes, and browser windows."""
 
 import os
 import shutil
@@ -24,15 +24,24 @@ ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"
 
 CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "koala")))
-"""Of this suite alone. What one test compiled, the next one reads, also that of another worker."""
+"""Cache of this suite only: compiled programs are shared between tests and workers."""
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
-_NUMERICS = ("numerics", "scene.rays", "field", "sampling", "rendering.volume", "rendering.model", "surface", "training.objective",
-             "training.schedules")  # fmt: skip
+_NUMERICS = (
+    "numerics",
+    "scene.rays",
+    "field",
+    "sampling",
+    "rendering.volume",
+    "rendering.model",
+    "surface",
+    "training.objective",
+    "training.schedules",
+)
 install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.beartype")  # shapes as annotated, or an error
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts background jobs deaf to Ctrl-C, and their children too
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONG = (
@@ -41,7 +50,7 @@ LONG = (
     "tests/reconstruct/training/test_step.py",
     "tests/faults/test_faults.py",
 )
-"""Files that take longest. They begin first: a worker that meets one last leaves the other idle."""
+"""The slowest files run first, so that no worker is left with one at the end."""
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
 """A real-looking lens: barrel distortion, off-centre, pixels not quite square."""
@@ -56,7 +65,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def real_data() -> Callable[[str], Path]:
-    """Folder of a real data set by name; skips the test, saying so, where that is absent."""
+    """Folder of a real data set by name; skips the test where it is absent."""
 
     def folder(name: str) -> Path:
         if not (SHARED / name).exists():
@@ -67,7 +76,7 @@ def real_data() -> Callable[[str], Path]:
 
 
 def texture(points: np.ndarray) -> np.ndarray:
-    """(..., 3) smooth colours of (..., 3) unit directions: what a far wall shows, so that any resampling has an exact answer."""
+    """(..., 3) smooth colours of (..., 3) directions: the texture of a far wall, so that any resampling has an exact result."""
     x, y, z = np.moveaxis(points / np.linalg.norm(points, axis=-1, keepdims=True), -1, 0)
     return np.stack([0.5 + 0.3 * np.sin(9 * x + 2 * z), 0.5 + 0.3 * np.cos(8 * y - x), 0.5 + 0.3 * np.sin(7 * x * y + 5 * z)], -1)
 
@@ -130,37 +139,45 @@ def simulated_session() -> Callable[..., Path]:
             recording.append(
                 Frame(index, name, "calibration", f"images/{name}.png", reported, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
             )
-        files.write_json(path / "truth" / "poses.json", {"format": "koala-truth", "version": 1, "camera": PINHOLE.to_json(),
-                         "flange_from_camera": mount.tolist(), "base_from_camera": true_cameras})  # fmt: skip
+        files.write_json(
+            path / "truth" / "poses.json",
+            {
+                "format": "koala-truth",
+                "version": 1,
+                "camera": PINHOLE.to_json(),
+                "flange_from_camera": mount.tolist(),
+                "base_from_camera": true_cameras,
+            },
+        )
         return path
 
     return make
 
 
 class Browsed:
-    """One browser window on a page: what it shows, what it asked for, what went wrong in it."""
+    """One browser window on a page, with its requests and errors."""
 
     WIDTH, HEIGHT, PANEL = 1000, 560, 400
     PATIENCE_S = 120.0
-    """Pictures are drawn without a graphics card, on a computer that may be busy with other things."""
+    """Pages are drawn without a graphics card, on a computer that may be busy."""
 
     def __init__(self, page: Any, url: str) -> None:
         self.page, self.url = page, url
         self.errors: list[str] = []
         self.requests: list[str] = []
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("console", lambda message: self._heard(message))
+        page.on("console", lambda message: self._log(message))
         page.on("request", lambda request: self.requests.append(request.url))
         page.goto(url)
-        page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # warns of the missing graphics card
+        page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # a warning about the missing graphics card
 
-    def _heard(self, message: Any) -> None:
-        # the page's own pictures (blob:) may be replaced while the browser still opens them: nothing is missing then
+    def _log(self, message: Any) -> None:
+        # a page may replace its own pictures (blob:) while the browser still loads them
         if message.type == "error" and not message.location.get("url", "").startswith("blob:"):
             self.errors.append(message.text)
 
     def outside(self) -> list[str]:
-        """What was asked for elsewhere than at the page."""
+        """Requests to other hosts than the page."""
         own = (self.url, f"blob:{self.url}", "data:")
         return [url for url in self.requests if not url.startswith(own)]
 
@@ -168,22 +185,24 @@ class Browsed:
         """(height, width, 3) sRGB bytes of the window without the panel."""
         clip = {"x": 0, "y": 0, "width": self.WIDTH - self.PANEL, "height": self.HEIGHT}
         png = self.page.screenshot(clip=clip, timeout=1e3 * self.PATIENCE_S)
-        return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        assert pixels is not None
+        return pixels[..., ::-1]
 
     def until(self, holds: Callable[[np.ndarray], Any], what: str) -> np.ndarray:
-        """The first picture for which something holds; fails, saying `what` never came, where there is none."""
+        """The first picture that satisfies `holds`; an AssertionError that names `what` if none does in time."""
         deadline = time.monotonic() + self.PATIENCE_S
         while time.monotonic() < deadline:
             picture = self.picture()
             if holds(picture):
                 return picture
             self.page.wait_for_timeout(300)
-        raise AssertionError(f"never came: {what}; errors of the page: {self.errors}")
+        raise AssertionError(f"did not appear: {what}; errors of the page: {self.errors}")
 
 
 @pytest.fixture
 def browse() -> Iterator[Callable[[str], Browsed]]:
-    """Factory of windows of a headless Chromium that is on this computer already; skips, saying so, where there is none."""
+    """Factory of windows of an installed headless Chromium; skips the test where there is none."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install '.[test]'")
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if path is None:

@@ -135,7 +135,7 @@ def test_only_pages_need_the_page_library() -> None:
             continue
         for node in running(tree(path), functions=False):
             wrong |= {
-                f"{path.relative_to(ROOT)}:{node.lineno} imports {name}"
+                f"{path.relative_to(ROOT)} imports {name}"
                 for name in imported_names(node)
                 if name.split(".")[0] == "viser" or name.split(".")[1:2] == ["page"]
             }

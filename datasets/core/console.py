@@ -86,7 +86,7 @@ def _misused(error: Any) -> NoReturn:
     if kind == "NoSuchOption":
         close = [name for name in error.possibilities or () if name.startswith("--")]
         message = f"there is no option '{error.option_name}'" + (f"; did you mean '{close[0]}'?" if close else "")
-    advice = f"; '{context.command_path} --help' says what it takes" if context is not None and "mean" not in message else ""
+    advice = f"; '{context.command_path} --help' shows its arguments" if context is not None and "mean" not in message else ""
     _fail(message + advice, 2)
 
 

@@ -105,13 +105,13 @@ def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -
         return None, None
     names: list[str] = []
     index, pixels, colours, first = [], [], [], 0
-    for points, seen, new in having:
-        if seen is None:
+    for points, sightings, new in having:
+        if sightings is None:
             return np.concatenate([points for points, _, _ in having]), None
-        index.append(seen.index + np.array([first, len(names)]))
-        pixels.append(seen.pixels)
-        colours.append(seen.colours)
-        names += [new.get(name, name) for name in seen.names]
+        index.append(sightings.index + np.array([first, len(names)]))
+        pixels.append(sightings.pixels)
+        colours.append(sightings.colours)
+        names += [new.get(name, name) for name in sightings.names]
         first += len(points)
     return np.concatenate([points for points, _, _ in having]), Sightings(
         tuple(names), np.concatenate(index), np.concatenate(pixels), np.concatenate(colours)
@@ -212,15 +212,15 @@ def _exr(folder: Path, key: str, view: View) -> Path:
 
 def _with_views(scene: Scene, views: Sequence[View], moved: Callable[[str, Pixels], Pixels]) -> Scene:
     """The scene with other images; sightings move with them, and those outside the new image are dropped."""
-    seen = scene.sightings
-    if seen is None:
+    old = scene.sightings
+    if old is None:
         return scene.with_views(tuple(views))
     cameras = {view.name: view.camera for view in views}
-    pixels, kept = seen.pixels.copy(), np.zeros(len(seen.pixels), bool)
-    for number, name in enumerate(seen.names):
-        rows = np.flatnonzero(seen.index[:, 1] == number)
+    pixels, kept = old.pixels.copy(), np.zeros(len(old.pixels), bool)
+    for number, name in enumerate(old.names):
+        rows = np.flatnonzero(old.index[:, 1] == number)
         if name in cameras and len(rows):
-            pixels[rows] = moved(name, seen.pixels[rows])
+            pixels[rows] = moved(name, old.pixels[rows])
             kept[rows] = ((pixels[rows] >= 0) & (pixels[rows] <= [cameras[name].width, cameras[name].height])).all(1)
-    sightings = replace(seen, index=seen.index[kept], pixels=pixels[kept])
+    sightings = replace(old, index=old.index[kept], pixels=pixels[kept])
     return replace(scene, views=tuple(views), sightings=sightings)

@@ -72,7 +72,7 @@ class Gathering:
             )
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
-            raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images where it says")
+            raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images in place")
         without = [view.name for view in self.views if view.mask is None]
         if 0 < len(without) < len(self.views):
             why = f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}"

@@ -86,23 +86,23 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     if (folder / llff.FILE).is_file():
         gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {place.relative_to(folder)} holds more")
     views = gathering.finished(listed_in=f"{place.name}/images")
-    seen = _sightings(model, stored, pixels) if len(model.points) else None
+    sightings = _sightings(model, stored, pixels) if len(model.points) else None
     stored_facts = sidecar.read(folder)
     if stored_facts is not None:
-        if seen is not None:
-            seen = replace(seen, names=tuple(sidecar.name_of(stored_facts, name) for name in seen.names))
+        if sightings is not None:
+            sightings = replace(sightings, names=tuple(sidecar.name_of(stored_facts, name) for name in sightings.names))
         scene = sidecar.restore(stored_facts, views, folder, notes=tuple(gathering.notes))
-        return replace(scene, points=model.points, sightings=seen) if seen is not None else scene
+        return replace(scene, points=model.points, sightings=sightings) if sightings is not None else scene
     scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
-    return replace(assemble.with_points(scene, model.points), sightings=seen) if seen is not None else scene
+    return replace(assemble.with_points(scene, model.points), sightings=sightings) if sightings is not None else scene
 
 
 def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, np.ndarray]) -> Sightings:
     index, places = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
     for number, (name, image) in enumerate(stored.items()):
-        seen = np.flatnonzero(image.points >= 0)
-        index.append(np.stack([image.points[seen], np.full(len(seen), number)], axis=1))
-        places.append(pixels[name][seen])
+        matched = np.flatnonzero(image.points >= 0)
+        index.append(np.stack([image.points[matched], np.full(len(matched), number)], axis=1))
+        places.append(pixels[name][matched])
     return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places), model.colours)
 
 
@@ -205,14 +205,14 @@ def _write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) -
 
 def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Per image number, from 1: (k,) points that it saw and (k, 2) their pixels."""
-    seen = scene.sightings
-    if seen is None or scene.points is None:
+    sightings = scene.sightings
+    if sightings is None or scene.points is None:
         return {number: (np.zeros(0, np.int64), np.zeros((0, 2))) for number in range(1, len(views) + 1)}
-    numbers = {name: index for index, name in enumerate(seen.names)}
+    numbers = {name: index for index, name in enumerate(sightings.names)}
     found = {}
     for number, view in enumerate(views, 1):
-        rows = np.flatnonzero(seen.index[:, 1] == numbers.get(view.name, -1))
-        found[number] = (seen.index[rows, 0], seen.pixels[rows])
+        rows = np.flatnonzero(sightings.index[:, 1] == numbers.get(view.name, -1))
+        found[number] = (sightings.index[rows, 0], sightings.pixels[rows])
     return found
 
 

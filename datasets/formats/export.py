@@ -102,7 +102,7 @@ def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
     if merged:
         lost.append(f"masks beside images: {merged} were put into the images' alpha")
     if scene.metric or any(view.truth for view in scene.views) or scene.background == "scene":
-        lost.append("bounds, background, scale and truth: koala.json beside it keeps them")
+        lost.append("bounds, background, scale and truth: koala.json keeps them")
     return f"{layout.title} cannot hold " + "; nor ".join(lost) if lost else ""
 
 

@@ -65,8 +65,8 @@ def frustum_box(views: Sequence[View], near: float, far: float) -> Box:
     for view in views:
         width, height = view.camera.width, view.camera.height
         rays = view.camera.directions([[0, 0], [width, 0], [0, height], [width, height]])
-        seen = np.concatenate([rays * near, rays * far])
-        points.append(seen @ view.world_from_camera[:3, :3].T + view.world_from_camera[:3, 3])
+        visible = np.concatenate([rays * near, rays * far])
+        points.append(visible @ view.world_from_camera[:3, :3].T + view.world_from_camera[:3, 3])
     stacked = np.concatenate(points)
     return np.stack([stacked.min(0), stacked.max(0)])
 
@@ -100,10 +100,10 @@ def about_points(views: Sequence[View], points: ArrayLike) -> tuple[Box, float, 
     nearest, furthest = np.inf, 0.0
     for view in views:
         depths = depths_in_picture(view, points)
-        seen = np.isfinite(depths)
-        in_sight += seen
-        if seen.sum() >= FEWEST_POINTS // 4:
-            low, high = np.quantile(depths[seen], (0.01, 0.99))
+        visible = np.isfinite(depths)
+        in_sight += visible
+        if visible.sum() >= FEWEST_POINTS // 4:
+            low, high = np.quantile(depths[visible], (0.01, 0.99))
             nearest, furthest = min(nearest, float(low)), max(furthest, float(high))
     common = points[in_sight >= len(views) / 2]
     if len(common) < FEWEST_POINTS or not furthest:

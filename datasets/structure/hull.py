@@ -50,11 +50,11 @@ def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, 
         axes = [result[0, k] + voxel[k] * (np.arange(resolution) + 0.5) for k in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         radius = float(np.linalg.norm(voxel)) / 2
-        seen = np.zeros(len(points), int)
+        visible = np.zeros(len(points), int)
         for view, mask in zip(chosen, masks, strict=True):
             counted, possible = _carve(view, mask, points, radius)
-            points, seen = points[possible], (seen + counted)[possible]
-        kept = points[seen >= max(len(chosen) // 3, 1)]
+            points, visible = points[possible], (visible + counted)[possible]
+        kept = points[visible >= max(len(chosen) // 3, 1)]
         if not len(kept):
             return Hull(start, points, radius, 0)
         result = np.stack([np.maximum(kept.min(0) - voxel, result[0]), np.minimum(kept.max(0) + voxel, result[1])])
@@ -82,7 +82,7 @@ def _carve(
     from scipy.ndimage import maximum_filter
 
     camera = view.camera
-    seen, possible = np.zeros(len(points), bool), np.ones(len(points), bool)
+    visible, possible = np.zeros(len(points), bool), np.ones(len(points), bool)
     local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
     front = local[:, 2] > 2 * radius
     safe_depth = np.where(front, local[:, 2], 1.0)
@@ -93,10 +93,10 @@ def _carve(
     inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(1)
     index, pixels = index[inside], pixels[inside]
     if not len(index):
-        return seen, possible
+        return visible, possible
     footprint = radius * max(camera.fx, camera.fy) / (float(local[index, 2].min()) - radius) / _CELL
     wide = maximum_filter(mask, size=2 * int(np.ceil(footprint)) + 1, mode="nearest")
     column, row = (pixels / _CELL).astype(int).T
-    seen[index] = True
+    visible[index] = True
     possible[index] = wide[row, column]
-    return seen, possible
+    return visible, possible

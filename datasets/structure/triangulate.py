@@ -152,7 +152,7 @@ def _errors(
     world_from_camera: NDArray[np.float64], view: NDArray[np.int64], local: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(n,) distance at z = 1 between observation and projection of each point; infinite behind the camera."""
-    seen = np.einsum("nij,ni->nj", world_from_camera[view, :3, :3], points - world_from_camera[view, :3, 3])
-    front = seen[:, 2] > 0  # false for NaN too
-    ideal = seen[:, :2] / np.where(front, seen[:, 2], 1.0)[:, None]
+    local_points = np.einsum("nij,ni->nj", world_from_camera[view, :3, :3], points - world_from_camera[view, :3, 3])
+    front = local_points[:, 2] > 0  # false for NaN too
+    ideal = local_points[:, :2] / np.where(front, local_points[:, 2], 1.0)[:, None]
     return np.where(front, np.linalg.norm(ideal - local[:, :2], axis=1), np.inf)

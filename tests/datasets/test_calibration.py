@@ -46,12 +46,20 @@ def test_a_rotation_moves_a_distant_origin() -> None:
     [
         ({"camera": None}, "camera is not complete"),
         ({"flange_from_camera": {"translation_m": [0, 0, 0]}}, "c.json, flange_from_camera: pose is not complete"),
-        ({"flange_from_camera": {"translation_m": [0, 0, float("nan")], "quaternion_wxyz": [1, 0, 0, 0], "covariance": np.eye(6).tolist()}},
-         "pose is not finite"),
+        (
+            {
+                "flange_from_camera": {
+                    "translation_m": [0, 0, float("nan")],
+                    "quaternion_wxyz": [1, 0, 0, 0],
+                    "covariance": np.eye(6).tolist(),
+                }
+            },
+            "pose is not finite",
+        ),
         ({"format": "koala-scene"}, "is not a koala-calibration file"),
         ({"version": 2}, "version 2 cannot be read"),
     ],
-)  # fmt: skip
+)
 def test_damage_is_named(tmp_path: Path, change: dict, words: str) -> None:
     Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
     content = json.loads((tmp_path / "c.json").read_text())

@@ -16,10 +16,19 @@ def between(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 cameras = st.builds(
-    Camera, width=st.just(640), height=st.just(480), fx=between(550, 900), fy=between(550, 900), cx=between(280, 360),
-    cy=between(200, 280), k1=between(-0.12, 0.2), k2=between(-0.02, 0.05), p1=between(-2e-3, 2e-3), p2=between(-2e-3, 2e-3),
+    Camera,
+    width=st.just(640),
+    height=st.just(480),
+    fx=between(550, 900),
+    fy=between(550, 900),
+    cx=between(280, 360),
+    cy=between(200, 280),
+    k1=between(-0.12, 0.2),
+    k2=between(-0.02, 0.05),
+    p1=between(-2e-3, 2e-3),
+    p2=between(-2e-3, 2e-3),
     k3=between(-0.005, 0.01),
-)  # fmt: skip
+)
 """Lenses that do not fold within their picture: its corner lies at most 0.83 from the axis, the worst of these folds at 0.93."""
 pixels = st.tuples(between(0, 640), between(0, 480))
 

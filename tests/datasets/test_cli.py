@@ -21,8 +21,14 @@ def command(*arguments: object, before: str = "pass") -> list[str]:
 
 
 def run(*arguments: object, before: str = "pass", **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(*arguments, before=before), capture_output=True, text=True, timeout=120,
-                          env={**os.environ, **environment}, check=False)  # fmt: skip
+    return subprocess.run(
+        command(*arguments, before=before),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, **environment},
+        check=False,
+    )
 
 
 @pytest.fixture
@@ -138,8 +144,10 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Sc
     from datasets.camera_model import Camera
 
     koala.save(make_scene(Camera(96, 72, 90.0, 91.0, 50.0, 34.0, k1=-0.1)), tmp_path / "scene")
-    small_files = ("import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-                   "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))")  # fmt: skip
+    small_files = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))"
+    )
     failed = run("export", tmp_path / "scene", "--format", "blender", "--out", tmp_path / "o" / "x", before=small_files)
     assert failed.returncode == 1 and "Traceback" not in failed.stderr and "error:" in failed.stderr
     assert list((tmp_path / "o").iterdir()) == []
@@ -149,8 +157,15 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene],
     from datasets.camera_model import Camera
 
     koala.save(make_scene(Camera(320, 240, 300.0, 301.0, 160.0, 120.0, k1=-0.1), 40, truth=False), tmp_path / "scene")
-    started = command("export", tmp_path / "scene", "--format", "llff", "--out", tmp_path / "o" / "x",
-                      before="import signal; signal.signal(signal.SIGINT, signal.default_int_handler)")  # fmt: skip
+    started = command(
+        "export",
+        tmp_path / "scene",
+        "--format",
+        "llff",
+        "--out",
+        tmp_path / "o" / "x",
+        before="import signal; signal.signal(signal.SIGINT, signal.default_int_handler)",
+    )
     process = subprocess.Popen(started, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not list((tmp_path / "o").glob(".x.*/images/*.png")) and time.monotonic() < deadline:

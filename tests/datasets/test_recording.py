@@ -11,8 +11,20 @@ from datasets.recording import FRAMES, Frame, Recording
 
 
 def frame(index: int) -> Frame:
-    return Frame(index, f"{index:03d}", "train", f"images/{index:03d}.png", pose.from_rotation_vector((0.1, 0.2, index)),
-                 np.arange(6.0), 1.5, 10**18 + index, 7, 1e4, 0.3, "")  # fmt: skip
+    return Frame(
+        index,
+        f"{index:03d}",
+        "train",
+        f"images/{index:03d}.png",
+        pose.from_rotation_vector((0.1, 0.2, index)),
+        np.arange(6.0),
+        1.5,
+        10**18 + index,
+        7,
+        1e4,
+        0.3,
+        "",
+    )
 
 
 @pytest.fixture

@@ -72,7 +72,7 @@ def test_findings_are_marked_at_their_views(saved: Path) -> None:
         about = next(finding for finding in findings if "same" in finding.what)
         assert [concerned.name for concerned in view.views_of(about, scene)] == ["003"]
         mark = page.scene.get_handle_by_name(f"/findings/{findings.index(about)}/003/ball")
-        assert np.allclose(mark.position, scene.views[3].world_from_camera[:3, 3])
+        assert mark is not None and np.allclose(mark.position, scene.views[3].world_from_camera[:3, 3])
         assert isinstance(mark, viser.IcosphereHandle) and tuple(mark.color) == shapes.COLOURS["warning"]
 
 
@@ -107,7 +107,8 @@ def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, bro
         shown.slider.value = timeline.end
         window.until(lambda picture: (np.abs(picture.astype(int) - before) > 40).mean() > 0.005, "the arm elsewhere")
         expected = segments(timeline.at(timeline.end), mount)[PARTS.index("camera"), 0]
-        assert np.allclose(page.scene.get_handle_by_name("/arm/camera").position, expected, atol=1e-5)
+        handle = page.scene.get_handle_by_name("/arm/camera")
+        assert handle is not None and np.allclose(handle.position, expected, atol=1e-5)
         assert window.errors == []
 
 

@@ -50,9 +50,14 @@ def test_damaged_files_are_found_all_at_once(saved: Path) -> None:
     (saved / "images" / "007.png").unlink()
     (saved / "images" / "007.png").write_bytes((saved / "images" / "006.png").read_bytes())
     found = lines(saved)
-    for words in ("001.png: no such image", "002.png: image cannot be read", "003.png (view 003): image has the wrong size",
-                  "005.png: image has one colour only", "004.exr: no such image",
-                  "view 007: image is the same as another's (equal to view 006)"):  # fmt: skip
+    for words in (
+        "001.png: no such image",
+        "002.png: image cannot be read",
+        "003.png (view 003): image has the wrong size",
+        "005.png: image has one colour only",
+        "004.exr: no such image",
+        "view 007: image is the same as another's (equal to view 006)",
+    ):
         assert any(words in line for line in found), (words, found)
     assert len(found) == 6
 
@@ -100,7 +105,7 @@ def test_all_on_one_spot(make_scene: Callable[..., Scene], tmp_path: Path) -> No
 
 def test_a_folder_without_images(saved: Path) -> None:
     altered(saved, lambda views: views.clear())
-    assert lines(saved) == [f"error: {saved}: scene has no images (cameras.json lists none); put the images where it says"]
+    assert lines(saved) == [f"error: {saved}: scene has no images (cameras.json lists none); put the images in place"]
 
 
 def test_an_empty_mask_is_found(make_scene: Callable[..., Scene], tmp_path: Path) -> None:

@@ -10,8 +10,16 @@ from datasets.core import arrays
 from datasets.core.errors import DatasetError, UsageError
 
 
-@pytest.mark.parametrize("array", [np.arange(6.0).reshape(2, 3), np.zeros((0, 17)), np.float32(3), np.array(["a", "bc"]),
-                                   np.asfortranarray(np.arange(6).reshape(2, 3))])  # fmt: skip
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.zeros((0, 17)),
+        np.float32(3),
+        np.array(["a", "bc"]),
+        np.asfortranarray(np.arange(6).reshape(2, 3)),
+    ],
+)
 def test_plain_arrays_come_back(tmp_path: Path, array: np.ndarray) -> None:
     np.save(tmp_path / "a.npy", array)
     assert np.array_equal(arrays.read_npy(tmp_path / "a.npy"), array)

@@ -71,7 +71,7 @@ def test_wrong_arguments_are_usage_errors(monkeypatch, capsys, options: tuple[st
 
 @pytest.mark.parametrize(("options", "words"), [
     (("wrk",), "'work'?"), (("work", "--cont", "3"), "there is no option '--cont'; did you mean '--count'?"),
-    (("work", "extra"), "work --help' says what it takes"), (("--dbug", "work"), "did you mean '--debug'?"),
+    (("work", "extra"), "work --help' shows its arguments"), (("--dbug", "work"), "did you mean '--debug'?"),
 ])  # fmt: skip
 def test_wrong_names_suggest_the_nearest(monkeypatch, capsys, options: tuple[str, ...], words: str) -> None:
     assert words in outcome(monkeypatch, capsys, None, *options)[2]

@@ -104,7 +104,7 @@ def test_colmap_small_takes_the_model_that_has_images(real_data: Folder) -> None
 
 @pytest.mark.parametrize("name", ["visp_franka_handeye", "franka_charuco_handeye"])
 def test_folders_without_a_scene_are_refused(real_data: Folder, name: str) -> None:
-    with pytest.raises(UsageError, match="holds no scene that Koala knows"):
+    with pytest.raises(UsageError, match="holds no scene in a known format"):
         load_scene(real_data(name))
 
 

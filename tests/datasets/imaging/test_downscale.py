@@ -11,8 +11,10 @@ from datasets.imaging import bench, downscale, images
 RANDOM = np.random.default_rng(0)
 
 
-@pytest.mark.parametrize(("suffix", "kind", "tolerance"), [(".png", np.uint8, 0.51 / 255), (".png", np.uint16, 0.51 / 65535),
-                                                           (".tif", np.uint16, 0.51 / 65535)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("suffix", "kind", "tolerance"),
+    [(".png", np.uint8, 0.51 / 255), (".png", np.uint16, 0.51 / 65535), (".tif", np.uint16, 0.51 / 65535)],
+)
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_integers_keep_their_depth_and_average_light(
     tmp_path: Path, suffix: str, kind: type, tolerance: float, channels: int

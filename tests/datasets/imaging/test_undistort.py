@@ -18,8 +18,14 @@ def test_every_pixel_was_seen_and_hardly_any_is_lost(k1: float, p1: float, dx: f
     assert found.camera.is_centred
     pixels = found.source_pixels(found.camera.pixel_centres())
     assert pixels.min() >= 0.5 and (pixels <= [191.5, 143.5]).all()
-    one_more = Camera(found.camera.width + 6, found.camera.height + 6, found.camera.fx, found.camera.fy,
-                      found.camera.width / 2 + 3, found.camera.height / 2 + 3)  # fmt: skip
+    one_more = Camera(
+        found.camera.width + 6,
+        found.camera.height + 6,
+        found.camera.fx,
+        found.camera.fy,
+        found.camera.width / 2 + 3,
+        found.camera.height / 2 + 3,
+    )
     wider = source.project(one_more.directions(one_more.pixel_centres()) @ found.source_from_camera[:3, :3].T)
     assert wider.min() < 0.5 or (wider > [191.5, 143.5]).any()  # it could not have been larger
     assert found.camera.width > 0.8 * 192

@@ -60,8 +60,11 @@ def test_pictures_are_what_was_given() -> None:
     found = [base64.b64decode(data) for data in re.findall(r'src="data:image/png;base64,([^"]+)"', filled().render())]
     pixels = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) for data in found]
     assert [(p.shape, int(p.min()), int(p.max())) for p in pixels] == [
-        ((40, 60, 3), 0, 0), ((40, 60, 3), 255, 255), ((40, 60, 3), 255, 255), ((20, 30, 3), 128, 128),
-    ]  # fmt: skip
+        ((40, 60, 3), 0, 0),
+        ((40, 60, 3), 255, 255),
+        ((40, 60, 3), 255, 255),
+        ((20, 30, 3), 128, 128),
+    ]
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:

@@ -57,8 +57,11 @@ def test_agreement_tells_right_poses_from_wrong_ones(two_walls: Callable[..., Sc
     assert agreement(matches, pose.inverse(matrices)) < 0.3
     cloud = triangulate(matches, matrices)
     assert np.median(cloud.errors_px) < 0.5 and (cloud.views_per_point >= 3).all()
-    local = np.einsum("nij,ni->nj", matrices[cloud.sightings[:, 1], :3, :3],
-                      cloud.points[cloud.sightings[:, 0]] - matrices[cloud.sightings[:, 1], :3, 3])  # fmt: skip
+    local = np.einsum(
+        "nij,ni->nj",
+        matrices[cloud.sightings[:, 1], :3, :3],
+        cloud.points[cloud.sightings[:, 0]] - matrices[cloud.sightings[:, 1], :3, 3],
+    )
     assert (local[:, 2] > 0).all()
 
 
