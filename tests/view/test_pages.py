@@ -45,9 +45,12 @@ def test_a_scene_shows_its_cameras_and_ends_on_ctrl_c(saved: Path, browse: Calla
         shown = json.loads(process.stdout.readline())
         assert shown["url"].startswith("http://127.0.0.1:") and shown["views"] == {"train": 6, "val": 0, "test": 3}
         window, other = browse(shown["url"]), browse(shown["url"])
-        seen = lambda picture: near(picture, shapes.COLOURS["train"]) > 30 and near(picture, shapes.COLOURS["test"]) > 15  # noqa: E731
-        first = window.until(seen, "cameras in two colours")
-        other.until(seen, "cameras in two colours")
+
+        def both_colours(picture: np.ndarray) -> bool:
+            return near(picture, shapes.COLOURS["train"]) > 30 and near(picture, shapes.COLOURS["test"]) > 15
+
+        first = window.until(both_colours, "cameras in two colours")
+        other.until(both_colours, "cameras in two colours")
         window.page.get_by_text("look through it").click()
         window.page.get_by_text("000.png").wait_for(timeout=1e3 * window.PATIENCE_S)
         window.until(

@@ -1,4 +1,4 @@
-"""The page that all reports share: complete in itself, escaped, sortable, and on paper with both pictures of a pair."""
+"""The page of all reports: self-contained, escaped, sortable, and with both pictures of a pair on paper."""
 
 import base64
 import re
@@ -17,7 +17,8 @@ from datasets.reports.html import Number, ReportPage
 
 
 @pytest.mark.parametrize(("number", "text"), [
-    (Number(2.2218, "mm", 0.0169), "2.222 ± 0.017"), (Number(-61.9556, "mm", 2.4), "-62.0 ± 2.4"), (Number(634.776, "px", 36.0), "635 ± 36"),
+    (Number(2.2218, "mm", 0.0169), "2.222 ± 0.017"), (Number(-61.9556, "mm", 2.4), "-62.0 ± 2.4"),
+    (Number(634.776, "px", 36.0), "635 ± 36"),
     (Number(26.98859, "dB"), "26.99"), (Number(0.77170), "0.7717"), (Number(10763, digits=0), "10763"), (Number(0.0), "0.000"),
     (Number(None, "mm"), "–"), (Number(float("nan")), "–"), (Number(float("inf")), "–"), (Number(3.14159, digits=1), "3.1"),
     (Number(1.0, "", 0.0), "1.000"),
@@ -58,7 +59,7 @@ def test_the_page_needs_nothing_else_and_everything_is_escaped() -> None:
 
 def test_pictures_are_what_was_given() -> None:
     found = [base64.b64decode(data) for data in re.findall(r'src="data:image/png;base64,([^"]+)"', filled().render())]
-    pixels = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) for data in found]
+    pixels = [np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)) for data in found]
     assert [(p.shape, int(p.min()), int(p.max())) for p in pixels] == [
         ((40, 60, 3), 0, 0),
         ((40, 60, 3), 255, 255),
@@ -100,7 +101,7 @@ def test_a_browser_sorts_wipes_and_prints(tmp_path: Path, browse: Callable[[str]
     window.page.locator(".wipe").scroll_into_view_if_needed()
     box = window.page.locator(".wipe").bounding_box()
     brightness = lambda: window.page.locator(".wipe").screenshot()  # noqa: E731
-    share = lambda: float((cv2.imdecode(np.frombuffer(brightness(), np.uint8), 0) > 128).mean())  # noqa: E731
+    share = lambda: float((np.asarray(cv2.imdecode(np.frombuffer(brightness(), np.uint8), 0)) > 128).mean())  # noqa: E731
     window.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 5)
     assert abs(share() - 0.75) < 0.05, "the second picture, white, is seen right of the pointer"
     window.page.mouse.move(box["x"] + 0.9 * box["width"], box["y"] + 5)
