@@ -82,13 +82,9 @@ class Camera:
         x, y = np.moveaxis(np.asarray(normalised, np.float64), -1, 0)
         r2 = x * x + y * y
         radial, _ = self.radial(r2)
-        return np.stack(
-            [
-                x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
-                y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
-            ],
-            axis=-1,
-        )
+        distorted_x = x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x)
+        distorted_y = y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y
+        return np.stack([distorted_x, distorted_y], axis=-1)
 
     def radial(self, r2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(radial factor at the squared radius `r2`, its derivative by r2), of any shape."""

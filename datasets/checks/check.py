@@ -73,9 +73,9 @@ def _pictures(view: View, thumbnails: dict[str, NDArray[np.float32]]) -> list[Fi
 
 def _duplicate(view: View, first_by_hash: dict[str, str]) -> list[Finding]:
     """A finding where an earlier view's image has the same bytes."""
-    if not view.image.is_file():
+    if (digest := _digest(view)) is None:
         return []
-    first = first_by_hash.setdefault(files.sha256(view.image), view.name)
+    first = first_by_hash.setdefault(digest, view.name)
     if first == view.name:
         return []
     why, remedy = f"equal to view {first}", "remove one of them"
@@ -94,7 +94,7 @@ def _near_duplicates(scene: Scene, thumbnails: dict[str, NDArray[np.float32]]) -
             continue
         differences = np.abs(stack - thumbnails[view.name]).mean((1, 2, 3))
         nearest = int(np.argmin(differences))
-        twins = view.image.is_file() and train[nearest].image.is_file() and _same_bytes(view.image, train[nearest].image)
+        twins = _digest(view) is not None and _digest(view) == _digest(train[nearest])
         if differences[nearest] < ALIKE and not twins:
             why = f"it differs from view {train[nearest].name} by {255 * differences[nearest]:.2f} of 255"
             remedy = "remove one of the two, else test figures are too good"
@@ -102,22 +102,20 @@ def _near_duplicates(scene: Scene, thumbnails: dict[str, NDArray[np.float32]]) -
     return found
 
 
-def _same_bytes(one: Path, other: Path) -> bool:
-    return files.sha256(one) == files.sha256(other)
+def _digest(view: View) -> str | None:
+    return files.sha256(view.image) if view.image.is_file() else None
 
 
 def summary(scene: Scene) -> dict[str, Any]:
     """The figures of a scene that `datasets info` shows."""
-    sizes = sorted({(view.camera.width, view.camera.height) for view in scene.views})
-    counts = scene.counts()
     matrices = np.stack([view.world_from_camera for view in scene.views])
     distances = np.linalg.norm(matrices[:, :3, 3] - bounds.focus(matrices)[0], axis=1)
     first = scene.views[0]
     return {
         "name": scene.name,
         "format": scene.provenance.get("format", "koala"),
-        "views": counts,
-        "sizes": sizes,
+        "views": scene.counts(),
+        "sizes": sorted({(view.camera.width, view.camera.height) for view in scene.views}),
         "camera": first.camera.to_json(),
         "distorted": not first.camera.is_pinhole,
         "cameras": len({v.camera for v in scene.views}),

@@ -31,13 +31,13 @@ _state = {"debug": False, "json": False}
 
 def make_app(name: str, help: str) -> typer.Typer:
     """A command with Koala's conventions; add subcommands with `@app.command()`, run with `run(app)`."""
+    settings = {"help_option_names": ["-h", "--help"]}
     app = typer.Typer(
         name=name,
         help=help,
         no_args_is_help=True,
-        add_completion=True,
         pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings=settings,
         rich_markup_mode=None,
     )
 

@@ -14,23 +14,11 @@ from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.formats.links import Extra
 from datasets.scene import Scene
 
-FORMATS: dict[str, tuple[Callable[[Path], bool], Callable[..., Scene]]] = {
-    "koala": (koala.detect, koala.load),
-    "blender": (blender.detect, blender.load),
-    "nerfstudio": (nerfstudio.detect, nerfstudio.load),
-    "llff": (llff.detect, llff.load),
-    "dtu": (dtu.detect, dtu.load),
-    "colmap": (colmap.detect, colmap.load),
-}
-"""Detector and reader of each format, by name; the first detector that matches decides."""
+FORMATS = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
+"""Module of each format, with `detect`, `load` and `save`; the first that detects a folder reads it."""
 
 WRITERS: dict[str, Callable[..., str]] = {
-    "koala": koala.save,
-    "blender": blender.save,
-    "nerfstudio": nerfstudio.save,
-    "llff": llff.save,
-    "dtu": dtu.save,
-    "colmap": colmap.save,
+    **{name: module.save for name, module in FORMATS.items()},
     "colmap-text": partial(colmap.save, text=True),
     "mipnerf360": partial(colmap.save, sizes=(2, 4, 8)),
 }
@@ -71,7 +59,7 @@ def load_scene(
         raise UsageError(f"no format called {format!r}", remedy=nearest(format, FORMATS))
     kind = format or detect(folder)
     try:
-        scene = FORMATS[kind][1](folder, hold_out=hold_out, images_folder=images, problems=problems)
+        scene = FORMATS[kind].load(folder, hold_out=hold_out, images_folder=images, problems=problems)
     except _UNFORESEEN as error:
         why, remedy = f"{type(error).__name__}: {str(error)[:200]}", "write it again, or state its real format"
         raise DatasetError(f"is no {kind} scene", where=folder, why=why, remedy=remedy) from error
@@ -122,8 +110,8 @@ def save_scene(
 
 def detect(folder: Path) -> str:
     """Name of a folder's format. Raises UsageError where it has none of them."""
-    for name, (matches, _) in FORMATS.items():
-        if matches(folder):
+    for name, module in FORMATS.items():
+        if module.detect(folder):
             return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
     why = "no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model"
     raise UsageError("holds no scene in a known format", where=folder, why=why, remedy="give the folder that holds one of these")

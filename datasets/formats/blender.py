@@ -64,11 +64,7 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) -> str:
-    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
-
-    Returns:
-        One line on what the format cannot hold; empty where it holds everything.
-    """
+    """Export a scene; arguments and result are those of `save_scene`."""
     with files.atomic_folder(path) as folder:
         placed = {}
         for view in scene.views:

@@ -17,8 +17,7 @@ from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, llff, sidecar
 from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
-from datasets.formats.links import Extra, file_name, link_all
-from datasets.formats.smaller import write_smaller
+from datasets.formats.links import Extra, file_name, link_all, write_smaller
 from datasets.scene import Scene, Sightings, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
@@ -152,18 +151,9 @@ def _camera(stored: StoredCamera, *, where: str) -> Camera:
 def save(
     scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = (), text: bool = False
 ) -> str:
-    """Export a scene, all or nothing, with its points and sightings.
+    """Export a scene with its points and sightings; arguments and result are those of `save_scene`.
 
-    Args:
-        scene: what to write.
-        path: folder that is missing or empty.
-        extra: further files to include, by relative name.
-        done: called after each view.
-        sizes: N for each `images_N` to write, at 1/N of the size; (2, 4, 8) gives mip-NeRF 360's layout.
-        text: write text files instead of binary ones.
-
-    Returns:
-        One line on what the format cannot hold; empty where it holds everything.
+    `sizes` of (2, 4, 8) give mip-NeRF 360's layout; with `text`, the model is written as text.
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)

@@ -74,13 +74,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) -> str:
-    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
-
-    The unit sphere of `scale_mat` encloses the object's box.
-
-    Returns:
-        One line on what the format cannot hold; empty where it holds everything.
-    """
+    """Export a scene; arguments and result are those of `save_scene`. The sphere of `scale_mat` encloses the box."""
     with files.atomic_folder(path) as folder:
         placed = []
         for number, view in enumerate(scene.views):

@@ -66,14 +66,8 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
     truth = {key: _truth(view, key, folder / "truth" / key / file_name(view), pinhole, same) for key in view.truth}
     if same:
         return Placed(replace(view, image=image, mask=mask, truth=truth), 0.0, False)
-    placed = replace(
-        view,
-        camera=pinhole.camera,
-        world_from_camera=view.world_from_camera @ pinhole.source_from_camera,
-        image=image,
-        mask=mask,
-        truth=truth,
-    )
+    matrix = view.world_from_camera @ pinhole.source_from_camera
+    placed = replace(view, camera=pinhole.camera, world_from_camera=matrix, image=image, mask=mask, truth=truth)
     return Placed(placed, pinhole.turned_deg, True)
 
 

@@ -21,8 +21,7 @@ from datasets.core import arrays, files
 from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, sidecar
-from datasets.formats.links import Extra, file_name, link, link_all
-from datasets.formats.smaller import write_smaller
+from datasets.formats.links import Extra, file_name, link, link_all, write_smaller
 from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View
 
 FILE = "cameras.json"
@@ -36,16 +35,7 @@ def detect(folder: Path) -> bool:
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
-    """Write a scene folder, images included. `extra` names further files to include, by relative name.
-
-    For each N of `sizes`, `images_N` and `masks_N` hold the images at 1/N of their size.
-
-    Returns:
-        "": this format holds everything.
-
-    Raises:
-        UsageError: `path` is not empty.
-    """
+    """Write a scene folder, images included; arguments and result are those of `formats.save_scene`."""
     with files.atomic_folder(path) as folder:
         views = []
         for view in scene.views:

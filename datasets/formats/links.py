@@ -1,12 +1,14 @@
-"""Files of a scene in a new place: hard links where possible, else copies."""
+"""Files of a scene in a new place: hard links where possible, else copies; and smaller copies of its images."""
 
 import errno
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 from datasets.core.errors import DatasetError
+from datasets.imaging import downscale
 from datasets.scene import View
 
 Extra = Mapping[str, Path] | None
@@ -43,3 +45,18 @@ def _copy(source: Path, target: Path) -> None:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise OSError(error.errno, error.strerror, str(target)) from None
         raise
+
+
+def write_smaller(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Callable[[View, Path], str]) -> None:
+    """For each N of `sizes`, `images_N/` and `masks_N/` below `folder` with the views' images at 1/N of their size.
+
+    `name` gives the name of a new file from its view and its source file.
+    """
+    jobs = []
+    for size, view in product(sizes, views):
+        small = downscale.camera(view.camera, size)
+        for source, home in ((view.image, "images"), (view.mask, "masks")):
+            if source is not None:
+                target = folder / f"{home}_{size}" / name(view, source)
+                jobs.append(downscale.Job(source, target, small.width, small.height, home == "images"))
+    downscale.run(jobs)

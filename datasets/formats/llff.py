@@ -16,8 +16,7 @@ from datasets.core import arrays, files
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, sidecar
-from datasets.formats.links import Extra, file_name, link_all
-from datasets.formats.smaller import write_smaller
+from datasets.formats.links import Extra, file_name, link_all, write_smaller
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
@@ -76,14 +75,7 @@ def read_rows(path: Path) -> NDArray[np.float64]:
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
-    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
-
-    Near and far of a row are the depth range of the object's box in that view. For each N of `sizes`, `images_N` holds the
-    images at 1/N of their size.
-
-    Returns:
-        One line on what the format cannot hold; empty where it holds everything.
-    """
+    """Export a scene; arguments and result are those of `save_scene`. A row's near and far are the box's depth range."""
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         ordered = sorted((p.view for p in placed), key=lambda view: view.image)

@@ -17,8 +17,7 @@ from datasets.core import files
 from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, opengl, ply, sidecar
-from datasets.formats.links import Extra, file_name, link_all
-from datasets.formats.smaller import write_smaller
+from datasets.formats.links import Extra, file_name, link_all, write_smaller
 from datasets.imaging import images
 from datasets.scene import SPLITS, Scene, View
 
@@ -119,13 +118,9 @@ def _splits(content: Any, *, where: object) -> dict[str, str]:
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
-    """Export a scene, all or nothing. `done` is called after each view; `extra` names further files to include.
+    """Export a scene; arguments and result are those of `save_scene`.
 
-    For each N of `sizes`, `images_N` holds the images at 1/N of their size, where nerfstudio looks for them. Depth is included,
-    in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits.
-
-    Returns:
-        One line on what the format cannot hold; empty where it holds everything.
+    Depth is included, in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits.
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)

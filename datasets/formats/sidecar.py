@@ -31,17 +31,9 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
 
 def facts(scene: Scene) -> dict[str, Any]:
     """The values of a whole scene, for JSON; an infinite far is null."""
-    return {
-        "name": scene.name,
-        "metric": scene.metric,
-        "background": scene.background,
-        "near": scene.near,
-        "far": scene.far if np.isfinite(scene.far) else None,
-        "box": scene.box.tolist(),
-        "bounds_from": scene.bounds_from,
-        "notes": list(scene.notes),
-        "provenance": scene.provenance,
-    }
+    keys = ("name", "metric", "background", "near", "far", "box", "bounds_from", "notes", "provenance")
+    far = scene.far if np.isfinite(scene.far) else None
+    return {key: getattr(scene, key) for key in keys} | {"far": far}
 
 
 def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object) -> Scene:

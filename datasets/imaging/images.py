@@ -68,26 +68,18 @@ def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
 
 def size(path: Path) -> tuple[int, int]:
     """(width, height) of an image as `read` would return it, from the header alone. Raises as `read` does."""
-    source, orientation = _open(path)
-    spec = source.spec()
-    source.close()
+    spec, orientation = _header(path)
     return (spec.height, spec.width) if orientation >= 5 else (spec.width, spec.height)
 
 
 def channels(path: Path) -> int:
     """Number of channels of an image, from the header alone; 2 and 4 include an alpha. Raises as `read` does."""
-    source, _ = _open(path)
-    count = source.spec().nchannels
-    source.close()
-    return count
+    return _header(path)[0].nchannels
 
 
 def steps(path: Path) -> int:
     """The divisor of `read`, from the header alone: 255 or 65535 for integers, 1 for floats."""
-    source, _ = _open(path)
-    kind = str(source.spec().format)
-    source.close()
-    return _STEPS.get(kind, 1)
+    return _STEPS.get(str(_header(path)[0].format), 1)
 
 
 def metadata(path: Path) -> dict[str, str | int | float]:
@@ -95,14 +87,12 @@ def metadata(path: Path) -> dict[str, str | int | float]:
 
     The orientation is left out, since `read` applies it. Raises as `read` does.
     """
-    source, _ = _open(path)
     found: dict[str, Any] = {}
-    for entry in source.spec().extra_attribs:
+    for entry in _header(path)[0].extra_attribs:
         try:
             found[entry.name] = entry.value
         except UnicodeDecodeError:  # text in another encoding, which nothing depends on
             continue
-    source.close()
     kept = [name for name in found if name.startswith(("Exif:", "GPS:", "IPTC:")) or name in DESCRIPTIVE]
     return {name: found[name] for name in kept if isinstance(found[name], str | int | float) and name != "Orientation"}
 
@@ -272,6 +262,14 @@ def _open(path: Path) -> tuple[Any, int]:
         why = f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes"
         raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
     return source, int(spec.getattribute("Orientation") or 1)
+
+
+def _header(path: Path) -> tuple[Any, int]:
+    """OpenImageIO's specification of a file, and the orientation tag."""
+    source, orientation = _open(path)
+    spec = source.spec()
+    source.close()
+    return spec, orientation
 
 
 def _is_whole(path: Path) -> bool:
