@@ -63,11 +63,7 @@ def info(
 
 @app.command()
 def check(
-    scene: options.Scene,
-    images: Images = None,
-    quick: Quick = False,
-    data_root: DataRoot = None,
-    as_json: Json = False,
+    scene: options.Scene, images: Images = None, quick: Quick = False, data_root: DataRoot = None, as_json: Json = False
 ) -> int:
     """Read every file of a scene and list what is wrong.
 

@@ -178,11 +178,10 @@ def _resolve(location: Place, content: Any, models: list[type[BaseModel]]) -> tu
     """
     place: Place = ()
     for part in location:
-        inside: dict[Any, Any] = (
-            dict(enumerate(content)) if isinstance(content, list) else content if isinstance(content, dict) else {}
-        )
-        if part in inside:
-            content = inside[part]
+        if isinstance(content, list):
+            content = dict(enumerate(content))
+        if isinstance(content, dict) and part in content:
+            content = content[part]
             place = (*place, part)
             fields = [m.model_fields[part] for m in models if part in m.model_fields]
             inner = [m for field in fields for m in _models_in(field.annotation)]

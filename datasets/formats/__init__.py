@@ -73,13 +73,7 @@ def load_scene(
 
 
 def save_scene(
-    scene: Scene,
-    path: Path,
-    format: str,
-    *,
-    sizes: Sequence[int] = (),
-    extra: Extra = None,
-    done: Step = ignore,
+    scene: Scene, path: Path, format: str, *, sizes: Sequence[int] = (), extra: Extra = None, done: Step = ignore
 ) -> str:
     """Write a scene in one of the formats of `WRITERS`, all or nothing.
 

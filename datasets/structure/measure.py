@@ -67,17 +67,14 @@ def _placed(
     """Matches, points and bounds from the largest images with enough points; None for bounds where there are too few in all."""
     pairs = matching.neighbours(matrices, centre)
     side = min(matching.SIDE, max(max(view.camera.width, view.camera.height) for view in views))
-    matches, cloud, found = _searched(views, matrices, pairs, side, done)
+
+    def searched(side: int, done: Step) -> tuple[Matches, Cloud, tuple[bounds.Box, float, float] | None]:
+        matches = matching.matched(views, pairs, side=side, done=done)
+        cloud = triangulate(matches, matrices)
+        return matches, cloud, bounds.about_points(views, cloud.points)
+
+    found = searched(side, done)
     for shrink in SHRINK:
-        if found is None:
-            matches, cloud, found = _searched(views, matrices, pairs, side // shrink, ignore)
-    return matches, cloud, found
-
-
-def _searched(
-    views: tuple[View, ...], matrices: NDArray[np.float64], pairs: list[tuple[int, int]], side: int, done: Step
-) -> tuple[Matches, Cloud, tuple[bounds.Box, float, float] | None]:
-    """Matches, points and bounds from images of at most `side` pixels."""
-    matches = matching.matched(views, pairs, side=side, done=done)
-    cloud = triangulate(matches, matrices)
-    return matches, cloud, bounds.about_points(views, cloud.points)
+        if found[2] is None:
+            found = searched(side // shrink, ignore)
+    return found

@@ -37,11 +37,6 @@ class Cloud:
     errors_px: NDArray[np.float64]
     """(m,) distance between point and feature in the image that was searched."""
 
-    @property
-    def views_per_point(self) -> NDArray[np.int64]:
-        """(n,) number of views that saw each point."""
-        return np.bincount(self.sightings[:, 0], minlength=len(self.points))
-
 
 def triangulate(matches: Matches, world_from_camera: NDArray[np.float64]) -> Cloud:
     """Points of all tracks on which at least three views agree. `world_from_camera` is (views, 4, 4)."""

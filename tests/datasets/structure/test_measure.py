@@ -56,7 +56,7 @@ def test_agreement_tells_right_poses_from_wrong_ones(two_walls: Callable[..., Sc
     assert agreement(matches, matrices @ np.diag([1.0, -1, -1, 1])) < 0.3
     assert agreement(matches, pose.inverse(matrices)) < 0.3
     cloud = triangulate(matches, matrices)
-    assert np.median(cloud.errors_px) < 0.5 and (cloud.views_per_point >= 3).all()
+    assert np.median(cloud.errors_px) < 0.5 and (np.bincount(cloud.sightings[:, 0]) >= 3).all()
     local = np.einsum(
         "nij,ni->nj",
         matrices[cloud.sightings[:, 1], :3, :3],
