@@ -15,6 +15,7 @@ from calib.sessions.session import TargetSession
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
+from datasets.splits import folds
 
 Array = NDArray[np.float64]
 FOLDS = 5
@@ -81,10 +82,10 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
     are None if a fold could not be fitted.
     """
     views = len(session.base_from_flange)
-    folds = min(FOLDS, views)
+    fold_of = folds(views, FOLDS)
     pixels, millimetres = [], []
-    for fold in range(folds):
-        unseen = session.view % folds == fold
+    for fold in range(min(FOLDS, views)):
+        unseen = fold_of[session.view] == fold
         start = replace(refined.state, corrections=np.zeros((views, 6)))
         try:
             fitted = refine(session.some(~unseen), start, sigma_px=refined.sigmas.pixel, rounds=2)

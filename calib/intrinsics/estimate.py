@@ -19,6 +19,7 @@ from calib.targets import screening
 from calib.targets.detection import Observation
 from datasets import conventions, pose
 from datasets.camera_model import Camera
+from datasets.splits import folds
 
 Array = NDArray[np.float64]
 MIN_VIEWS = 5
@@ -325,10 +326,10 @@ def _rms(residuals: Array) -> float:
 
 def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> float:
     """Rms [px] over views that the fit has not seen, in up to four folds; infinite where a fit fails."""
-    folds = min(4, len(observations) // 2)
-    residuals, fold_of = [], np.arange(len(observations)) % folds
+    count = min(4, len(observations) // 2)
+    residuals, fold_of = [], folds(len(observations), count)
     try:
-        for fold in range(folds):
+        for fold in range(count):
             rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
             camera, _ = fit(rest, first, poses[fold_of != fold], lens)
             start = projection.vector(camera)

@@ -21,6 +21,7 @@ from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
+from datasets.splits import folds
 
 Array = NDArray[np.float64]
 
@@ -79,7 +80,7 @@ def _closed_form(name: str, session: TargetSession, boards: Array, measured: Ses
         answer = closed_forms.solve(mount, boards, name)
         errors = []
         for fold in range(verify.FOLDS):
-            seen = np.arange(views) % min(verify.FOLDS, views) != fold
+            seen = folds(views, verify.FOLDS) != fold
             part = closed_forms.solve(mount[seen], boards[seen], name)
             state = State(camera, part.mount_from_camera, part.stand_from_board, np.zeros((views, 6)))
             rest = measured.some(~seen[measured.view])

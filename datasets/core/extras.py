@@ -24,8 +24,8 @@ def not_installed(error: ModuleNotFoundError) -> NotInstalled | None:
     """What to install for a failed import; None where the module is none of our optional dependencies."""
     module = (error.name or "").split(".")[0]
     if module == "pycolmap":
-        return NotInstalled("pycolmap is not installed", why="it has wheels for Linux x86-64 and macOS ARM only",
-                            remedy="run this command on such a machine; everything else works without it")  # fmt: skip
+        why, remedy = "it has wheels for Linux x86-64 and macOS ARM only", "run this command on such a machine"
+        return NotInstalled("pycolmap is not installed", why=why, remedy=f"{remedy}; everything else works without it")
     if module not in EXTRAS:
         return None
     return NotInstalled(f"{module} is not installed", remedy=f"pip install 'koala-capture[{EXTRAS[module]}]'")

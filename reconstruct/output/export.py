@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from datasets.core import files
 from datasets.core.console import progress
-from datasets.formats.koala import file_name
+from datasets.formats.links import file_name
 from datasets.imaging import images
 from reconstruct.output.restored import Trained
 from reconstruct.rendering.pictures import Picture

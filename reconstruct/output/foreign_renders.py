@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from datasets.core import files
 from datasets.core.console import progress
 from datasets.core.errors import DatasetError, UsageError
-from datasets.formats.koala import file_name
+from datasets.formats.links import file_name
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from reconstruct.output.evaluate import FORMAT, VERSION, compare, definitions, mean, read_truth, source_of
