@@ -3,7 +3,7 @@ import pytest
 
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
-from calib.study import compare
+from calib.study import compare, variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 
