@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from capture.rig.description import Vector
+from capture.geometry import Vector
 from datasets import pose
 from datasets.core.schema import Schema
 

@@ -12,10 +12,15 @@ KINDS = {"models": "model", "trajectories": "trajectory", "rigs": "rig", "import
 """Folder of each kind, and what one of its files is called in messages."""
 
 
-def find(kind: str, name: Path | str) -> Path:
+def find(kind: str, name: Path | str, *, others: tuple[str, ...] = ()) -> Path:
     """The file that a user means by `name`: an existing file, the path of one, or a shipped file by its name.
 
     A name has neither a folder nor a suffix. Whether a path exists is left to whoever reads it.
+
+    Args:
+        kind: a key of `KINDS`.
+        name: name or path.
+        others: further names to list in the message, which the caller knows.
 
     Raises:
         UsageError: no shipped file has that name; the message gives the nearest name and lists all of them.
@@ -26,10 +31,11 @@ def find(kind: str, name: Path | str) -> Path:
     found = {file.stem: file for file in _files(kind)}
     if path.name in found:
         return found[path.name]
-    advice = nearest(path.name, found)
+    names = [*others, *found]
+    advice = nearest(path.name, names)
     raise UsageError(
         f"there is no {KINDS[kind]} '{name}'",
-        why=f"shipped: {', '.join(found)}",
+        why=f"known: {', '.join(names)}",
         remedy=advice if advice.startswith("did you mean") else "give one of these names, or the path of a file",
     )
 

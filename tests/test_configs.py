@@ -87,7 +87,7 @@ def test_a_path_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             "koala_dmo",
             ["no trajectory 'koala_dmo'", "calibration, calibration_demo", "did you mean 'koala_demo'?"],
         ),
-        ("rigs", "sim2", ["no rig 'sim2'", "shipped: ur5e_basler", "the path of a file"]),
+        ("rigs", "sim2", ["no rig 'sim2'", "known: ur5e_basler", "the path of a file"]),
         ("imports", "franka_charco", ["no import description", "did you mean 'franka_charuco'?"]),
     ],
 )

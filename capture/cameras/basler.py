@@ -10,7 +10,7 @@ from typing import Any, Self
 from capture.cameras.genicam_lock import release_abandoned
 from capture.cameras.pixels import choose_format, colours
 from capture.errors import CaptureError, RigConnectionError
-from capture.rig.protocols import Image
+from capture.measurements import Image
 from capture.trajectory import CameraSettings
 from datasets.imaging.region import Region
 

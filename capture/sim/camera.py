@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from capture.cameras.basler import Basler
 from capture.errors import SimulationError
-from capture.rig.protocols import Image
+from capture.measurements import Image
 from capture.sim.laboratory.lens import Lens, Sensor
 from capture.sim.laboratory.views import make_view
 from capture.sim.truth import RigTruth
@@ -125,7 +125,7 @@ class SimulatedCamera:
         """See `capture.rig.protocols.Camera`."""
         return {**self._driver.description(), "simulated": True}
 
-    def keep_truth(self, folder: Path, name: str, split: str) -> None:
+    def save_truth(self, folder: Path, name: str, split: str) -> None:
         """Write what is true of the newest picture: its pose; for test views also the maps of `SUFFIXES`.
 
         folder/CHANNEL/NAME.*: `normals` (unit, base frame), `depth` (along z [m], 0 beside the object), `alpha` (share of

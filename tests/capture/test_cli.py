@@ -145,8 +145,8 @@ def test_camera_that_refuses_leaves_nothing(session, tmp_path):
     assert not (tmp_path / "rec").exists()
 
 
-def test_camera_that_is_not_there_is_one_line_and_leaves_nothing(session, tmp_path, configs):
-    done = capture("run", session, "--rig", configs / "rigs" / "ur5e_basler.yaml", "--out", tmp_path / "rec")
+def test_camera_that_is_not_there_is_one_line_and_leaves_nothing(session, tmp_path):
+    done = capture("run", session, "--rig", "ur5e_basler", "--out", tmp_path / "rec")
     if "cannot be reached" in done.stderr or "several" in done.stderr:
         pytest.skip("a Basler camera is connected to this computer")
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
@@ -185,11 +185,11 @@ def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
         process.kill()
 
 
-def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path, configs):
+def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path):
     from capture.robots.dashboard import Dashboard
 
     process, rig = running_sim
-    board = configs / "trajectories" / "calibration_demo.yaml"
+    board = "calibration_demo"
     small = [word for change in ("camera.width=120", "camera.height=80") for word in ("--set", change)]
     done = capture("run", board, "--rig", rig, "--out", tmp_path / "rec", *small, "--json")
     assert done.returncode == 0, done.stderr

@@ -37,16 +37,16 @@ def _load(tmp_path, text):
         ("calibration_hanging", {"calibration": 25}),
     ],
 )
-def test_shipped_files_load(configs, name, splits):
-    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+def test_shipped_files_load(name, splits):
+    trajectory = load_trajectory(name)
     viewpoints = trajectory.viewpoints()
     assert Counter(view.split for view in viewpoints) == splits
     names = [view.name for view in viewpoints]
     assert names == sorted(set(names)) and names[0] == "000"
 
 
-def test_the_same_file_gives_the_same_views(configs):
-    path = configs / "trajectories" / "calibration_demo.yaml"
+def test_the_same_file_gives_the_same_views():
+    path = "calibration_demo"
     first, second = load_trajectory(path).viewpoints(), load_trajectory(path).viewpoints()
     assert all((a.base_from_camera == b.base_from_camera).all() for a, b in zip(first, second, strict=True))
 
@@ -61,13 +61,13 @@ def test_test_views_lie_between_training_views(tmp_path):
     [
         (("count: 10", "cuont: 10"), ["line 6", "unknown key 'views.0.cuont'", "did you mean 'count'?"]),
         (("split:", "splits:"), ["line 7", "unknown key 'splits'", "did you mean 'split'?"]),
-        (("count: 10", "count: 11"), ["split asks for 8 + 2 views, but views give 11"]),
+        (("count: 10", "count: 11"), ["split has 8 + 2 views, but 'views' gives 11"]),
         (("kind: orbit", "kind: circle"), ["line 3", "'circle'"]),
         (("distance: 0.4", "distance: -0.4"), ["line 5", "distance", "given: -0.4"]),
         (("distance: 0.4", "distance: 0.4\n    distance: 0.5"), ["line 6", "given twice"]),
         (("name: small", "name: ../small"), ["line 1", "name"]),
         (("name: small", "name: small\nup: z"), ["line 2", "up", "'z'"]),
-        (("name: small", "name: small\nup: -z"), ["with up: -z the table is at a positive z", "safety.table_z is 0"]),
+        (("name: small", "name: small\nup: -z"), ["with up: -z the table has a positive z", "safety.table_z is 0"]),
         (("name: small", "name: small\nsafety: {ceiling_z: -1}"), ["safety.ceiling_z -1 is not above safety.table_z 0"]),
         (
             ("name: small", "name: small\nup: -z\nsafety: {table_z: 1, ceiling_z: 2}"),

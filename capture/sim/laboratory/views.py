@@ -38,7 +38,7 @@ class View(Protocol):
         ...
 
     def truth(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> Maps:
-        """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
+        """What evaluation may know of the newest picture, see `SimulatedCamera.save_truth`."""
         ...
 
     def mesh(self) -> Any:

@@ -11,9 +11,9 @@ import pytest
 from capture.page.live import TALL, LiveView, with_histogram
 from capture.page.session import CaptureView
 from capture.page.timeline import of_planned
-from capture.page.view import own_rig, show, watch
+from capture.page.view import show, watch
 from capture.planning import PlannedView, plan
-from capture.rig.description import RigDescription
+from capture.rig.description import RigDescription, recorded_rig
 from capture.trajectory import Trajectory
 from datasets.core.errors import UsageError
 from datasets.imaging import images
@@ -96,7 +96,7 @@ def test_neither_a_trajectory_nor_a_recording_is_refused(tmp_path: Path) -> None
 def test_a_recording_brings_its_own_mount(tmp_path: Path, session: Any) -> None:
     recording = begin(tmp_path / "r", session[0])
     recording.manifest["rig"]["flange_from_camera"] = {"position": [0, 0, 0.2], "rotation_deg": [0, 0, 0]}
-    description = RigDescription.model_validate(own_rig(recording))
+    description = recorded_rig(recording.manifest)
     assert np.allclose(description.flange_from_camera.matrix()[:3, 3], [0, 0, 0.2])
 
 

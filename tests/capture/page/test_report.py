@@ -17,7 +17,7 @@ from datasets.recording import Frame, Recording
 
 
 @pytest.fixture
-def recorded(tmp_path: Path, configs: Path) -> Callable[..., Path]:
+def recorded(tmp_path: Path) -> Callable[..., Path]:
     """Factory of recordings of four pictures of squares, a second apart; one may be white, one gone."""
 
     def make(*, white: int = -1, missing: int = -1) -> Path:
@@ -27,7 +27,7 @@ def recorded(tmp_path: Path, configs: Path) -> Callable[..., Path]:
             "camera.width=120",
             "camera.height=96",
         ]
-        trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml", overrides=changes)
+        trajectory = load_trajectory("koala_demo", overrides=changes)
         path = tmp_path / "recording"
         region = {"width": 120, "height": 96, "offset_x": 0, "offset_y": 0, "binning": 4}
         recording = Recording.create(path, {"name": "<squares>", "trajectory": trajectory.model_dump(mode="json"),

@@ -87,6 +87,6 @@ def test_a_recording_that_has_just_begun_shows_nothing_yet(tmp_path: Path) -> No
     assert of_recording(recording, MOUNT).stops == ()
 
 
-def test_shipped_trajectories_can_be_played(configs: Path) -> None:
-    timeline = of_trajectory(load_trajectory(configs / "trajectories" / "koala_demo.yaml"), MOUNT)
+def test_shipped_trajectories_can_be_played() -> None:
+    timeline = of_trajectory(load_trajectory("koala_demo"), MOUNT)
     assert len(timeline.stops) == 50 and all(stop.seconds is not None for stop in timeline.stops)

@@ -15,7 +15,7 @@ MOUNT = RigDescription().flange_from_camera.matrix()
 
 @pytest.fixture(scope="module")
 def drawn(pytestconfig):
-    trajectory = load_trajectory(pytestconfig.rootpath / "configs" / "trajectories" / "koala_demo.yaml")
+    trajectory = load_trajectory("koala_demo")
     return plan(trajectory, MOUNT)[:8], Obstacles.of(trajectory, MOUNT)
 
 

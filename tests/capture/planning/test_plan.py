@@ -21,8 +21,8 @@ def _orbit(**changes):
 @pytest.mark.parametrize(
     "name", ["koala_demo", "koala_fine", "koala_metre", "koala_hanging", "koala", "calibration_demo", "calibration_hanging"]
 )
-def test_shipped_trajectories_are_reachable(configs, name):
-    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+def test_shipped_trajectories_are_reachable(name):
+    trajectory = load_trajectory(name)
     planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
     assert len(planned) == len(trajectory.viewpoints())
     here = planned[0].joints
@@ -38,8 +38,8 @@ def test_shipped_trajectories_are_reachable(configs, name):
 
 
 @pytest.mark.parametrize(("name", "distance_m"), [("koala_demo", 0.4), ("koala_hanging", 1.0)])
-def test_the_object_is_seen_from_all_sides(configs, name, distance_m):
-    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+def test_the_object_is_seen_from_all_sides(name, distance_m):
+    trajectory = load_trajectory(name)
     offset = np.array([view.base_from_camera[:3, 3] for view in trajectory.viewpoints()]) - trajectory.views[0].target
     azimuth = np.sort(np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
     assert np.diff(azimuth, append=azimuth[0] + 360).max() < 30

@@ -67,13 +67,13 @@ class StandInCamera:
 
     def prepare(self, frame: int) -> None: ...
 
-    def keep_truth(self, folder: Path, name: str, split: str) -> None:
+    def save_truth(self, folder: Path, name: str, split: str) -> None:
         self.kept.append((name, split))
 
 
 @pytest.fixture
-def trajectory(configs: Path) -> Trajectory:
-    return load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+def trajectory() -> Trajectory:
+    return load_trajectory("koala_demo")
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_takes_every_view_where_it_was_planned(trajectory, rig, views, tmp_path)
         assert frame.sha256 == files.sha256(recording.image_path(frame))
         assert (images.to_uint8(images.read(recording.image_path(frame))) == frame.device_ticks).all()
         assert frame.settle_s >= trajectory.motion.settle_time_s
-    assert rig.witness.kept == [(frame.name, frame.split) for frame in recording.frames]
+    assert rig.ground_truth.kept == [(frame.name, frame.split) for frame in recording.frames]
 
 
 def test_manifest_says_what_the_next_steps_need(trajectory, rig, views, tmp_path):
@@ -111,8 +111,8 @@ def test_manifest_says_what_the_next_steps_need(trajectory, rig, views, tmp_path
     assert manifest["camera"]["region"]["binning"] == 1 and manifest["robot"] == {"model": "stand-in"}
 
 
-def test_board_is_described_for_a_calibration(configs, rig, tmp_path):
-    trajectory = load_trajectory(configs / "trajectories" / "calibration_demo.yaml")
+def test_board_is_described_for_a_calibration(rig, tmp_path):
+    trajectory = load_trajectory("calibration_demo")
     views = plan(trajectory, rig.flange_from_camera)[:1]
     recording = record(trajectory, rig, tmp_path / "rec", planned=views)
     assert recording.manifest["board"] == {
@@ -177,7 +177,7 @@ def test_another_session_does_not_go_on_here(trajectory, rig, views, tmp_path):
     slower = trajectory.model_copy(update={"motion": trajectory.motion.model_copy(update={"speed": 0.5})})
     with pytest.raises(UsageError, match="another trajectory"):
         record(slower, rig, tmp_path / "rec", resume=True, planned=views)
-    other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.witness, {"scene": "gold_head", "seed": 1})
+    other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.ground_truth, {"scene": "gold_head", "seed": 1})
     with pytest.raises(UsageError, match="another seed"):
         record(trajectory, other, tmp_path / "rec", resume=True, planned=views)
 
@@ -204,13 +204,13 @@ def test_a_folder_that_is_no_recording_is_not_touched(trajectory, rig, views, tm
 def test_another_address_is_the_same_rig(trajectory, rig, views, tmp_path):
     record(trajectory, rig, tmp_path / "rec", planned=views[:1])
     moved = rig.description.model_copy(update={"robot": rig.description.robot.model_copy(update={"host": "10.0.0.7"})})
-    there = Rig(rig.robot, rig.camera, moved, "copy.yaml", rig.witness, rig.extra)
+    there = Rig(rig.robot, rig.camera, moved, "copy.yaml", rig.ground_truth, rig.extra)
     assert len(record(trajectory, there, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
     slower = moved.model_copy(update={"robot": moved.robot.model_copy(update={"max_joint_speed": 0.9})})
     with pytest.raises(UsageError, match="another rig"):
         record(
             trajectory,
-            Rig(rig.robot, rig.camera, slower, "", rig.witness, rig.extra),
+            Rig(rig.robot, rig.camera, slower, "", rig.ground_truth, rig.extra),
             tmp_path / "rec",
             resume=True,
             planned=views,

@@ -3,10 +3,10 @@ import pytest
 
 from capture import kinematics
 from capture.errors import CaptureError
+from capture.measurements import RobotState
 from capture.planning import plan
 from capture.recording.replay import replay, summary
 from capture.rig.description import RigDescription
-from capture.rig.protocols import RobotState
 from capture.trajectory import load_trajectory
 from datasets import pose
 from datasets.core import files
@@ -31,8 +31,8 @@ class StandInRobot:
 
 
 @pytest.fixture
-def recording(configs, tmp_path):
-    trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+def recording(tmp_path):
+    trajectory = load_trajectory("koala_demo")
     description = RigDescription()
     made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"),
                                                "rig": {"name": "sim", **description.model_dump(mode="json")}})  # fmt: skip
@@ -62,7 +62,7 @@ def test_a_real_arm_has_no_truth(recording):
     assert all(one.true_mm is None for one in found) and "truly" not in summary(found)["worst"]
 
 
-def test_nothing_recorded_is_told(recording):
+def test_an_empty_recording_is_an_error(recording):
     (recording.path / "frames.jsonl").unlink()
-    with pytest.raises(CaptureError, match="holds no frames"):
+    with pytest.raises(CaptureError, match="has no frames"):
         replay(Recording.open(recording.path), StandInRobot(np.zeros(6)))
