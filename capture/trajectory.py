@@ -6,6 +6,7 @@
 Positions are in metres in the robot's base frame, and angles that a person writes in degrees. Viewpoints are camera poses.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -169,7 +170,7 @@ class Trajectory(Schema):
         views = [view for group in self.views for view in group.generate(self.upwards)]
         digits = max(3, len(str(len(views) - 1)))
         return [
-            Viewpoint(f"{index:0{digits}d}", split, view.base_from_camera, view.rolls, view.joints)
+            replace(view, name=f"{index:0{digits}d}", split=split)
             for index, (view, split) in enumerate(zip(views, self.splits, strict=True))
         ]
 

@@ -59,8 +59,8 @@ def record(
                 advance(name)
                 continue
             follows = index > 0 and previous == planned[index - 1].viewpoint.name
-            way = view.way if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
-            for joints in way:
+            path = view.path if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
+            for joints in path:
                 rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
             arrived_ns = time.monotonic_ns()
             previous = name

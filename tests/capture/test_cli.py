@@ -126,7 +126,7 @@ def test_ctrl_c_keeps_what_was_taken_and_says_how_to_go_on(tmp_path):
         (("binning", "binnning"), [], "line 9: unknown key 'camera.binnning'; did you mean 'binning'?"),
         (("", ""), ["--scene", "gold_hed"], "unknown scene 'gold_hed'; did you mean 'gold_head'?"),
         (("", ""), ["--scene", "charuco_board"], "needs a trajectory with 'target'"),
-        (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file; --rig takes sim or the file of a rig"),
+        (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file; --rig takes sim, a name"),
         (("distance: 0.4", "distance: 2.0"), [], "views cannot be taken"),
         (("width: 48", "width: wide"), [], "camera.width"),
     ],

@@ -46,7 +46,7 @@ def test_a_plan_of_an_arm_that_hangs_is_drawn_upright(drawn):
     hanging = Obstacles(MOUNT, 0.02, table_z=1.2, ceiling_z=0.0, up=-1)
     side, above = draw.figure_of(planned, hanging, title="").axes[:2]
     assert side.yaxis.get_inverted() and not above.yaxis.get_inverted()
-    assert {"the table", "the ceiling"} < set(side.get_legend_handles_labels()[1])
+    assert {"table", "ceiling"} < set(side.get_legend_handles_labels()[1])
     scene = draw._scene(planned, hanging, "")
     assert (scene["table_z"], scene["ceiling_z"], scene["up"]) == (1.2, 0.0, -1)
     assert draw._scene(planned, standing, "")["up"] == 1
@@ -66,6 +66,9 @@ def test_the_legend_says_what_each_colour_stands_for(drawn):
     (legend,) = figure.legends
     words = [text.get_text() for text in legend.get_texts()]
     tests = sum(view.viewpoint.split == "test" for view in planned)
-    assert f"{tests} cameras (test) and where they look" in words and f"{8 - tests} cameras (train) and where they look" in words
-    assert {"the camera's way", "the arm at the first view", "the object's box", "the table"} < set(words)
+    assert (
+        f"{tests} cameras (test) and their view directions" in words
+        and f"{8 - tests} cameras (train) and their view directions" in words
+    )
+    assert {"path of the camera", "arm at the first view", "box of the object", "table"} < set(words)
     assert len(words) == len(set(words)) == 6

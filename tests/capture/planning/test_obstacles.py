@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from capture.kinematics import forward
-from capture.planning.obstacles import PARTS, Obstacles, box_distance, segment_distance, segments, sight_distance
+from capture.planning.arm_shape import INDEX, segments
+from capture.planning.distances import box_distance, segment_distance, sight_distance
+from capture.planning.obstacles import Obstacles
 from datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
@@ -50,7 +52,7 @@ def test_parallel_and_pointlike_segments():
 def test_segments_end_at_flange_and_camera():
     joints = np.array([0.3, -1.2, 1.5, -0.4, -1.5, 0.2])
     ends = segments(joints, MOUNT)
-    bracket = ends[PARTS.index("bracket")]
+    bracket = ends[INDEX["bracket"]]
     np.testing.assert_allclose(bracket, [forward(joints)[:3, 3], (forward(joints) @ MOUNT)[:3, 3]])
 
 

@@ -31,7 +31,7 @@ def test_shipped_trajectories_are_reachable(name):
         np.testing.assert_allclose(reached, view.viewpoint.base_from_camera, atol=2e-6)
         np.testing.assert_allclose(reached[:3, 2:], asked.base_from_camera[:3, 2:], atol=2e-6)  # rolled at most
         assert np.abs(view.joints).max() < JOINT_LIMIT and obstacles.sight(view.joints[None])[0] >= 0
-        for there in view.way:
+        for there in view.path:
             assert obstacles.margin(np.linspace(here, there, 100)).min() > -0.005
             here = there
         assert (here == view.joints).all()
@@ -59,10 +59,10 @@ def test_views_out_of_reach_are_named_with_their_reason():
 
 
 def test_views_inside_the_table_or_the_object_are_named():
-    with pytest.raises(UnreachableError, match="to table too near"):
+    with pytest.raises(UnreachableError, match="to table too close"):
         plan(_orbit(elevation_deg=1, target=(0.4, 0, 0.01)), MOUNT)
     volume = {"centre": (0.4, 0, 0.3), "size": (0.7, 0.7, 0.6)}
-    with pytest.raises(UnreachableError, match="to object too near"):
+    with pytest.raises(UnreachableError, match="to object too close"):
         plan(Trajectory(name="boxed", views=_orbit().views, object=volume), MOUNT)
 
 
@@ -86,5 +86,5 @@ def test_joint_views_are_kept_and_judged():
 def test_an_arm_in_the_table_is_told_so():
     stuck = np.array([0, 0.3, 0, -np.pi / 2, 0, 0])
     obstacles = Obstacles(pose.rigid(np.eye(3), [0, 0, 0.1]), 0.02, table_z=0.0)
-    with pytest.raises(PlanningError, match="stands too near already"):
+    with pytest.raises(PlanningError, match="already too close"):
         connect(stuck, np.add(stuck, [0, 0.1, 0, 0, 0, 0]), obstacles)

@@ -8,7 +8,7 @@ import pytest
 from capture import kinematics
 from capture.errors import MotionError
 from capture.planning import plan
-from capture.planning.plan import HOME
+from capture.planning.solutions import HOME
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
