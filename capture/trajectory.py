@@ -176,5 +176,5 @@ class Trajectory(Schema):
 
 
 def load_trajectory(path: Path | str, *, overrides: list[str] | None = None) -> Trajectory:
-    """Read a trajectory file, or a shipped trajectory by name. Raises UsageError with file, line, key and the nearest valid key."""
+    """Read a trajectory file, or a shipped trajectory by name; raises UsageError with the file, the line and the key."""
     return load_yaml(configs.find("trajectories", path), Trajectory, overrides=overrides or [])

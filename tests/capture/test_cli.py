@@ -219,7 +219,7 @@ def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp
 
     (tmp_path / "rec" / "images" / "004.png").write_bytes(b"")
     bad = capture("check", tmp_path / "rec")
-    assert bad.returncode == 1 and "view 004: its image has changed" in bad.stdout and "take again: 004" in bad.stdout
+    assert bad.returncode == 1 and "view 004: its image has changed" in bad.stdout and "retake: 004" in bad.stdout
     assert capture("check", tmp_path / "rec", "--discard").returncode == 1
     again = capture("run", board, "--rig", "sim", "--seed", 3, "--out", tmp_path / "rec", "--resume", *small)
     assert again.returncode == 0, again.stderr  # the same rig, wherever its controller is

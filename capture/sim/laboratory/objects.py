@@ -1,6 +1,6 @@
-"""What stands in the simulated laboratory beside the golden head: a mirror ball, the inside of a lidar, crystals.
+"""Objects of the simulated laboratory other than the golden head: a mirror ball, the inside of a lidar, crystals.
 
-Each function gives parts, a mesh [m] per material, standing on z = 0 around the origin. Everything is computed from a seed.
+Each function returns parts, one mesh [m] per material, that stand on z = 0 around the origin. All are computed from a seed.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from capture.sim.laboratory.materials import Glass, Material, Matt, Metal, Plast
 Part = tuple[str, trimesh.Trimesh, Material, bool]
 """Name, mesh, material, and whether the mesh carries smooth normals."""
 SECTIONS = 96
-"""Sides of what is round."""
+"""Number of sides of round parts."""
 
 
 def shiny_ball() -> list[Part]:
@@ -23,13 +23,14 @@ def shiny_ball() -> list[Part]:
 
 
 def lidar_guts(rng: np.random.Generator) -> list[Part]:
-    """A lidar without its cover: milled aluminium, steel pillars, two boards with parts on them, a coil, a lens in its barrel."""
+    """A lidar without its cover: milled aluminium, steel pillars, two circuit boards, a coil, a lens in its barrel."""
     board, chips, pads = _board(rng, (0.15, 0.11), 26)
     upright, more_chips, more_pads = _board(rng, (0.09, 0.06), 9)
     stand = trimesh.transformations.concatenate_matrices(
         trimesh.transformations.translation_matrix([-0.055, 0.0, 0.078]),
-        trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]), trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]),
-    )  # fmt: skip
+        trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]),
+        trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]),
+    )
     for mesh in (upright, more_chips, more_pads):
         mesh.apply_transform(stand)
     for mesh in (board, chips, pads):
@@ -43,8 +44,11 @@ def lidar_guts(rng: np.random.Generator) -> list[Part]:
     ]
     pillars = [_rod(0.004, 0.020, (x, y, 0.020)) for x in (-0.066, 0.066) for y in (-0.046, 0.046)]
     coil = [trimesh.creation.torus(0.014, 0.0022, transform=_at((0.035, 0.0, 0.042 + 0.0046 * turn))) for turn in range(3)]
-    barrel = [_ring(0.0165, 0.020, 0.030, (-0.005, -0.048, 0.062), along="y"), _ring(0.019, 0.023, 0.006, (-0.005, -0.062, 0.062), along="y"),
-              _box((0.030, 0.022, 0.020), (-0.005, -0.040, 0.040))]  # fmt: skip
+    barrel = [
+        _ring(0.0165, 0.020, 0.030, (-0.005, -0.048, 0.062), along="y"),
+        _ring(0.019, 0.023, 0.006, (-0.005, -0.062, 0.062), along="y"),
+        _box((0.030, 0.022, 0.020), (-0.005, -0.040, 0.040)),
+    ]
     lens = _lens(0.0165, 0.007)
     lens.apply_transform(_at((-0.005, -0.060, 0.062), along="-y"))
     return [
@@ -59,7 +63,7 @@ def lidar_guts(rng: np.random.Generator) -> list[Part]:
 
 
 def crystal_capture(rng: np.random.Generator) -> list[Part]:
-    """Quartz crystals, six-sided prisms with pyramids on top, that grow out of a dull stone."""
+    """Quartz crystals, hexagonal prisms with pyramids on top, on a matt stone."""
     stone = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
     bumps = sum(0.05 * np.sin(stone.vertices @ rng.normal(0, 3.5, 3) + rng.uniform(0, 6)) for _ in range(6))
     stone = trimesh.Trimesh(stone.vertices * (1 + bumps)[:, None] * [0.10, 0.09, 0.028], stone.faces, process=False)
@@ -80,10 +84,8 @@ def _crystal(rng: np.random.Generator, radius: float, height: float, place: NDAr
     sides = np.arange(6) * np.pi / 3 + rng.uniform(0, np.pi / 3)
     around = np.stack([np.cos(sides), np.sin(sides)], -1) * (radius * rng.uniform(0.85, 1.15, 6))[:, None]
     shoulder = height - 1.3 * radius
-    points = np.concatenate([
-        np.column_stack([around, np.full(6, 0.006)]), np.column_stack([around * 0.94, np.full(6, shoulder)]),
-        [[0.15 * radius * rng.normal(), 0.15 * radius * rng.normal(), height]],
-    ])  # fmt: skip
+    foot, top = np.column_stack([around, np.full(6, 0.006)]), np.column_stack([around * 0.94, np.full(6, shoulder)])
+    points = np.concatenate([foot, top, [[0.15 * radius * rng.normal(), 0.15 * radius * rng.normal(), height]]])
     mesh = trimesh.convex.convex_hull(points)
     away = place / max(float(np.linalg.norm(place)), 1e-9) if np.linalg.norm(place) > 0 else np.array([1.0, 0.0])
     mesh.apply_transform(trimesh.transformations.rotation_matrix(lean, [-away[1], away[0], 0]))
@@ -95,7 +97,7 @@ def _crystal(rng: np.random.Generator, radius: float, height: float, place: NDAr
 def _board(
     rng: np.random.Generator, size: tuple[float, float], count: int
 ) -> tuple[trimesh.Trimesh, trimesh.Trimesh, trimesh.Trimesh]:
-    """A circuit board around the origin, the black parts on it, and the gold of contacts along one edge."""
+    """A circuit board around the origin, its black components, and gold contacts along one edge."""
     thickness = 0.0016
     board = _box((*size, thickness), (0, 0, 0))
     chips, taken = [], []
@@ -114,7 +116,7 @@ def _board(
 
 
 def _lens(radius: float, bulge: float) -> trimesh.Trimesh:
-    """A plano-convex lens, its flat side on z = 0, the other a cap of height `bulge`."""
+    """A plano-convex lens: the flat side on z = 0, the other a cap of height `bulge`."""
     sphere = (radius**2 + bulge**2) / (2 * bulge)
     across = np.linspace(0, radius, 32)
     cap = np.sqrt(sphere**2 - across**2) - (sphere - bulge)
@@ -123,7 +125,7 @@ def _lens(radius: float, bulge: float) -> trimesh.Trimesh:
 
 
 def _at(place: ArrayLike, along: str = "z") -> NDArray[np.float64]:
-    """(4, 4) that puts a part whose axis is z at a place, its axis along another."""
+    """(4, 4) transform that moves a part to a place and turns its z axis along another axis."""
     turn = {"z": (0.0, [1, 0, 0]), "y": (-np.pi / 2, [1, 0, 0]), "-y": (np.pi / 2, [1, 0, 0])}[along]
     matrix = trimesh.transformations.rotation_matrix(*turn)
     matrix[:3, 3] = place

@@ -49,13 +49,13 @@ def test_frames_appear_as_they_come_and_the_arm_goes_along(tmp_path: Path, sessi
     with open_page("live", 0) as page:
         shown = CaptureView(page, trajectory, MOUNT, of_planned(trajectory, planned, MOUNT))
         live = LiveView(shown, tmp_path / "r", MOUNT)
-        live.look()  # there is no recording yet
+        live.update()  # there is no recording yet
         recording = begin(tmp_path / "r", trajectory)
-        live.look()
+        live.update()
         assert live.seen == set()
         take(recording, planned, 0, 100)
         take(recording, planned, 1, 255)
-        live.look()
+        live.update()
         assert live.seen == {"000", "001"} and shown.slider.value == pytest.approx(shown.stops["001"].seconds)
         assert "2 of 4 taken" in live._words.content and "100.0 % of the pixels are clipped" in live._words.content
         assert shown.frusta["001"].image is not None
@@ -69,7 +69,7 @@ def test_a_picture_that_cannot_be_read_is_said(tmp_path: Path, session: Any) -> 
     (tmp_path / "r" / "images" / "000.png").write_bytes(b"\x89PNG and no more")
     with open_page("live", 0) as page:
         live = LiveView(CaptureView(page, trajectory, MOUNT, of_planned(trajectory, planned, MOUNT)), tmp_path / "r", MOUNT)
-        live.look()
+        live.update()
         assert "cannot be read" in live._words.content
 
 

@@ -61,7 +61,7 @@ def test_what_is_wrong_is_at_the_top(recorded: Callable[..., Path], tmp_path: Pa
     findings = report.write(recorded(white=2, missing=3), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert {finding.frame for finding in findings if not finding.note} == {"002", "003"}
-    assert "is over-exposed" in text and "its image is missing" in text and "To take again: 002, 003" in text
+    assert "is over-exposed" in text and "its image is missing" in text and "To retake: 002, 003" in text
     assert text.count("<img") == 3 and "100.0 <small>%</small>" in text
 
 
