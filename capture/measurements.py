@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+Pixels = NDArray[np.uint8 | np.uint16]
+"""A picture, (height, width, 3)."""
+
 
 @dataclass(frozen=True)
 class RobotState:
@@ -26,8 +29,8 @@ class RobotState:
 class Image:
     """One exposure as the camera delivered it."""
 
-    pixels: NDArray[np.uint8] | NDArray[np.uint16]
-    """(height, width, 3) RGB."""
+    pixels: Pixels
+    """sRGB."""
     exposure_us: float
     """As read back from the camera."""
     gain_db: float

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture.errors import CaptureError
+from capture.measurements import Pixels
 from datasets.imaging.images import srgb_from_linear
-
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 RGB8 = ("RGB8", "RGB8Packed")
 """Eight-bit colour: the name in USB cameras, and the name in GigE cameras and the emulation."""
@@ -53,7 +52,7 @@ def colours(raw: Pixels, name: str) -> Pixels:
         "BG": cv2.COLOR_BayerRG2RGB_EA,
         "GR": cv2.COLOR_BayerGB2RGB_EA,
     }
-    linear = cv2.demosaicing(np.ascontiguousarray(raw), codes[name[5:7]])
+    linear = np.asarray(cv2.demosaicing(np.ascontiguousarray(raw), codes[name[5:7]]), raw.dtype)
     if name.endswith("12"):
         return _encode(4095, 65535)[np.minimum(linear, 4095)].astype(np.uint16)
     return _encode(255, 255)[linear].astype(np.uint8)

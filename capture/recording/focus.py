@@ -30,7 +30,7 @@ def sharpness(pixels: NDArray[Any]) -> float:
     return float(np.sqrt(fine / np.maximum(_slopes(np.asarray(gaussian_filter(light, COARSE_PX), np.float32)), 1e-9)).min())
 
 
-def _slopes(light: NDArray[np.float32]) -> NDArray[np.float64]:
+def _slopes(light: NDArray[np.float32]) -> NDArray[np.floating]:
     """(4,) mean squared difference of neighbours: along rows, columns, and both diagonals."""
     pairs = (
         (light[:, 1:], light[:, :-1]),

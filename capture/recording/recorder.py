@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from capture.errors import MotionError
-from capture.measurements import Image
+from capture.measurements import Image, Pixels
 from capture.planning import Obstacles, PlannedView, connect, plan
-from capture.recording.writer import Advance, Pixels, Writer
+from capture.recording.writer import Advance, Writer
 from capture.rig.description import recorded_rig
 from capture.rig.opening import Rig
 from capture.trajectory import Motion, Trajectory

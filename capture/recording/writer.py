@@ -7,15 +7,12 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from capture.measurements import Pixels
 from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
 
 Advance = Callable[[str], None]
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 WAITING = 2
 """Frames that may be queued for the disk. If the disk is slower than the arm, the arm waits."""
 

@@ -17,7 +17,7 @@ LOWER, UPPER = np.array([-10.0, -8.0, -0.6]), np.array([10.0, 8.0, 27.0])
 
 def head_distance(points: Field) -> Field:
     """Approximate signed distance [cm] of (..., 3) points [cm] from the head."""
-    mirrored = points * np.float32([1, 0, 1]) + np.abs(points) * np.float32([0, 1, 0])  # symmetric: y >= 0
+    mirrored = points * np.array([1, 0, 1], np.float32) + np.abs(points) * np.array([0, 1, 0], np.float32)  # symmetric: y >= 0
     solid = joined(_skull(mirrored), _face(mirrored), 1.6)
     solid = _eyes(mirrored, solid)
     solid = _nose(mirrored, solid)
@@ -67,8 +67,8 @@ def _mouth(p: Field, solid: Field) -> Field:
 
 
 def _ears(p: Field, solid: Field) -> Field:
-    turned = p - np.float32([-0.9, 5.4, 15.3])
-    turned = turned @ np.float32([[0.97, -0.26, 0.0], [0.2, 0.94, 0.0], [0.2, 0.0, 1.0]])
+    turned = p - np.array([-0.9, 5.4, 15.3], np.float32)
+    turned = turned @ np.array([[0.97, -0.26, 0.0], [0.2, 0.94, 0.0], [0.2, 0.0, 1.0]], np.float32)
     shell = joined(
         ellipsoid(turned, (0, 0.3, 0.3), (1.45, 0.6, 1.9)), ellipsoid(turned, (0.45, 0.1, -1.6), (0.7, 0.45, 0.8)), 0.5
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from datasets.imaging.images import srgb_from_linear, to_uint8
 
-Picture = NDArray[np.float32]
+Picture = NDArray[np.floating]
 MARGIN = 1
 """Pixels that the pinhole picture extends beyond the border of the camera, for interpolation."""
 
@@ -64,7 +64,7 @@ class Lens:
         corners = self._corners
         return (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4
 
-    def image(self, picture: Picture) -> Picture:
+    def image(self, picture: Picture) -> NDArray[np.float32]:
         """(height, width, channels) means over the pixels of the camera of a picture of `pinhole`."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             total = sum(pool.map(partial(self._seen, picture), self.places()))

@@ -3,7 +3,7 @@
 Each function returns parts, one mesh [m] per material, that stand on z = 0 around the origin. All are computed from a seed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -52,12 +52,12 @@ def lidar_guts(rng: np.random.Generator) -> list[Part]:
     lens = _lens(0.0165, 0.007)
     lens.apply_transform(_at((-0.005, -0.060, 0.062), along="-y"))
     return [
-        ("aluminium", _joined(aluminium), Metal("Al", 0.16), False),
-        ("pillars", _joined(pillars), Metal("Cr", 0.1), False),
-        ("coil", _joined(coil), Metal("Cu", 0.2), False),
-        ("boards", _joined([board, upright]), Plastic((0.02, 0.16, 0.06), 0.15), False),
-        ("chips", _joined([chips, more_chips, *barrel]), Plastic((0.02, 0.02, 0.022), 0.2), False),
-        ("pads", _joined([pads, more_pads]), Metal("Au", 0.15), False),
+        ("aluminium", joined(aluminium), Metal("Al", 0.16), False),
+        ("pillars", joined(pillars), Metal("Cr", 0.1), False),
+        ("coil", joined(coil), Metal("Cu", 0.2), False),
+        ("boards", joined([board, upright]), Plastic((0.02, 0.16, 0.06), 0.15), False),
+        ("chips", joined([chips, more_chips, *barrel]), Plastic((0.02, 0.02, 0.022), 0.2), False),
+        ("pads", joined([pads, more_pads]), Metal("Au", 0.15), False),
         ("lens", lens, Glass(1.52), False),
     ]
 
@@ -65,7 +65,8 @@ def lidar_guts(rng: np.random.Generator) -> list[Part]:
 def crystal_capture(rng: np.random.Generator) -> list[Part]:
     """Quartz crystals, hexagonal prisms with pyramids on top, on a matt stone."""
     stone = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
-    bumps = sum(0.05 * np.sin(stone.vertices @ rng.normal(0, 3.5, 3) + rng.uniform(0, 6)) for _ in range(6))
+    waves = (0.05 * np.sin(stone.vertices @ rng.normal(0, 3.5, 3) + rng.uniform(0, 6)) for _ in range(6))
+    bumps = sum(waves, np.zeros(len(stone.vertices)))
     stone = trimesh.Trimesh(stone.vertices * (1 + bumps)[:, None] * [0.10, 0.09, 0.028], stone.faces, process=False)
     stone.vertices[:, 2] = np.maximum(stone.vertices[:, 2] + 0.006, 0.0)
     crystals = [_crystal(rng, 0.024, 0.175, np.zeros(2), 0.10)]
@@ -75,7 +76,7 @@ def crystal_capture(rng: np.random.Generator) -> list[Part]:
         crystals.append(_crystal(rng, rng.uniform(0.012, 0.018), rng.uniform(0.08, 0.13), place, rng.uniform(0.25, 0.5)))
     return [
         ("stone", stone, Matt(np.array([0.20, 0.17, 0.15], np.float32)), False),
-        ("crystals", _joined(crystals), Glass(1.544), False),
+        ("crystals", joined(crystals), Glass(1.544), False),
     ]
 
 
@@ -112,7 +113,7 @@ def _board(
             chips.append(_box(edges, (*place, (thickness + edges[2]) / 2)))
     steps = np.arange(-size[0] / 2 + 0.012, size[0] / 2 - 0.010, 0.004)
     pads = [_box((0.0022, 0.006, 0.0004), (x, -size[1] / 2 + 0.005, thickness / 2 + 0.0001)) for x in steps]
-    return board, _joined(chips), _joined(pads)
+    return board, joined(chips), joined(pads)
 
 
 def _lens(radius: float, bulge: float) -> trimesh.Trimesh:
@@ -144,5 +145,8 @@ def _ring(inner: float, outer: float, height: float, place: ArrayLike, along: st
     return trimesh.creation.annulus(inner, outer, height, sections=SECTIONS, transform=_at(place, along))
 
 
-def _joined(parts: "list[trimesh.Trimesh] | Iterator[trimesh.Trimesh]") -> trimesh.Trimesh:
-    return trimesh.util.concatenate(list(parts))
+def joined(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """All parts as one mesh."""
+    mesh = trimesh.util.concatenate(list(parts))
+    assert isinstance(mesh, trimesh.Trimesh)  # as all its parts are
+    return mesh

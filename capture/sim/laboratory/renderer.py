@@ -49,8 +49,7 @@ class Renderer:
         mi.set_log_level(mi.LogLevel.Error)
         self.stage = stage
         shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}
-        to_base = mi.ScalarTransform4f(BASE_FROM_ROOM)
-        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": to_base}
+        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": _transform(BASE_FROM_ROOM)}
         self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **shapes})
         depth = CLEAR_DEPTH if stage.transparent else MAX_DEPTH
         self._light = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth})
@@ -68,14 +67,18 @@ class Renderer:
         picture = np.empty((pinhole.height, pinhole.width, 3), np.float32)
         for number, (rows, part) in enumerate(strips(pinhole, PATHS_AT_ONCE // samples)):
             sensor = _sensor(part, table_from_camera, SAMPLER)
-            light = mi.render(self._scene, sensor=sensor, integrator=self._light, spp=samples, seed=strip_seed(seed, number))
-            picture[rows] = np.array(light)[..., :3]
+            light = self._render(sensor, self._light, samples, strip_seed(seed, number))
+            picture[rows] = light[..., :3]
         return picture
+
+    def _render(self, sensor: Any, integrator: Any, samples: int, seed: int) -> NDArray[Any]:
+        render: Any = mi.render  # its stubs do not accept an int as seed
+        return np.array(render(self._scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed))
 
     def surfaces(self, pinhole: Camera, table_from_camera: NDArray[np.float64], *, seed: int) -> Surfaces:
         """The first surface at each pixel of the pinhole."""
         sensor = _sensor(pinhole, table_from_camera, "independent")
-        picture = np.array(mi.render(self._scene, sensor=sensor, integrator=self._first, spp=1, seed=seed), np.float32)
+        picture = np.asarray(self._render(sensor, self._first, 1, seed), np.float32)
         normals, places, index = picture[..., :3], picture[..., 3:6], picture[..., 6]
         away = places - table_from_camera[:3, 3].astype(np.float32)
         leaked = np.sum(normals * away, axis=-1) > 0.3 * np.linalg.norm(away, axis=-1)  # slipped between two triangles
@@ -115,9 +118,14 @@ def _sensor(pinhole: Camera, table_from_camera: NDArray[np.float64], sampler: st
         "far_clip": 100.0,
         "fov_axis": "x",
         "fov": float(np.rad2deg(2 * np.arctan(half_width / pinhole.fx))),
-        "to_world": mi.ScalarTransform4f(table_from_camera @ MITSUBA_FROM_OPENCV),
+        "to_world": _transform(table_from_camera @ MITSUBA_FROM_OPENCV),
     }
     return mi.load_dict(sensor)
+
+
+def _transform(matrix: NDArray[np.float64]) -> Any:
+    transform: Any = mi.ScalarTransform4f  # its stubs do not accept a matrix
+    return transform(matrix)
 
 
 def _shape(item: Item) -> Any:

@@ -56,7 +56,7 @@ class Stage:
     def mesh(self) -> trimesh.Trimesh:
         """The object in the table's frame [m]."""
         meshes = [item.mesh for item in self.items[: self.parts]]
-        return meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
+        return meshes[0] if len(meshes) == 1 else objects.joined(meshes)
 
 
 def check_name(name: str) -> str:

@@ -11,8 +11,8 @@ def noise(height: int, width: int, cells: int, rng: np.random.Generator) -> Pict
     from scipy.ndimage import zoom
 
     coarse = rng.random((cells + 3, cells + 3)).astype(np.float32)
-    fine = zoom(coarse, (height / cells, width / cells), order=3)[:height, :width]
-    return np.clip(fine, 0, 1)
+    fine = np.asarray(zoom(coarse, (height / cells, width / cells), order=3))
+    return np.clip(fine[:height, :width], 0, 1)
 
 
 def mixed(first: ArrayLike, second: ArrayLike, share: Picture) -> Picture:

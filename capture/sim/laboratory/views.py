@@ -20,7 +20,7 @@ from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 
-Maps = dict[str, NDArray[np.float32]]
+Maps = dict[str, NDArray[np.floating]]
 SAMPLES = 9
 """Light paths per pixel of the supersampled pinhole picture, four times as many per pixel of the image: noise of 38 dB."""
 FULL_SAMPLES = 4
