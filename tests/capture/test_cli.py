@@ -224,3 +224,24 @@ def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp
     again = capture("run", board, "--rig", "sim", "--seed", 3, "--out", tmp_path / "rec", "--resume", *small)
     assert again.returncode == 0, again.stderr  # the same rig, wherever its controller is
     assert capture("check", tmp_path / "rec").returncode == 0
+
+
+def test_list_names_what_is_installed_and_what_it_is():
+    done = capture("list")
+    assert done.returncode == 0, done.stderr
+    for line in ("trajectories:", "rigs:", "scenes:", "  koala_demo ", "  ur5e_basler ", "  gold_head "):
+        assert line in done.stdout
+    content = json.loads(capture("list", "--json").stdout)
+    assert content["trajectories"]["koala_demo"].startswith("Demo: 50 small pictures") and "sim" not in content["rigs"]
+
+
+def test_a_shipped_trajectory_is_planned_by_name_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    done = capture("plan", "calibration_demo", "--rig", "ur5e_basler", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["views"] == 25
+    wrong = capture("plan", "calibration_dmo")
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1) and "did you mean 'calibration_demo'?" in wrong.stderr
+    wrong = capture("view", "calibration_dmo", "--port", "0")
+    assert wrong.returncode == 2 and "there is no trajectory 'calibration_dmo'" in wrong.stderr

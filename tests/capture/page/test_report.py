@@ -69,3 +69,11 @@ def test_nothing_is_overwritten(recorded: Callable[..., Path], tmp_path: Path) -
     (tmp_path / "page.html").write_text("mine")
     with pytest.raises(UsageError, match="already exists"):
         report.write(recorded(), tmp_path / "page.html")
+
+
+def test_a_recording_without_frames_has_a_report(recorded: Callable[..., Path], tmp_path: Path) -> None:
+    path = recorded()
+    (path / "frames.jsonl").unlink()
+    findings = report.write(path, tmp_path / "page.html")
+    assert {finding.what for finding in findings} == {"was never taken"}
+    assert "To retake: 000, 001, 002, 003" in (tmp_path / "page.html").read_text()

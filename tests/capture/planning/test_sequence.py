@@ -40,7 +40,7 @@ def test_a_blocked_path_is_avoided_where_another_costs_less() -> None:
     post = np.array([[-0.65, -0.05, 0.0], [-0.45, 0.05, 0.6]])
     obstacles = Obstacles(MOUNT, 0.02, table_z=0.0, object_corners=post)
     left, right = np.array([-0.9, -0.9, 1.3, -2.0, -1.57, 0.0]), np.array([0.9, -0.9, 1.3, -2.0, -1.57, 0.0])
-    same_side = left + [0, 0, 0, 0, 0, 2.0]
+    same_side = left + 2.0 * np.eye(6)[5]
     assert not is_free(left, right, obstacles) and is_free(left, same_side, obstacles), "the premise"
     assert np.abs(same_side - left).max() > np.abs(right - left).max()  # further, but free
     chosen, _ = shortest([left[None], np.stack([right, same_side])], obstacles)
