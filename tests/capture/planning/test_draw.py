@@ -20,11 +20,14 @@ def drawn(pytestconfig):
 
 
 def test_the_page_is_whole_and_loads_nothing(drawn, tmp_path):
-    draw.page(*drawn, tmp_path / "plan.html", title="</script><b>8 views")
+    planned, obstacles = drawn
+    draw.page(planned, obstacles, tmp_path / "plan.html", title="</script><b>8 views")
     text = (tmp_path / "plan.html").read_text()
     assert not re.search(r"https?://|src=|<link|@import|fetch\(", text) and "/*SCENE*/" not in text
     assert text.count("</script>") == 1  # a title cannot end the script
-    scene = json.loads(re.search(r"const scene = (.*);\n", text)[1].replace("<\\/", "</"))
+    found = re.search(r"const scene = (.*);\n", text)
+    assert found is not None
+    scene = json.loads(found[1].replace("<\\/", "</"))
     assert [view["name"] for view in scene["views"]] == [view.viewpoint.name for view in drawn[0]]
     assert scene["title"] == "</script><b>8 views" and len(scene["box"]) == 12
 
@@ -53,7 +56,8 @@ def test_a_plan_of_an_arm_that_hangs_is_drawn_upright(drawn):
 
 
 def test_the_picture_shows_both_splits(drawn, tmp_path):
-    draw.plot(*drawn, tmp_path / "plan.png", title="8 views")
+    planned, obstacles = drawn
+    draw.plot(planned, obstacles, tmp_path / "plan.png", title="8 views")
     pixels = images.read(tmp_path / "plan.png")[..., :3]
     assert pixels.shape[1] > 1000
     for colour in ((0x1F, 0x77, 0xB4), (0xD6, 0x27, 0x28)):  # train, test

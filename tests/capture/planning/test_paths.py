@@ -20,7 +20,7 @@ def test_steps_are_small_and_include_both_ends():
     assert (path[0] == LEFT).all() and (path[-1] == RIGHT).all() and np.abs(np.diff(path, axis=0)).max() <= 0.05 + 1e-9
 
 
-def test_a_blocked_path_is_found_out_and_walked_around():
+def test_a_blocked_path_is_detected_and_avoided():
     assert OBSTACLES.margin(np.stack([LEFT, RIGHT])).min() > 0  # both ends are free
     assert not is_free(LEFT, RIGHT, OBSTACLES)  # and the straight path is not: the premise
     np.testing.assert_array_equal(are_free(np.stack([LEFT, LEFT]), np.stack([RIGHT, LEFT]), OBSTACLES), [False, True])
@@ -33,7 +33,7 @@ def test_a_blocked_path_is_found_out_and_walked_around():
         here = there
 
 
-def test_the_same_question_has_the_same_answer():
+def test_the_search_is_repeatable():
     first, second = find_path(LEFT, RIGHT, OBSTACLES), find_path(LEFT, RIGHT, OBSTACLES)
     np.testing.assert_array_equal(first, second)
 

@@ -25,7 +25,7 @@ def test_every_solution_reaches_the_pose_of_its_roll() -> None:
     assert not found.reason and len(found.joints) == len(found.rolls) > 8 and set(found.rolls) == {0, 2}  # roll 1 is too close
     for index, joints in enumerate(found.joints):
         taken = found.taken_by(index, MOUNT)
-        np.testing.assert_allclose(forward(joints) @ MOUNT, taken.base_from_camera, atol=1e-5)
+        np.testing.assert_allclose(forward(joints) @ MOUNT, taken.camera_pose(MOUNT), atol=1e-5)
         assert taken.rolls == (0.0,) and taken.name == "000"
 
 

@@ -38,10 +38,11 @@ def good(tmp_path_factory) -> Path:
     recording = Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "camera": {"region": region}})
     for index in range(COUNT):
         name = f"{index:03d}"
-        images.write(path / "images" / f"{name}.png", picture(index))
-        now = 1.7 * index
-        recording.append(Frame(index, name, "train", f"images/{name}.png", pose.look_at((0.4, 0, 0.5), (0, 0, 0)), np.zeros(6), 100 + now,
-                               int(1e9 * (7 + now)), int(1e9 * (3 + now)), 10_000.0, 0.4, files.sha256(path / "images" / f"{name}.png")))  # fmt: skip
+        now, image = 1.7 * index, f"images/{name}.png"
+        images.write(path / image, picture(index))
+        reached, digest = pose.look_at((0.4, 0, 0.5), (0, 0, 0)), files.sha256(path / image)
+        clocks = (100 + now, int(1e9 * (7 + now)), int(1e9 * (3 + now)))
+        recording.append(Frame(index, name, "train", image, reached, np.zeros(6), *clocks, 10_000.0, 0.4, digest))
     return path
 
 

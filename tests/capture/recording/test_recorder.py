@@ -116,13 +116,17 @@ def test_board_is_described_for_a_calibration(rig, tmp_path):
     views = plan(trajectory, rig.flange_from_camera)[:1]
     recording = record(trajectory, rig, tmp_path / "rec", planned=views)
     assert recording.manifest["board"] == {
-        "type": "charuco", "squares_x": 9, "squares_y": 7, "square_length_m": 0.03, "marker_length_m": 0.022,
+        "type": "charuco",
+        "squares_x": 9,
+        "squares_y": 7,
+        "square_length_m": 0.03,
+        "marker_length_m": 0.022,
         "dictionary": "DICT_5X5_100",
-    }  # fmt: skip
+    }
     assert recording.frames[0].split == "calibration"
 
 
-def test_stopped_session_goes_on_without_taking_a_frame_twice(trajectory, rig, views, tmp_path):
+def test_a_stopped_session_is_resumed_without_a_duplicate(trajectory, rig, views, tmp_path):
     rig.camera.stop_at = 3
     with pytest.raises(KeyboardInterrupt):
         record(trajectory, rig, tmp_path / "rec", planned=views)
@@ -172,7 +176,7 @@ def test_nothing_is_overwritten(trajectory, rig, views, tmp_path):
     assert rig.robot.moves == 0 and (tmp_path / "rec" / "thesis.txt").read_text() == "mine"
 
 
-def test_another_session_does_not_go_on_here(trajectory, rig, views, tmp_path):
+def test_another_session_cannot_resume_here(trajectory, rig, views, tmp_path):
     record(trajectory, rig, tmp_path / "rec", planned=views[:1])
     slower = trajectory.model_copy(update={"motion": trajectory.motion.model_copy(update={"speed": 0.5})})
     with pytest.raises(UsageError, match="another trajectory"):
@@ -182,7 +186,7 @@ def test_another_session_does_not_go_on_here(trajectory, rig, views, tmp_path):
         record(trajectory, other, tmp_path / "rec", resume=True, planned=views)
 
 
-def test_what_a_kill_left_half_written_is_swept_away(trajectory, rig, views, tmp_path):
+def test_incomplete_files_of_a_kill_are_removed(trajectory, rig, views, tmp_path):
     out = tmp_path / "rec"
     (out / "images").mkdir(parents=True)
     (out / ".manifest.x1y2.json").write_text("{")  # killed before the manifest was there
@@ -217,7 +221,7 @@ def test_another_address_is_the_same_rig(trajectory, rig, views, tmp_path):
         )
 
 
-def test_waits_for_two_equal_pictures_where_asked(trajectory, rig, views, tmp_path):
+def test_it_waits_for_two_equal_pictures_if_requested(trajectory, rig, views, tmp_path):
     """The stand-in's pictures get brighter by one level each: two never differ by less than 1/255."""
     waiting = trajectory.motion.model_copy(update={"settle_difference": 0.01, "settle_timeout_s": 0.2})
     record(trajectory.model_copy(update={"motion": waiting}), rig, tmp_path / "rec", planned=views[:2])

@@ -21,6 +21,16 @@ class StandInRobot:
     def __init__(self, joints, off=0.0):
         self.joints, self.off = joints, off
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception): ...
+
+    def stop(self): ...
+
+    def description(self):
+        return {}
+
     def move_to(self, joints, *, speed, acceleration):
         self.joints = np.array(joints)
 
@@ -34,8 +44,8 @@ class StandInRobot:
 def recording(tmp_path):
     trajectory = load_trajectory("koala_demo")
     description = RigDescription()
-    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"),
-                                               "rig": {"name": "sim", **description.model_dump(mode="json")}})  # fmt: skip
+    rig = {"name": "sim", **description.model_dump(mode="json")}
+    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
     truth = {}
     for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
         reached = kinematics.forward(view.joints)

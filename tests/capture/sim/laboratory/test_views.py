@@ -51,7 +51,9 @@ def test_the_room_is_the_same_from_wherever_the_base_is(ball, changes):
     """An arm that hangs, or stands on a pedestal, sees the same picture from the same place of the room."""
     path = "koala_demo"
     base_from_table = load_trajectory(path, overrides=changes).base_from_table
-    centre = base_from_table @ [*load_trajectory(path).object.centre, 1.0]
+    volume = load_trajectory(path).object
+    assert volume is not None
+    centre = base_from_table @ [*volume.centre, 1.0]
     elsewhere = make_view("shiny_ball", load_trajectory(path, overrides=[*changes, f"object.centre={centre[:3].tolist()}"]), 0)
     lens, there = Lens(CAMERA), base_from_table @ ABOVE
     np.testing.assert_allclose(elsewhere.radiance(lens, there[None], 0), ball.radiance(lens, ABOVE[None], 0), atol=0.02)
