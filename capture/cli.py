@@ -31,7 +31,7 @@ TimeScale = Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation on
 
 @app.command("list")
 def list_command(as_json: console.Json = False) -> None:
-    """List the trajectories and rigs that are installed with Koala, and the scenes of the simulation."""
+    """List the installed trajectories and rigs, and the scenes of the simulation."""
     import configs
     from capture.sim.laboratory.scenes import SCENES
 
@@ -40,7 +40,8 @@ def list_command(as_json: console.Json = False) -> None:
     lines = []
     for kind, entries in found.items():
         lines += [f"{kind}:", *(f"  {name:{width}}  {description}" for name, description in entries.items())]
-    console.report(found, as_json=as_json, text="\n".join(lines))
+    folder = str(Path(configs.__file__).parent)
+    console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
 
 
 @app.command("run")
@@ -322,8 +323,7 @@ def bench_command(
     with files.atomic_folder(out) as folder:
         files.write_json(folder / "bench.json", {"format": "koala-capture-bench", "version": 1, **found})
         bench.plot_settling(points, folder / "settling.png")
-    text = "\n".join([*bench.lines(found), f"{out}: bench.json, settling.png"])
-    console.report(found, as_json=as_json, text=text)
+    console.report(found, as_json=as_json, text="\n".join([*bench.lines(found), f"{out}: bench.json, settling.png"]))
 
 
 @contextmanager

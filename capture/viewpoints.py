@@ -47,14 +47,30 @@ def spread(count: int, chosen: int) -> frozenset[int]:
     return frozenset(int((index + 0.5) * count / chosen) for index in range(chosen))
 
 
-class _Looking(Schema):
-    target: Vector = Field(description="point that the camera looks at [m]")
+class _Rolled(Schema):
     roll_deg: list[float] = Field(
         default=[0.0], min_length=1, description="equally good turns about the view axis; the planner chooses [degrees]"
     )
 
+    @property
+    def _rolls(self) -> tuple[float, ...]:
+        return tuple(np.radians(self.roll_deg))
+
+
+class _Looking(_Rolled):
+    target: Vector = Field(description="point that the camera looks at [m]")
+
     def _look(self, position: NDArray[np.float64], up: int) -> Viewpoint:
-        return Viewpoint(pose.look_at(position, self.target, (0, 0, up)), tuple(np.radians(self.roll_deg)))
+        return Viewpoint(pose.look_at(position, self.target, (0, 0, up)), self._rolls)
+
+
+class _Counted(_Looking):
+    count: int = Field(ge=1, le=10_000, description="number of views")
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return self.count
 
 
 def _on_sphere(target: Vector, distance: float, azimuth_deg: float, elevation_deg: float, up: int) -> NDArray[np.float64]:
@@ -68,11 +84,10 @@ def _azimuths(interval: Interval, count: int) -> NDArray[np.float64]:
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
-class HemisphereViews(_Looking):
+class HemisphereViews(_Counted):
     """Rings around the target with an even density of views, in alternating directions."""
 
     kind: Literal["hemisphere"] = Field(description="pattern of the views")
-    count: int = Field(ge=1, le=10_000, description="number of views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
     elevation_deg: Interval = Field(
         default=(15.0, 70.0), description="elevation of the lowest and the highest ring above the horizon [degrees]"
@@ -88,11 +103,6 @@ class HemisphereViews(_Looking):
             raise ValueError(f"elevation_deg must rise inside -90..90, got {list(self.elevation_deg)}")
         return self
 
-    @property
-    def number(self) -> int:
-        """Number of views."""
-        return self.count
-
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views, ring by ring from below."""
         elevations = np.linspace(*self.elevation_deg, self.rings)
@@ -106,19 +116,13 @@ class HemisphereViews(_Looking):
         return views
 
 
-class OrbitViews(_Looking):
+class OrbitViews(_Counted):
     """One ring around the target."""
 
     kind: Literal["orbit"] = Field(description="pattern of the views")
-    count: int = Field(ge=1, le=10_000, description="number of views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
     elevation_deg: float = Field(default=30.0, gt=-90, lt=90, description="elevation of the ring above the horizon [degrees]")
     azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
-
-    @property
-    def number(self) -> int:
-        """Number of views."""
-        return self.count
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views in order of azimuth."""
@@ -150,11 +154,10 @@ class GridViews(_Looking):
         return [self._look(np.add(self.centre, (x, y, 0.0)), up) for row, y in enumerate(ys) for x in xs[:: -1 if row % 2 else 1]]
 
 
-class TiltedViews(_Looking):
+class TiltedViews(_Counted):
     """Calibration views of a horizontal board: an even mixture of tilts, turns about the view axis, distances and shifts."""
 
     kind: Literal["tilted"] = Field(description="pattern of the views")
-    count: int = Field(ge=1, le=10_000, description="number of views")
     distance: Interval = Field(default=(0.3, 0.5), description="shortest and longest distance to the target [m]")
     tilt_deg: Interval = Field(default=(0.0, 40.0), description="smallest and largest angle between view and vertical [degrees]")
     turn_deg: Interval = Field(default=(-180.0, 180.0), description="range of the turn about the view axis [degrees]")
@@ -162,11 +165,6 @@ class TiltedViews(_Looking):
         default=(-180.0, 180.0), description="range of the direction from which the camera looks [degrees]"
     )
     shift: Interval = Field(default=(0.0, 0.0), description="largest shift of the target along x and y [m]")
-
-    @property
-    def number(self) -> int:
-        """Number of views."""
-        return self.count
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views in order of azimuth; the other quantities follow a low-discrepancy sequence (Roberts 2018, R_5)."""
@@ -179,7 +177,7 @@ class TiltedViews(_Looking):
             target = np.asarray(self.target) + np.append((2 * u[3:5] - 1) * self.shift, 0.0)
             position = _on_sphere(tuple(target), np.interp(u[1], (0, 1), self.distance), side, 90 - max(tilt, 0.1), up)
             turn = pose.from_rotation_vector([0, 0, np.radians(np.interp(u[2], (0, 1), self.turn_deg))])
-            views.append(Viewpoint(pose.look_at(position, target, (0, 0, up)) @ turn, tuple(np.radians(self.roll_deg))))
+            views.append(Viewpoint(pose.look_at(position, target, (0, 0, up)) @ turn, self._rolls))
         return views
 
 
@@ -210,14 +208,11 @@ class CameraPose(Schema):
         return pose.look_at(self.position, self.look_at, (0, 0, up))
 
 
-class PoseViews(Schema):
+class PoseViews(_Rolled):
     """A list of camera poses."""
 
     kind: Literal["poses"] = Field(description="pattern of the views")
     poses: list[CameraPose] = Field(min_length=1, description="the camera poses")
-    roll_deg: list[float] = Field(
-        default=[0.0], min_length=1, description="equally good turns about the view axis; the planner chooses [degrees]"
-    )
 
     @property
     def number(self) -> int:
@@ -226,7 +221,7 @@ class PoseViews(Schema):
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views as listed."""
-        return [Viewpoint(view.matrix(up), tuple(np.radians(self.roll_deg))) for view in self.poses]
+        return [Viewpoint(view.matrix(up), self._rolls) for view in self.poses]
 
 
 class JointViews(Schema):
