@@ -178,9 +178,9 @@ def _resolve(location: Place, content: Any, models: list[type[BaseModel]]) -> tu
     """
     place: Place = ()
     for part in location:
-        if (isinstance(content, dict) and part in content) or (
-            isinstance(content, list) and isinstance(part, int) and part < len(content)
-        ):
+        if isinstance(content, list):
+            content = dict(enumerate(content))
+        if isinstance(content, dict) and part in content:
             content = content[part]
             place = (*place, part)
             fields = [m.model_fields[part] for m in models if part in m.model_fields]
