@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import verify
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty
+from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty, verify
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from calib.targets import screening
 from datasets import pose
 from datasets.calibration import Calibration
@@ -24,21 +23,27 @@ from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 MIN_CORNERS_GIVEN = 20
-"""Corners in all, where the camera is known already: one tag in five views."""
+"""Fewest corners of a session whose camera is known: one tag in five views."""
 MAX_DISTANCE_M = 1e7
 STATED = Accuracy()
-"""What a UR5e is taken to keep within, where nobody says otherwise."""
+"""Accuracy that is assumed of a UR5e."""
 
 
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
-    """Intrinsics from the pictures alone; `lens` is a key of `intrinsics.LENSES`. Raises what `calib.intrinsics.estimate.calibrate` raises."""
+    """Intrinsics from the pictures alone; `lens` is a key of `estimate.LENSES`. Raises what `estimate.calibrate` raises."""
     found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
     residuals = {
-        "rms_px": found.rms_px, "held_out_px": found.held_out_px, "views_used": len(found.observations),
-        "views_unseen": list(session.unseen), "views_left_out": list(found.left_out), "why_left_out": found.left_out,
-        "corners": sum(len(o.ids) for o in found.observations), "coverage": found.coverage, "view_rms_px": found.view_rms_px,
+        "rms_px": found.rms_px,
+        "held_out_px": found.held_out_px,
+        "views_used": len(found.observations),
+        "views_unseen": list(session.unseen),
+        "views_left_out": list(found.left_out),
+        "why_left_out": found.left_out,
+        "corners": sum(len(o.ids) for o in found.observations),
+        "coverage": found.coverage,
+        "view_rms_px": found.view_rms_px,
         "camera_correlation": correlation(found.lens.free, found.covariance),
-    }  # fmt: skip
+    }
     return Calibration(found.camera, found.std, residuals=residuals, provenance={**session.provenance, "method": "intrinsics"})
 
 
@@ -51,13 +56,15 @@ def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
 def calibrate_handeye(
     session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
 ) -> Calibration:
-    """Hand-eye pose, board pose and intrinsics together; with the camera beside the arm, its place there and the board's on the flange.
+    """Hand-eye pose, board pose and intrinsics together.
+
+    With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange.
 
     Args:
-        given: intrinsics from another session; they enter with their covariance. From the same session they are
-            only the start, since its corners must not count twice.
+        given: intrinsics from another session; they count with their covariance. From the same session they are
+            only the start, because corners must not count twice.
         accuracy: of the arm, as stated.
-        lens: a key of `intrinsics.LENSES`.
+        lens: a key of `estimate.LENSES`.
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
@@ -68,7 +75,7 @@ def calibrate_handeye(
 
 @dataclass(frozen=True)
 class First:
-    """What is known before the arm's poses are looked at."""
+    """What is known before the arm's poses are used."""
 
     session: TargetSession
     camera: Camera
@@ -98,11 +105,6 @@ class Solution:
         grossly = {o.name: "arm and picture disagree grossly" for o in self.first.session.chosen(~self.keep).observations}
         return {**self.first.left_out, **grossly, **self.fit.left_out}
 
-    def start(self) -> State:
-        """Where the refinement of the kept views begins."""
-        return State(projection.vector(self.first.camera), self.closed.flange_from_camera, self.closed.base_from_board,
-                     np.zeros((int(self.keep.sum()), 6)))  # fmt: skip
-
 
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
@@ -113,34 +115,39 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
-    start = State(projection.vector(first.camera), closed.flange_from_camera, closed.base_from_board, np.zeros((keep.sum(), 6)))
-    fit = outliers.refine_without(first.session.chosen(keep), start, first.free, first.known, accuracy, sigma_px=first.sigma_px,
-                                  fisheye=first.camera.fisheye)  # fmt: skip
+    start, chosen = start_from(first.camera, closed, int(keep.sum())), first.session.chosen(keep)
+    options = {"sigma_px": first.sigma_px, "fisheye": first.camera.fisheye}
+    fit = outliers.refine_without(chosen, start, first.free, first.known, accuracy, **options)
     return Solution(first, boards, closed, keep, fit)
 
 
+def start_from(camera: Camera, closed: closed_forms.HandEye, views: int) -> State:
+    """Where the refinement of a number of views begins."""
+    return State(projection.vector(camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((views, 6)))
+
+
 def _check_poses(session: TargetSession) -> None:
-    """Raise CalibrationError where an arm's pose is no number, or further away than anything on Earth."""
+    """Raise CalibrationError where a pose of the arm is not finite or impossibly far away."""
     for observation, base_from_flange in zip(session.observations, session.base_from_flange, strict=True):
         if not (np.isfinite(base_from_flange).all() and np.abs(base_from_flange[:3, 3]).max() < MAX_DISTANCE_M):
-            raise CalibrationError("arm's pose is not credible", where=f"view {observation.name}",
-                                   why=f"its position is {base_from_flange[:3, 3].tolist()} m", remedy="leave this view out")  # fmt: skip
+            where, why = f"view {observation.name}", f"its position is {base_from_flange[:3, 3].tolist()} m"
+            raise CalibrationError("arm's pose is not credible", where=where, why=why, remedy="leave this view out")
 
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, NDArray[np.bool_]]:
-    """A start and the views that agree with it; refuses weak motion, and mistakes about the arm's poses."""
+    """A start and the views that agree with it. Raises CalibrationError for weak motion and for mistakes in the arm's poses."""
     try:
         uncertainty.check_motion(session.base_from_flange)
-        closed, keep = closed_forms.solve_robustly(session.mount_poses, boards)
+        closed, keep = closed_forms.solve_robustly(session.stand_from_mount, boards)
     except CalibrationError:
-        mistakes.explain(session.mount_poses, boards)
+        mistakes.explain(session.stand_from_mount, boards)
         raise
-    mistakes.explain(session.mount_poses, boards)
+    mistakes.explain(session.stand_from_mount, boards)
     return closed, keep
 
 
 def _first(session: TargetSession, given: Calibration | None, lens: str) -> First:
-    """Camera to start from, and the views whose corners make sense."""
+    """The camera to start from, and the views with plausible corners."""
     if given is None:
         found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
         chosen = session.with_observations(found.observations)
@@ -152,15 +159,14 @@ def _first(session: TargetSession, given: Calibration | None, lens: str) -> Firs
     free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
     same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
     boards = estimate.camera_from_boards(given.camera, observations)
-    residuals = np.concatenate(
-        [estimate.reproject(given.camera, b, o) - o.pixels for b, o in zip(boards, observations, strict=True)]
-    )
+    pairs = zip(boards, observations, strict=True)
+    residuals = np.concatenate([estimate.reproject(given.camera, board, o) - o.pixels for board, o in pairs])
     sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
     return First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
 
 
 def _known(given: Calibration, free: tuple[str, ...]) -> Known:
-    """Intrinsics of another session with their covariance; independent where the file does not hold their correlation."""
+    """Intrinsics of another session with their covariance; independent where the file lacks their correlation."""
     std, stored = np.array([given.camera_std[name] for name in free]), given.residuals.get("camera_correlation", {})
     among = np.eye(len(free))
     if set(free) <= set(stored.get("names", ())):
@@ -172,19 +178,28 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
 
 
 def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration:
-    """The calibration with its uncertainty, its errors on unseen views and where it came from."""
+    """The calibration with its uncertainty, its held-out errors and its provenance."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
     covariance = uncertainty.covariance(measured, refined)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     residuals = {
-        "rms_px": refined.rms_px, **verify.held_out(measured, refined), "settled": refined.settled, "sigma_px": refined.sigmas.pixel,
-        "arm_translation_mm": 1e3 * refined.sigmas.translation_m, "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
-        "views_used": len(session.observations), "views_unseen": list(session.unseen), "views_left_out": list(left_out), "why_left_out": left_out,
-        "corners": int(refined.inliers.sum()), "corners_left_out": int((~refined.inliers).sum()),
+        "rms_px": refined.rms_px,
+        **verify.held_out(measured, refined),
+        "settled": refined.settled,
+        "sigma_px": refined.sigmas.pixel,
+        "arm_translation_mm": 1e3 * refined.sigmas.translation_m,
+        "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
+        "views_used": len(session.observations),
+        "views_unseen": list(session.unseen),
+        "views_left_out": list(left_out),
+        "why_left_out": left_out,
+        "corners": int(refined.inliers.sum()),
+        "corners_left_out": int((~refined.inliers).sum()),
         "coverage": estimate.coverage(session.observations, session.width, session.height),
-        "view_rms_px": _by_view(session, measured, refined), "closed_form": _closed_form_facts(closed, refined),
-    }  # fmt: skip
+        "view_rms_px": _by_view(session, measured, refined),
+        "closed_form": _closed_form_facts(closed, refined),
+    }
     free = first.free
     if free:
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
@@ -192,20 +207,29 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
     if offsets is not None:
         residuals |= joints.facts(measured, refined, offsets)
     provenance = {
-        **session.provenance, "method": "hand-eye", "closed_form": closed.method, "intrinsics_given": given,
+        **session.provenance,
+        "method": "hand-eye",
+        "closed_form": closed.method,
+        "intrinsics_given": given,
         "eye_to_hand": session.eye_to_hand,
-        "arm_accuracy_stated": {"translation_mm": 1e3 * accuracy.translation_m, "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
-                                "joint_deg": float(np.rad2deg(accuracy.joint_rad))},
-    }  # fmt: skip
+        "arm_accuracy_stated": {
+            "translation_mm": 1e3 * accuracy.translation_m,
+            "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
+            "joint_deg": float(np.rad2deg(accuracy.joint_rad)),
+        },
+    }
     return Calibration(
         projection.with_vector(first.camera, refined.state.intrinsics).checked(where="estimated camera"),
-        dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)), residuals=residuals, provenance=provenance,
-        joint_offsets=offsets, **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
-    )  # fmt: skip
+        dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)),
+        residuals=residuals,
+        provenance=provenance,
+        joint_offsets=offsets,
+        **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
+    )
 
 
 def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dict[str, float]:
-    """Rms [px] by name of the view, outliers left out; views of outliers alone are left out too."""
+    """Rms [px] of the inliers by name of the view; views without inliers are missing."""
     return {
         o.name: verify.rms(refined.residuals[chosen])
         for i, o in enumerate(session.observations)
@@ -214,11 +238,12 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
-    """What the closed form said, and how far the refinement moved from it."""
-    distance, angle = pose.difference(closed.flange_from_camera, refined.state.flange_from_camera)
+    """The closed form's residuals, and how far the refinement moved from it."""
+    distance, angle = pose.difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),
         "rotation_residual_deg": float(np.rad2deg(np.sqrt(np.mean(closed.rotation_residual_rad**2)))),
-        "moved_mm": 1e3 * float(distance), "moved_deg": float(np.rad2deg(angle)),
-    }  # fmt: skip
+        "moved_mm": 1e3 * float(distance),
+        "moved_deg": float(np.rad2deg(angle)),
+    }

@@ -5,22 +5,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.options import Arm, JointDeg, Lens, Pictures, Rig, check_lens, spread
+from calib.options import Arm, Import, JointDeg, Lens, Pictures, Rig, check_lens, spread
 from datasets.core import console
 from datasets.core.console import Json
 
 if TYPE_CHECKING:
     from datasets.calibration import Calibration
 
-app = console.make_app("calib", "Calibrate the camera and its place on the arm from a recording of a target.")
+app = console.make_app("calib", "Calibrate the camera and its pose on the arm from a recording of a target.")
 
+CalibrationFile = Annotated[
+    Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")
+]
+RecordingMoved = Annotated[
+    Path | None, typer.Option("--recording", help="Folder that the calibration was made from; needed only if it was moved.")
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the noise.")]
 Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSON).")]
 
 
 @app.command("intrinsics")
 @spread
 def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: Json = False) -> None:
-    """Camera alone: focal lengths, centre, distortion."""
+    """Calibrate the camera alone: focal lengths, principal point, distortion."""
     from calib.calibrate import calibrate_intrinsics
 
     _check_out(out)
@@ -31,9 +38,9 @@ def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: 
 @app.command("handeye")
 @spread
 def handeye_command(rig: Rig, out: Out, joint_deg: JointDeg = 0.0, json: Json = False) -> None:
-    """Whole rig: camera, its place on the flange, the target's.
+    """Calibrate the whole rig: the camera, its pose on the flange and the pose of the target.
 
-    Everything is estimated together, with its uncertainty, and checked on views left out of the fit.
+    Everything is estimated together, with its uncertainty, and tested on views held out of the fit.
     """
     from calib.calibrate import calibrate_handeye
 
@@ -46,9 +53,9 @@ def handeye_command(rig: Rig, out: Out, joint_deg: JointDeg = 0.0, json: Json = 
 @app.command("compare")
 @spread
 def compare_command(rig: Rig, json: Json = False) -> None:
-    """All hand-eye methods on one session.
+    """Compare all hand-eye methods on one session.
 
-    With their error on views that they have not seen; prints a table (Markdown).
+    Prints a table (Markdown) with the error of each method on views held out of its fit.
     """
     from calib.study import compare
 
@@ -64,12 +71,12 @@ def verify_command(
     calibration: Annotated[Path, typer.Option("--calibration", help="Calibration file made by 'calib handeye'.")],
     json: Json = False,
 ) -> None:
-    """How well a calibration predicts a recording.
+    """Test how well a calibration predicts a recording.
 
-    Best a recording that it was not made from; only the target's place is fitted.
+    Use a recording that the calibration was not made from. Only the pose of the target is fitted.
     """
-    from calib.page.words import describe_verification
-    from calib.verify import verify
+    from calib.handeye.verify import verify
+    from calib.page.summary import describe_verification
     from datasets.calibration import Calibration
 
     result = verify(pictures.observe()[0], Calibration.load(calibration))
@@ -77,41 +84,34 @@ def verify_command(
 
 
 @app.command("report")
-@spread
 def report_command(
-    rig: Rig,
+    path: CalibrationFile,
     out: Annotated[Path, typer.Option("--out", help="HTML page to write.")],
-    joint_deg: JointDeg = 0.0,
+    recording: RecordingMoved = None,
+    description: Import = None,
     json: Json = False,
 ) -> None:
-    """A page with figures of a calibration.
+    """Write a page about a calibration.
 
-    Residuals over the image, errors of each view, coverage, error ellipses. Calibrates as 'calib handeye' does.
+    It shows residuals over the image, errors of each view, coverage and error ellipses. The calibration is shown as stored.
+    The recording is searched for the target again.
     """
-    from calib import calibrate
-    from calib.page import report_page
+    from calib.page import report
+    from calib.page.evidence import gather, recording_of
+    from datasets.calibration import Calibration
 
-    accuracy = rig.accuracy(joint_deg)
     _check_out(out)
-    session, given = rig.read()
-    solution = calibrate.solve(session, given, accuracy, rig.lens)
-    calibration = calibrate.finished(solution, accuracy, given is not None)
-    report_page.write(out, calibration, solution, made_by=console.command_line())
+    calibration = Calibration.load(path)
+    session, _ = Pictures(recording=recording_of(calibration, recording), description=description).observe()
+    report.write(out, gather(calibration, session), made_by=console.command_line())
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
 @app.command("view")
-def view_command(
-    path: Annotated[Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")],
-    recording: Annotated[
-        Path | None, typer.Option("--recording", help="Where its recording is now, if not where it was.")
-    ] = None,
-    port: console.Port = 8080,
-    json: Json = False,
-) -> None:
-    """Look at a calibration in the browser.
+def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: console.Port = 8080, json: Json = False) -> None:
+    """Show a calibration in the browser.
 
-    Target and cameras, residuals over the image before and after the refinement, coverage, error ellipses.
+    The page shows the target and the cameras, residuals over the image, coverage and error ellipses.
     """
     from calib.page.view import show
     from datasets.calibration import Calibration
@@ -121,8 +121,8 @@ def view_command(
     with open_page(path.stem, port) as page:
         show(page, calibration, recording=recording)
         rms = calibration.residuals.get("rms_px")
-        console.report({"url": page.url, "calibration": str(path), "rms_px": rms}, as_json=json,
-                       text=f"{page.url} shows {path}; Ctrl-C ends it")  # fmt: skip
+        result = {"url": page.url, "calibration": str(path), "rms_px": rms}
+        console.report(result, as_json=json, text=f"{page.url} shows {path}; Ctrl-C ends it")
         page.serve()
 
 
@@ -132,29 +132,29 @@ def plan_command(
     rig: Rig,
     out: Annotated[Path, typer.Option("--out", help="Trajectory file to write (YAML), for 'capture plan' and 'capture run'.")],
     count: Annotated[int, typer.Option("--count", min=1, max=100, help="Number of views.")] = 5,
-    grow_mm: Annotated[
-        float, typer.Option("--grow-mm", min=0, help="How far beyond the recorded camera positions to go.")
-    ] = 50.0,
+    grow_mm: Annotated[float, typer.Option("--grow-mm", min=0, help="Margin around the recorded camera positions [mm].")] = 50.0,
     json: Json = False,
 ) -> None:
-    """The next views that tell most.
+    """Plan the most informative next views.
 
-    Within the box of the recorded camera positions; 'capture plan' judges whether the arm can take them.
+    They lie in the box of the recorded camera positions. Check with 'capture plan' whether the arm can reach them.
     """
     from calib import calibrate
-    from calib.study import advice
+    from calib.study import next_views
     from datasets.recording import Recording
 
     accuracy = rig.accuracy()
     _check_out(out)
     session, given = rig.read()
     solution = calibrate.solve(session, given, accuracy, rig.lens)
-    found = advice.advise(solution, count, grow_m=1e-3 * grow_mm)
+    found = next_views.plan(solution, count, grow_m=1e-3 * grow_mm)
     manifest = Recording.open(rig.recording).manifest if "recording" in session.provenance else {}
-    advice.write_trajectory(out, found, manifest)
+    next_views.write_trajectory(out, found, manifest)
     (before_mm, before_deg), (after_mm, after_deg) = found.before, found.after[-1]
-    text = (f"hand-eye pose known to {before_mm:.4f} mm, {before_deg:.5f} deg now; {after_mm:.4f} mm, {after_deg:.5f} deg expected "
-            f"with {count} views more\nwritten to {out}")  # fmt: skip
+    text = (
+        f"standard deviation of the hand-eye pose: {before_mm:.4f} mm, {before_deg:.5f} deg now; "
+        f"{after_mm:.4f} mm, {after_deg:.5f} deg expected with {count} more views\nwritten to {out}"
+    )
     console.report({"out": str(out), "before": found.before, "after": found.after}, as_json=json, text=text)
 
 
@@ -164,14 +164,16 @@ def refine_command(
     scene: Annotated[
         Path, typer.Argument(metavar="SCENE", help="Scene made by 'datasets build', or any other that Koala reads.")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Scene to write where the poses become better.")],
+    out: Annotated[Path, typer.Option("--out", help="Scene to write if the poses improve.")],
     arm: Arm,
-    enough_px: Annotated[float, typer.Option("--enough-px", min=0, help="Poses that explain the pictures so well stay.")] = 0.5,
+    enough_px: Annotated[
+        float, typer.Option("--enough-px", min=0, help="Keep poses whose median error is below this [px].")
+    ] = 0.5,
     json: Json = False,
 ) -> None:
-    """Move a scene's poses to what its pictures say.
+    """Refine the camera poses of a scene by bundle adjustment.
 
-    The arm's poses are priors; moved poses are used only where points that were set aside fit better.
+    The arm's poses are priors. Refined poses are used only if they explain held-out points better.
     """
     from calib import sfm
     from datasets.core.files import refuse_existing
@@ -182,8 +184,8 @@ def refine_command(
     found = sfm.refine_scene(load_scene(scene), prior=accuracy, enough_px=enough_px)
     if found.used:
         koala.save(found.scene, out)
-    text = f"{found.reason}\n" + (f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}" if found.used
-                                  else "the poses stay; nothing is written")  # fmt: skip
+    moved = f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}"
+    text = f"{found.reason}\n{moved if found.used else 'the poses are unchanged; nothing is written'}"
     console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
 
 
@@ -194,26 +196,27 @@ def board_command(
     squares: Annotated[str, typer.Option("--squares", help="Squares along x and y.")] = "9x7",
     square_mm: Annotated[float, typer.Option("--square-mm", help="Side of a square [mm].")] = 30.0,
     marker_mm: Annotated[
-        float | None, typer.Option("--marker-mm", help="Side of a marker [mm]; default: 73 % of a square.")
+        float | None, typer.Option("--marker-mm", help="Side of a marker [mm]. Default: 73 % of a square.")
     ] = None,
-    dictionary: Annotated[str, typer.Option("--dictionary", help="OpenCV's name of the marker dictionary.")] = "DICT_5X5_100",
+    dictionary: Annotated[str, typer.Option("--dictionary", help="Marker dictionary, by its name in OpenCV.")] = "DICT_5X5_100",
     first_id: Annotated[int, typer.Option("--first-id", help="Number of the first tag.")] = 0,
     json: Json = False,
 ) -> None:
-    """A target to print, in true size."""
+    """Make a target to print, in true size."""
     from calib.targets import printing
-    from calib.targets.target import Board
+    from calib.targets.detection import read_board
     from datasets.core.errors import UsageError
 
     numbers = squares.lower().split("x")
     if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
-        raise UsageError("squares are given as 9x7", where="--squares", why=f"{squares!r} given")
+        raise UsageError("is not a number of squares such as 9x7", where="--squares", why=f"{squares!r} given")
     marker = 0.0 if kind == "chessboard" else round(0.73 * square_mm, 1) if marker_mm is None else marker_mm
-    board = Board.from_json({"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "square_length_m": 1e-3 * square_mm,
-                             "marker_length_m": 1e-3 * marker, "dictionary": dictionary, "first_id": first_id}, where="board")  # fmt: skip
+    sizes = {"square_length_m": 1e-3 * square_mm, "marker_length_m": 1e-3 * marker, "first_id": first_id}
+    content = {"type": kind, "squares_x": int(numbers[0]), "squares_y": int(numbers[1]), "dictionary": dictionary, **sizes}
+    board = read_board(content, where="board")
     printing.write(board, out)
     width, height = printing.page_mm(board)
-    text = f"page of {width:.0f} x {height:.0f} mm; print without fitting to the page, and measure the bar\nwritten to {out}"
+    text = f"page of {width:.0f} x {height:.0f} mm; print it without scaling, then measure the bar of 100 mm\nwritten to {out}"
     console.report({"out": str(out), "page_mm": [width, height], "board": board.to_json()}, as_json=json, text=text)
 
 
@@ -221,17 +224,17 @@ def board_command(
 def bench_command(
     out: Annotated[Path, typer.Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
     quick: Annotated[
-        bool, typer.Option("--quick", help="A few points of 40 trials: a minute instead of three quarters of an hour.")
+        bool, typer.Option("--quick", help="Measure a few points in one minute instead of all in 45 minutes.")
     ] = False,
     trials: Annotated[
-        int | None, typer.Option("--trials", min=2, help="Sessions per point; default 200, with --quick 40.")
+        int | None, typer.Option("--trials", min=2, help="Sessions per point. Default: 200, with --quick 40.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
+    seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """Run time against error of all methods.
+    """Benchmark all methods: run time and error.
 
-    On simulated sessions without pictures, beside the Cramer-Rao bound.
+    Sessions are simulated without pictures. Errors are compared with the Cramer-Rao bound.
     """
     from calib.study import bench, bench_report
     from datasets.core.files import refuse_existing
@@ -248,58 +251,59 @@ def bench_command(
 @app.command("study")
 def study_command(
     sessions: Annotated[int, typer.Option("--sessions", min=2, help="Simulated sessions of each kind.")] = 60,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
+    seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """What makes a session good: board, tilts, distances, intrinsics of their own.
+    """Study what makes a session good: board, tilts, distances, separate intrinsics.
 
-    On the simulated Koala rig; prints a table (Markdown).
+    Simulates the Koala rig and prints a table (Markdown).
     """
-    from calib.study import study
+    from calib.study import variants
 
-    with console.progress("simulating", len(study.VARIANTS), "kinds of session") as bar:
-        outcomes = list(study.run(sessions, seed, done=lambda outcome: bar.advance()))
-    rows = [{"session": o.variant.name, "failures": o.failures, **dict(zip(("refinement", "park", "stated"), o.medians(), strict=True))}
-            for o in outcomes if len(o.refined)]  # fmt: skip
-    console.report({"sessions": sessions, "aim": study.AIM, "kinds": rows}, as_json=json, text=study.markdown(outcomes))
+    with console.progress("simulating", len(variants.VARIANTS), "kinds of session") as bar:
+        outcomes = list(variants.run(sessions, seed, done=lambda outcome: bar.advance()))
+    columns = ("refinement", "park", "stated")
+    finished = [o for o in outcomes if len(o.refined)]
+    medians = [dict(zip(columns, o.medians(), strict=True)) for o in finished]
+    rows = [{"session": o.variant.name, "failures": o.failures, **values} for o, values in zip(finished, medians, strict=True)]
+    console.report({"sessions": sessions, "aim": variants.AIM, "kinds": rows}, as_json=json, text=variants.markdown(outcomes))
 
 
 def _check_out(out: Path) -> None:
-    """Refuse before the work what would fail after it."""
+    """Raise UsageError before the work begins if `out` cannot be written after it."""
     from datasets.core.errors import UsageError
     from datasets.core.files import refuse_existing
 
     if out.is_dir():
-        raise UsageError("is a folder", where=out, remedy="give --out the name of a JSON file")
+        raise UsageError("is a folder", where=out, remedy="give --out the name of a new file")
     refuse_existing(out)
 
 
 def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
-    """Write a calibration and say what is in it."""
-    from calib.page.words import describe_calibration, notes
+    """Write a calibration and print it."""
+    from calib.page.summary import POSES, describe_calibration, notes
 
     calibration.save(out)
-    result: dict[str, Any] = {
-        "out": str(out), "camera": calibration.camera.to_json(), "camera_std": calibration.camera_std,
-        "residuals": calibration.residuals, "notes": notes(calibration),
-    }  # fmt: skip
-    for name in ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board"):
-        value = getattr(calibration, name)
-        if value is not None:
-            result[name] = {
-                **value.to_json(), "translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg,
-            }  # fmt: skip
+    facts = {name: getattr(calibration, name) for name in ("camera_std", "residuals")}
+    result: dict[str, Any] = {"out": str(out), "camera": calibration.camera.to_json(), **facts, "notes": notes(calibration)}
+    for name in POSES:
+        if (value := getattr(calibration, name)) is not None:
+            std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
+            result[name] = {**value.to_json(), **std}
     if calibration.joint_offsets is not None:
         result["joint_offsets"] = calibration.joint_offsets.to_json()
     console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")
 
 
 def main() -> None:
-    """Entry point of the `calib` command. Its matrices are small: threads of the linear algebra only get in each other's way."""
+    """Entry point of the `calib` command.
+
+    One thread is fastest for these small matrices. With several, OpenCV also sums in another order each time.
+    """
     import os
 
-    for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(library, "1")
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(name, "1")
     console.run(app)
 
 

@@ -1,4 +1,4 @@
-"""Options that several `calib` commands share, each written once: a command that takes one of these classes has all its options."""
+"""Options that several `calib` commands share. A command with a parameter of one of these classes has all its options."""
 
 import inspect
 import math
@@ -15,23 +15,28 @@ from datasets.core.errors import UsageError, nearest
 
 if TYPE_CHECKING:
     from calib.handeye.model import Accuracy
-    from calib.session import TargetSession
+    from calib.sessions.session import TargetSession
     from datasets.calibration import Calibration
 
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
 ]
 Import = Annotated[
-    Path | None, typer.Option("--import", help="How to read a folder of images and poses (YAML); default: import.yaml in it.")
+    Path | None,
+    typer.Option(
+        "--import",
+        help="How to read a folder of images and poses: a shipped description by name, or a YAML file. Default: import.yaml in it.",
+    ),
 ]
-Lens = Annotated[str, typer.Option("--lens", help="auto, brown, rational or fisheye.")]
+Lens = Annotated[str, typer.Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
 Intrinsics = Annotated[
-    Path | None, typer.Option("--intrinsics", help="Calibration file to take the camera from; else it is estimated along.")
+    Path | None, typer.Option("--intrinsics", help="Calibration file with the camera. Default: estimate the camera as well.")
 ]
 ArmMm = Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
 ArmDeg = Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
 JointDeg = Annotated[
-    float, typer.Option("--joint-deg", help="Stated accuracy of the joints' zeros [deg]; above 0 their offsets are estimated.")
+    float,
+    typer.Option("--joint-deg", help="Stated accuracy of the joint angles' zeros [deg]. Above 0, joint offsets are estimated."),
 ]
 
 
@@ -43,7 +48,7 @@ class Arm:
     arm_deg: ArmDeg = 0.01
 
     def accuracy(self, joint_deg: float = 0.0) -> "Accuracy":
-        """The arm's accuracy as given on the command line. Raises UsageError where it cannot be."""
+        """The arm's accuracy as given on the command line. Raises UsageError where it is impossible."""
         from calib.handeye.model import Accuracy
 
         for name, value, least in (
@@ -64,40 +69,29 @@ class Pictures:
     description: Import = None
 
     def observe(self) -> "tuple[TargetSession, Calibration | None]":
-        """Find the target in every frame, with a progress bar; and the camera, where an imported session brings its own."""
-        from calib import importer
-        from calib.session import observe_recording
+        """Find the target in every image, with a progress bar; and the camera, where an imported session brings its own."""
+        from calib.sessions.importer import count_views, observe_folder
         from datasets.calibration import Calibration
-        from datasets.recording import Recording
 
-        folder, imported = self.recording, None
-        if importer.describes(folder, self.description):
-            imported = importer.load_description(folder, self.description)
-        elif folder.is_dir() and not (folder / "manifest.json").is_file():
-            raise UsageError("is neither a recording nor a folder to import", where=folder, why="no manifest.json and no import.yaml in it",
-                         remedy="describe images and poses in a file, see docs/calibration.md, and give it as --import")  # fmt: skip
-        number = len(importer.matching(folder, imported.images)) if imported else len(Recording.open(folder).frames)
-        with console.progress("finding the target", number, "views") as bar:
+        with console.progress("finding the target", count_views(self.recording, self.description), "views") as bar:
 
             def seen(words: str) -> None:
                 bar.note(words)
                 bar.advance()
 
-            if imported is None:
-                return observe_recording(folder, seen=seen), None
-            session = importer.import_session(folder, imported, seen=seen)
-            return session, Calibration(imported.camera.camera(), {}) if imported.camera else None
+            session, camera = observe_folder(self.recording, self.description, seen=seen)
+        return session, Calibration(camera, {}) if camera else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rig(Arm, Pictures):
-    """A session from which the whole rig is to be found."""
+    """A session to calibrate the whole rig from."""
 
     intrinsics: Intrinsics = None
     lens: Lens = "auto"
 
     def read(self) -> "tuple[TargetSession, Calibration | None]":
-        """The session, and the camera that is given for it; what is wrong with the options is said before the pictures are searched."""
+        """The session, and the camera that is given for it. Options are checked before the pictures are searched."""
         from datasets.calibration import Calibration
 
         check_lens(self.lens)
@@ -116,7 +110,8 @@ def check_lens(lens: str) -> None:
 
 def spread(command: Callable[..., None]) -> Callable[..., None]:
     """`command` with each parameter that is one of these classes spread out into its fields, as typer reads them."""
-    grouped: dict[str, type] = {name: kind for name, kind in get_type_hints(command).items() if is_dataclass(kind)}
+    hints = get_type_hints(command)
+    grouped: dict[str, type] = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
     parameters: dict[str, inspect.Parameter] = {}
     for name, parameter in inspect.signature(command).parameters.items():
         for option in _options(grouped[name]) if name in grouped else [parameter]:
@@ -136,7 +131,11 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
 def _options(kind: type) -> list[inspect.Parameter]:
     """The fields of a class as parameters."""
     return [
-        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, annotation=field.type,
-                          default=inspect.Parameter.empty if field.default is MISSING else field.default)
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            annotation=field.type,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+        )
         for field in fields(kind)
-    ]  # fmt: skip
+    ]

@@ -1,8 +1,8 @@
-"""Do the object's own pictures agree with the arm's poses? Bundle adjustment with the arm as prior, through pycolmap.
+"""Bundle adjustment of a scene's own pictures with the arm's poses as priors, through pycolmap.
 
-Features are matched between all pictures and triangulated with the arm's poses. A fifth of the points is set aside; the rest moves the
-poses, which are held by the arm's accuracy. The points that were set aside judge: only where they fit better afterwards are the moved
-poses used. Where the arm explains the pictures already, nothing is moved.
+Features are matched between all pictures and triangulated with the arm's poses. A fifth of the points is held out; the others
+refine the poses within the arm's accuracy. The refined poses are used only if the held-out points then fit better. If the
+arm's poses explain the pictures already, nothing is changed.
 """
 
 import tempfile
@@ -23,19 +23,19 @@ from datasets.scene import Scene, View
 
 Array = NDArray[np.float64]
 ENOUGH_PX = 0.5
-"""Median error of points that were set aside below which the arm's poses explain the pictures: features are no better."""
+"""Median error of held-out points below which the arm's poses explain the pictures: features are no better [px]."""
 MIN_GAIN = 0.02
-"""Share by which the error of points that were set aside must fall for the moved poses to be used."""
+"""Share by which the error of held-out points must fall for the refined poses to be used."""
 MIN_POINTS = 50
 MIN_SEEN = 40
-"""A view that shows fewer points keeps the arm's pose: they would not hold its orientation."""
+"""A view with fewer points keeps the arm's pose: they would not determine its orientation."""
 LIMIT_PX = 10.0
-"""A feature further than this from where its point should be has been matched wrongly."""
+"""A feature further than this from its projected point is a wrong match."""
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Points and where they were seen: n observations of points 0..m-1 in views."""
+    """n observations of points 0..m-1 in views."""
 
     point: NDArray[np.int64]
     """(n,) ascending."""
@@ -47,20 +47,20 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Refinement:
-    """What bundle adjustment made of a scene."""
+    """Result of bundle adjustment."""
 
     scene: Scene
-    """With the poses to use: moved, or as they were."""
+    """With the poses to use, refined or unchanged."""
     used: bool
-    """Whether poses were moved."""
+    """Whether the refined poses are used."""
     reason: str
-    """Why, or why not."""
+    """Why or why not."""
     before_px: float
-    """Median error of the points set aside with the arm's poses [px]."""
+    """Median error of the held-out points with the arm's poses [px]."""
     after_px: float | None
-    """The same with the moved poses; None where nothing was tried."""
+    """The same with the refined poses; None if none were computed."""
     moved_mm: float | None
-    """Rms distance by which the poses were moved [mm]."""
+    """Rms change of the positions [mm]."""
     moved_deg: float | None
     points: int
 
@@ -70,7 +70,7 @@ class Refinement:
 
 
 def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refinement:
-    """Move the poses of `scene` to what its pictures say, as far as the arm's accuracy `prior` lets them.
+    """Refine the poses of `scene` by its pictures, within the arm's accuracy `prior`.
 
     Raises:
         CalibrationError: views of several cameras, or too few points found in the pictures.
@@ -81,41 +81,50 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
         tracks = _tracks(model)
         points = int(tracks.point.max(initial=-1)) + 1
         if points < MIN_POINTS:
-            raise CalibrationError("pictures show too few points to judge the poses", where=scene.name,
-                                   why=f"{points} points were found in three views and more, {MIN_POINTS} are needed",
-                                   remedy="put something with texture beside the object")  # fmt: skip
+            why = f"{points} points were found in three or more views, {MIN_POINTS} are needed"
+            remedy = "put something with texture beside the object"
+            raise CalibrationError("pictures show too few points to judge the poses", where=scene.name, why=why, remedy=remedy)
         given = np.stack([view.world_from_camera for view in scene.views])
         aside = np.random.default_rng(seed).permutation(points)[: max(points // 5, 10)]
         judged = np.isin(tracks.point, aside)
         before = reprojection(tracks, judged, given, camera)
         if np.median(before) <= enough_px:
-            reason = f"the arm's poses explain the pictures to {np.median(before):.2f} px already"
+            reason = f"the arm's poses already explain the pictures to {np.median(before):.2f} px"
             return Refinement(scene, False, reason, float(np.median(before)), None, None, None, points)
         moved = aligned(_adjusted(model, scene, set(aside.tolist()), prior.translation_m), given, prior)
     after = reprojection(tracks, judged, moved, camera)
     distance, angle = pose.difference(given, moved)
     better = _score(after) < (1 - MIN_GAIN) * _score(before)
     verdict = "fit better" if better else "do not fit better"
-    reason = f"points that were set aside {verdict}: {np.median(before):.2f} px before, {np.median(after):.2f} px after"
+    reason = f"held-out points {verdict}: {np.median(before):.2f} px before, {np.median(after):.2f} px after"
     result = (
         scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
         if better
         else scene
     )
-    return Refinement(result, better, reason, float(np.median(before)), float(np.median(after)), 1e3 * float(np.sqrt(np.mean(distance**2))),
-                      float(np.rad2deg(np.sqrt(np.mean(angle**2)))), points)  # fmt: skip
+    return Refinement(
+        result,
+        better,
+        reason,
+        float(np.median(before)),
+        float(np.median(after)),
+        1e3 * float(np.sqrt(np.mean(distance**2))),
+        float(np.rad2deg(np.sqrt(np.mean(angle**2)))),
+        points,
+    )
 
 
 def _score(errors: Array) -> float:
-    """Mean error, wrong matches counting no more than `LIMIT_PX` [px]."""
+    """Mean error with each error limited to `LIMIT_PX` [px]."""
     return float(np.mean(np.minimum(errors, LIMIT_PX)))
 
 
 def _one_camera(scene: Scene) -> Camera:
     cameras = {view.camera for view in scene.views}
     if len(cameras) != 1:
-        raise CalibrationError("views have different cameras", where=scene.name, why=f"{len(cameras)} of them",
-                               remedy="refine scenes of one camera")  # fmt: skip
+        raise CalibrationError(
+            "views have different cameras", where=scene.name, why=f"{len(cameras)} of them", remedy="refine scenes of one camera"
+        )
     return cameras.pop()
 
 
@@ -141,8 +150,15 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
         options.mask_path = folder / "masks"
     database = folder / "features.db"
     cpu = pycolmap.Device.cpu
-    pycolmap.extract_features(database, folder / "images", image_names=names, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=options,
-                              extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False), device=cpu)  # fmt: skip
+    pycolmap.extract_features(
+        database,
+        folder / "images",
+        image_names=names,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=options,
+        extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False),
+        device=cpu,
+    )
     pycolmap.match_exhaustive(
         database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False), device=cpu
     )
@@ -152,7 +168,9 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
     )
     with pycolmap.Database.open(database) as stored:
         for index, name in enumerate(names):
-            number = stored.read_image_with_name(name).image_id
+            found = stored.read_image_with_name(name)
+            assert found is not None  # its features have just been stored
+            number = found.image_id
             image = pycolmap.Image(name, stored.read_keypoints(number)[:, :2], 1, number)
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.inverse(scene.views[index].world_from_camera)[:3]))
     settings = pycolmap.IncrementalPipelineOptions()
@@ -226,7 +244,7 @@ def _solved(point: NDArray[np.int64], matrices: Array, sides: Array) -> Array:
 
 
 def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Array:
-    """(views, 4, 4) poses after bundle adjustment without the points `aside`, camera centres held to `prior_m` [m] per axis."""
+    """(views, 4, 4) poses after bundle adjustment without the points `aside`; `prior_m`: of camera centres, per axis [m]."""
     import pycolmap
 
     number = 0
@@ -241,10 +259,17 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
         if image.num_points3D < MIN_SEEN:
             config.set_constant_rig_from_world_pose(image.frame_id)
         centre = scene.views[_index(image.name)].world_from_camera[:3, 3]
-        priors.append(pycolmap.PosePrior(corr_data_id=image.data_id, position=centre, position_covariance=prior_m**2 * np.eye(3),
-                                         coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN))  # fmt: skip
-    options = pycolmap.BundleAdjustmentOptions(refine_focal_length=False, refine_principal_point=False, refine_extra_params=False,
-                                               print_summary=False)  # fmt: skip
+        priors.append(
+            pycolmap.PosePrior(
+                corr_data_id=image.data_id,
+                position=centre,
+                position_covariance=prior_m**2 * np.eye(3),
+                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+            )
+        )
+    options = pycolmap.BundleAdjustmentOptions(
+        refine_focal_length=False, refine_principal_point=False, refine_extra_params=False, print_summary=False
+    )
     options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, 1.0
     options.ceres.solver_options.num_threads = 1
     adjuster = pycolmap.create_pose_prior_bundle_adjuster(
@@ -259,10 +284,11 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
 
 
 def aligned(moved: Array, given: Array, prior: Accuracy) -> Array:
-    """(views, 4, 4) `moved` poses, all of them together brought to where the arm has them.
+    """(views, 4, 4) `moved` poses, all of them together moved rigidly to best match the poses of the arm.
 
-    Pictures do not change where the whole scene is turned, and priors on camera centres hold a short arc of views badly: the arm's
-    orientations tell the rest. Least squares over one rigid motion, distances and angles in units of the arm's accuracy (Gauss-Newton).
+    Pictures do not determine the orientation of the whole scene, and for a short arc of views priors on camera centres hardly
+    do. The arm's orientations are used as well: least squares over one rigid motion, in units of the arm's accuracy
+    (Gauss-Newton).
     """
     for _ in range(10):
         off = given[:, :3, 3] - moved[:, :3, 3]

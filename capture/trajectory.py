@@ -18,6 +18,7 @@ import configs
 from capture.geometry import Box, PoseDescription
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
+from datasets.board import Board
 from datasets.core.schema import Schema, load_yaml
 
 FORMAT, VERSION = "koala-trajectory", 1
@@ -81,25 +82,6 @@ class Safety(Schema):
     workspace: Box | None = Field(default=None, description="box that the camera must stay inside; null: no limit")
 
 
-class CharucoTarget(Schema):
-    """A flat ChArUco calibration board."""
-
-    kind: Literal["charuco"] = Field(description="kind of target")
-    squares_x: int = Field(ge=3, description="squares along the board's x axis")
-    squares_y: int = Field(ge=3, description="squares along the board's y axis")
-    square_length_m: float = Field(gt=0, description="side of a square [m]")
-    marker_length_m: float = Field(gt=0, description="side of a marker [m]")
-    dictionary: str = Field(default="DICT_5X5_100", description="OpenCV's name of the marker dictionary")
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.marker_length_m >= self.square_length_m:
-            raise ValueError(
-                f"marker_length_m {self.marker_length_m} must be smaller than square_length_m {self.square_length_m}"
-            )
-        return self
-
-
 class Trajectory(Schema):
     """A repeatable session: views, split, camera settings, motion, and where things are."""
 
@@ -117,7 +99,7 @@ class Trajectory(Schema):
         default="+z", description="axis of the base that points up: -z for an arm that hangs upside down"
     )
     object: Box | None = Field(default=None, description="volume of the object, which stands at the centre of the bottom face")
-    target: CharucoTarget | None = Field(default=None, description="calibration target, for a calibration session")
+    target: Board | None = Field(default=None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(
         default=None,
         description="approximate base_from_board. Only the simulator uses it: it puts the board exactly here. "
@@ -131,6 +113,8 @@ class Trajectory(Schema):
             raise ValueError(f"split has {self.split.train} + {self.split.test} views, but 'views' gives {count}")
         if self.split is not None and self.target is not None:
             raise ValueError("a session with a target has no split: remove 'split' or 'target'")
+        if self.target is not None and self.target.kind != "charuco":
+            raise ValueError(f"target: only ChArUco boards can be recorded, not kind {self.target.kind!r}")
         return self
 
     @model_validator(mode="after")

@@ -25,7 +25,7 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return load_rig
     if folder == "imports":
-        from calib.importer import load_description
+        from calib.sessions.importer import load_description
 
         return lambda path: load_description(path.parent, path)
     if folder == "models":

@@ -1,1 +1,1 @@
-"""Hand-eye calibration: closed forms, joint refinement, uncertainty, outliers and user mistakes."""
+"""Hand-eye calibration: closed forms, joint refinement, uncertainty, outliers, verification."""

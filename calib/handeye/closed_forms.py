@@ -1,8 +1,9 @@
 """Hand-eye calibration in closed form, camera on the flange, through OpenCV.
 
-Two views i, j give A X = X B with A = flange_i_from_flange_j, B = camera_i_from_camera_j and X = flange_from_camera
-(Tsai 1989, Park 1994, Horaud 1995, Andreff 1999, Daniilidis 1999); Shah 2013 and Li 2010 solve for X and
-base_from_board together. All treat the poses as exact: they start the refinement, they do not end it.
+Two views i, j give A X = X B with A = flange_i_from_flange_j, B = camera_i_from_camera_j and X = mount_from_camera (Tsai
+1989, Park 1994, Horaud 1995, Andreff 1999, Daniilidis 1999); Shah 2013 and Li 2010 solve for X and stand_from_board together.
+All treat the poses as exact, so they serve as a start of the refinement. `calib.handeye.model` defines mount and stand; with
+the camera on the flange they are flange and base.
 """
 
 from collections.abc import Sequence
@@ -34,12 +35,12 @@ SUBSETS = 40
 
 @dataclass(frozen=True)
 class HandEye:
-    """A closed-form answer and how well the views agree with it."""
+    """A closed-form solution and how well the views agree with it."""
 
     method: str
-    flange_from_camera: Array
+    mount_from_camera: Array
     """(4, 4)."""
-    base_from_board: Array
+    stand_from_board: Array
     """(4, 4)."""
     translation_residual_m: Array
     """(views,) distance between the board's place by each view and by all [m]."""
@@ -51,11 +52,11 @@ class HandEye:
         return float(np.sqrt(np.mean(_distance(self)[keep] ** 2)))
 
 
-def solve(base_from_flange: Array, camera_from_board: Array, method: str = "park") -> HandEye:
+def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park") -> HandEye:
     """Solve with one of `METHODS`.
 
     Args:
-        base_from_flange: (views, 4, 4) as the arm reported them.
+        stand_from_mount: (views, 4, 4) as the arm reported them.
         camera_from_board: (views, 4, 4) as seen.
 
     Raises:
@@ -64,66 +65,74 @@ def solve(base_from_flange: Array, camera_from_board: Array, method: str = "park
     """
     if method not in METHODS:
         raise CalibrationError(f"no hand-eye method {method!r}", remedy=nearest(method, METHODS))
-    if len(base_from_flange) < 3:
-        raise CalibrationError("hand-eye calibration needs at least 3 views", why=f"{len(base_from_flange)} given")
+    if len(stand_from_mount) < 3:
+        raise CalibrationError("hand-eye calibration needs at least 3 views", why=f"{len(stand_from_mount)} given")
     board_rotation, board_translation = camera_from_board[:, :3, :3], camera_from_board[:, :3, 3]
-    if not (np.isfinite(base_from_flange).all() and np.isfinite(camera_from_board).all()):
+    if not (np.isfinite(stand_from_mount).all() and np.isfinite(camera_from_board).all()):
         raise CalibrationError("poses are not finite", remedy="leave out the views without a pose")
     try:
-        if method in _RELATIVE:  # OpenCV's gripper2base is base_from_flange, target2cam camera_from_board
+        if method in _RELATIVE:  # OpenCV's gripper2base is stand_from_mount, target2cam camera_from_board
             rotation, translation = cv2.calibrateHandEye(
-                list(base_from_flange[:, :3, :3]), list(base_from_flange[:, :3, 3]),
-                list(board_rotation), list(board_translation), method=_RELATIVE[method],
-            )  # fmt: skip
-            flange_from_camera = pose.rigid(rotation, translation.ravel())
+                list(stand_from_mount[:, :3, :3]),
+                list(stand_from_mount[:, :3, 3]),
+                list(board_rotation),
+                list(board_translation),
+                method=_RELATIVE[method],
+            )
+            mount_from_camera = pose.rigid(rotation, translation.ravel())
         else:
-            flange_from_base = pose.inverse(base_from_flange)
+            mount_from_stand = pose.inverse(stand_from_mount)
             _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(
-                list(board_rotation), list(board_translation),
-                list(flange_from_base[:, :3, :3]), list(flange_from_base[:, :3, 3]), method=_ABSOLUTE[method],
-            )  # fmt: skip
-            flange_from_camera = pose.inverse(pose.rigid(rotation, translation.ravel()))
+                list(board_rotation),
+                list(board_translation),
+                list(mount_from_stand[:, :3, :3]),
+                list(mount_from_stand[:, :3, 3]),
+                method=_ABSOLUTE[method],
+            )
+            mount_from_camera = pose.inverse(pose.rigid(rotation, translation.ravel()))
     except cv2.error as error:
         raise CalibrationError(f"hand-eye method {method} failed", why=str(error.err)) from None
-    flange_from_camera = pose.checked(flange_from_camera, where=f"hand-eye method {method}", tolerance=0.1)
-    return assess(base_from_flange, camera_from_board, flange_from_camera, method)
+    mount_from_camera = pose.checked(mount_from_camera, where=f"hand-eye method {method}", tolerance=0.1)
+    return assess(stand_from_mount, camera_from_board, mount_from_camera, method)
 
 
-def assess(base_from_flange: Array, camera_from_board: Array, flange_from_camera: Array, method: str) -> HandEye:
+def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera: Array, method: str) -> HandEye:
     """The answer completed by the median place of the board and what each view disagrees with it by."""
-    boards = base_from_flange @ flange_from_camera @ camera_from_board
+    boards = stand_from_mount @ mount_from_camera @ camera_from_board
     rotations = Rotation.from_matrix(boards[:, :3, :3])
     keep = _near_the_middle(rotations.as_quat())
+    mean = Rotation.identity()
     for _ in range(3):  # the mean rotation of the views near the last mean: a median of rotations
-        mean = rotations[keep].mean()
+        mean = Rotation.from_matrix(boards[keep, :3, :3]).mean()
         angles = (mean.inv() * rotations).magnitude()
         keep = angles <= 3 * np.median(angles) + 1e-9
-    base_from_board = pose.rigid(mean.as_matrix(), np.median(boards[:, :3, 3], axis=0))
-    distances, angles = pose.difference(boards, base_from_board)
-    return HandEye(method, flange_from_camera, base_from_board, distances, angles)
+    stand_from_board = pose.rigid(mean.as_matrix(), np.median(boards[:, :3, 3], axis=0))
+    distances, angles = pose.difference(boards, stand_from_board)
+    return HandEye(method, mount_from_camera, stand_from_board, distances, angles)
 
 
 def _near_the_middle(quaternions: Array) -> NDArray[np.bool_]:
-    """(views,) the half of the rotations nearest to the one that is nearest to most others (a medoid, no average to be spoilt)."""
+    """(views,) the half of the rotations nearest to their medoid, which outliers cannot spoil as they spoil a mean."""
     likeness = np.abs(quaternions @ quaternions.T)
     middle = np.median(likeness, axis=1).argmax()
     return likeness[middle] >= np.median(likeness[middle])
 
 
-def solve_robustly(base_from_flange: Array, camera_from_board: Array) -> tuple[HandEye, NDArray[np.bool_]]:
+def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, NDArray[np.bool_]]:
     """The best closed-form answer by `score`, and which views agree with it, (views,).
 
-    A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984): up to
-    two fifths of the views may be wrong. A view disagrees where it is further than 5 medians (and 2 mm or 0.5 degrees) from the others:
-    a picture taken in motion, a board that was moved or read the wrong way round. It is left out and the answer computed again.
+    A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984):
+    up to two fifths of the views may be wrong. A view disagrees if it is further than 5 medians (and 2 mm or 0.5 degrees)
+    from the others, for instance because the arm or the board was moving. Such views are left out, and the answer is computed
+    again.
 
     Raises:
         CalibrationError: no method found an answer.
     """
-    best = _consensus(base_from_flange, camera_from_board)
+    best = _consensus(stand_from_mount, camera_from_board)
     keep = _agreeing(best)
     for _ in range(4):
-        answers = _answers(base_from_flange, camera_from_board, [keep], METHODS)
+        answers = _answers(stand_from_mount, camera_from_board, [keep], METHODS)
         best = min(answers, key=lambda answer: answer.score(keep))
         agrees = _agreeing(best)
         if agrees.sum() < 3 or (agrees == keep).all():
@@ -133,9 +142,9 @@ def solve_robustly(base_from_flange: Array, camera_from_board: Array) -> tuple[H
 
 
 def _answers(
-    base_from_flange: Array, camera_from_board: Array, groups: Sequence[NDArray[Any]], methods: Sequence[str]
+    stand_from_mount: Array, camera_from_board: Array, groups: Sequence[NDArray[Any]], methods: Sequence[str]
 ) -> list[HandEye]:
-    """What the methods make of each group of views, assessed on all views; methods that fail are left out.
+    """The answers of all methods from each group of views, assessed on all views; methods that fail are left out.
 
     Raises:
         CalibrationError: all of them fail.
@@ -144,22 +153,22 @@ def _answers(
     for group in groups:
         for method in methods:
             try:
-                answer = solve(base_from_flange[group], camera_from_board[group], method)
+                answer = solve(stand_from_mount[group], camera_from_board[group], method)
             except KoalaError:
                 continue
-            answers.append(assess(base_from_flange, camera_from_board, answer.flange_from_camera, method))
+            answers.append(assess(stand_from_mount, camera_from_board, answer.mount_from_camera, method))
     if not answers:
         raise CalibrationError("no closed-form hand-eye method found an answer", remedy="record views from more directions")
     return answers
 
 
-def _consensus(base_from_flange: Array, camera_from_board: Array) -> HandEye:
+def _consensus(stand_from_mount: Array, camera_from_board: Array) -> HandEye:
     """The answer with which the majority of the views agrees best, among those from all views and from groups of five."""
-    views = len(base_from_flange)
+    views = len(stand_from_mount)
     rng = np.random.default_rng(0)
     groups = [np.arange(views)]
     groups += [np.sort(rng.permutation(views)[:5]) for _ in range(SUBSETS if views > 5 else 0)]
-    found = _answers(base_from_flange, camera_from_board, groups, ("park", "shah"))
+    found = _answers(stand_from_mount, camera_from_board, groups, ("park", "shah"))
     return min(found, key=lambda answer: np.sort(_distance(answer))[_majority(views) - 1])
 
 
@@ -173,6 +182,6 @@ def _distance(answer: HandEye) -> Array:
 
 
 def _agreeing(answer: HandEye) -> NDArray[np.bool_]:
-    """(views,) which are not far from the rest, by what is usual among all: with few views, the best of them are no measure."""
+    """(views,) whose disagreement is not far above the median of all views."""
     distances, angles = answer.translation_residual_m, answer.rotation_residual_rad
     return (distances <= max(5 * np.median(distances), 2e-3)) & (angles <= max(5 * np.median(angles), np.deg2rad(0.5)))

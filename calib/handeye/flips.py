@@ -1,7 +1,7 @@
-"""A chessboard with both numbers of squares even, or both odd, looks the same when it is turned by 180 degrees.
+"""Chessboards that look the same after half a turn: both numbers of squares are even, or both are odd.
 
-Each view then has two readings. The arm tells which go together: whatever the hand-eye pose is, arm and camera turn by the same angle
-between two views, and in the end every view must put the board in the same place.
+Each view then has two readings, and the arm tells which ones belong together. Whatever the hand-eye pose is, arm and camera
+turn by the same angle between two views, and all views must put the board in the same place.
 """
 
 from dataclasses import replace
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.core.errors import KoalaError
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
-    """The session with all views read the same way round, and their (views, 4, 4) poses; boards that are not ambiguous come back as given.
+    """The session with all views read the same way round, and their (views, 4, 4) poses. Other boards are returned as given.
 
     Raises:
         CalibrationError: no reading of the views fits the arm.
@@ -30,27 +30,46 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
     views = np.arange(len(camera_from_board))
     best, best_score = None, np.inf
     for reference in views[: min(len(views), 5)]:
-        turned = _by_angle(session.mount_poses, both, reference)
+        turned = _by_angle(session.stand_from_mount, both, reference)
         for _ in range(5):
             try:
-                answer, keep = closed_forms.solve_robustly(session.mount_poses, both[turned, views])
+                answer, keep = closed_forms.solve_robustly(session.stand_from_mount, both[turned, views])
             except KoalaError:
                 break
             score = answer.score(keep) / max(keep.mean(), 1e-9)
             if score < best_score:
                 best, best_score = turned, score
-            following = _by_place(session.mount_poses, both, answer)
+            following = _by_place(session.stand_from_mount, both, answer.mount_from_camera, answer.stand_from_board)
             if (following == turned).all():
                 break
             turned = following
     if best is None:
-        raise CalibrationError("chessboard cannot be read the same way round in all views", remedy="use a board with an odd number "
-                               "of squares one way and an even number the other")  # fmt: skip
-    observations = tuple(
-        replace(o, ids=len(session.board.points) - 1 - o.ids, points=session.board.points[len(session.board.points) - 1 - o.ids])
-        if t else o for o, t in zip(session.observations, best, strict=True)
-    )  # fmt: skip
-    return replace(session, observations=observations), both[best, views]
+        raise CalibrationError(
+            "chessboard cannot be read the same way round in all views",
+            remedy="use a board with an odd number of squares one way and an even number the other",
+        )
+    return _turned(session, best), both[best, views]
+
+
+def as_placed(
+    session: TargetSession, camera_from_board: Array, mount_from_camera: Array, stand_from_board: Array
+) -> tuple[TargetSession, Array]:
+    """The same where the calibration is known: every view is read as its poses have the board."""
+    if not session.board.is_ambiguous:
+        return session, camera_from_board
+    both = np.stack([camera_from_board, camera_from_board @ half_turn(session)])
+    chosen = _by_place(session.stand_from_mount, both, mount_from_camera, stand_from_board)
+    return _turned(session, chosen), both[chosen, np.arange(len(camera_from_board))]
+
+
+def _turned(session: TargetSession, turned: NDArray[np.int64]) -> TargetSession:
+    """The session with the views of which `turned` (views,) is 1 read the other way round."""
+    points, last = session.board.points, len(session.board.points) - 1
+    observations = [
+        replace(o, ids=last - o.ids, points=points[last - o.ids]) if other else o
+        for o, other in zip(session.observations, turned, strict=True)
+    ]
+    return replace(session, observations=tuple(observations))
 
 
 def half_turn(session: TargetSession) -> Array:
@@ -59,15 +78,14 @@ def half_turn(session: TargetSession) -> Array:
     return pose.from_rotation_vector([0, 0, np.pi], [x, y, 0])
 
 
-def _by_angle(mount_poses: Array, both: Array, reference: int) -> NDArray[np.int64]:
+def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> NDArray[np.int64]:
     """(views,) 1 where the other reading turns by the angle that the arm turned by since the reference view."""
-    arm = pose.rotation_angle(pose.inverse(mount_poses[reference]) @ mount_poses)
+    arm = pose.rotation_angle(pose.inverse(stand_from_mount[reference]) @ stand_from_mount)
     seen = pose.rotation_angle(both @ pose.inverse(both[0, reference]))
     return np.abs(seen - arm).argmin(0)
 
 
-def _by_place(mount_poses: Array, both: Array, answer: closed_forms.HandEye) -> NDArray[np.int64]:
+def _by_place(stand_from_mount: Array, both: Array, mount_from_camera: Array, stand_from_board: Array) -> NDArray[np.int64]:
     """(views,) 1 where the other reading puts the board nearer to where the answer has it."""
-    places = mount_poses @ answer.flange_from_camera @ both
-    distance, angle = pose.difference(places, answer.base_from_board)
+    distance, angle = pose.difference(stand_from_mount @ mount_from_camera @ both, stand_from_board)
     return np.hypot(distance, 0.5 * angle).argmin(0)

@@ -1,7 +1,8 @@
-"""Angles by which an arm's joints stand further than it knows: whether they can be estimated, and what came out.
+"""Joint offsets of the arm: true angle minus reported angle. Can they be estimated, and what was found?
 
-An offset moves the flange differently in every view, but by the same law; `calib.handeye.model` estimates those of `OFFSET_JOINTS` beside all
-else, with the stated accuracy of a joint's zero as their prior. What the views do not show stays at the prior, and is said.
+An offset moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the offsets of
+`OFFSET_JOINTS` with everything else. The stated accuracy of the joints is their prior; an offset that the views do not
+determine stays at the prior and is reported as such.
 """
 
 from dataclasses import replace
@@ -10,34 +11,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import verify
 from calib.errors import CalibrationError
-from calib.handeye import refine
+from calib.handeye import refine, verify
 from calib.handeye.model import OFFSET_JOINTS, Accuracy, Session
 from calib.handeye.refine import Refined
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import kinematics, pose
 from datasets.calibration import JointOffsets
 
 MAX_BUILT_M, MAX_BUILT_RAD = 0.05, float(np.deg2rad(3))
-"""How far an arm as built may be from the nominal one; what is further away is another arm, or another pose."""
+"""Largest credible distance of the flange from the nominal kinematics; beyond it, it is another arm or another pose."""
 SHOWN = 0.7
-"""An offset whose standard deviation is more than this share of the prior's is not shown by the views."""
+"""The views do not determine an offset whose standard deviation is more than this share of its prior."""
 
 
 def check(session: TargetSession, accuracy: Accuracy) -> None:
-    """Raise CalibrationError where joint offsets are asked for and the session's joint angles are missing or not those of its poses."""
+    """Raise CalibrationError where joint offsets are requested and the joint angles are missing or do not match the poses."""
     if accuracy.joint_rad == 0:
         return
     if session.joints is None:
-        raise CalibrationError("joint offsets cannot be estimated", why="the session holds no joint angles",
-                               remedy="leave --joint-deg away, or record with 'capture run'")  # fmt: skip
+        raise CalibrationError(
+            "joint offsets cannot be estimated",
+            why="the session holds no joint angles",
+            remedy="leave --joint-deg away, or record with 'capture run'",
+        )
     distance, angle = pose.difference(kinematics.forward(session.joints), session.base_from_flange)
     if np.median(distance) > MAX_BUILT_M or np.median(angle) > MAX_BUILT_RAD:
         raise CalibrationError(
-            "joint angles are not those of the poses", why=f"by a UR5e's kinematics the flange is {1e3 * np.median(distance):.0f} mm and "
-            f"{np.rad2deg(np.median(angle)):.1f} deg elsewhere", remedy="leave --joint-deg away: another arm has other kinematics",
-        )  # fmt: skip
+            "joint angles are not those of the poses",
+            why=f"by a UR5e's kinematics the flange is {1e3 * np.median(distance):.0f} mm and "
+            f"{np.rad2deg(np.median(angle)):.1f} deg elsewhere",
+            remedy="leave --joint-deg away: another arm has other kinematics",
+        )
 
 
 def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -> JointOffsets | None:
@@ -50,7 +55,7 @@ def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -
 
 
 def facts(session: Session, refined: Refined, offsets: JointOffsets) -> dict[str, Any]:
-    """For the calibration file: joints of whose offsets the views say nothing, and the error on unseen views without any offsets."""
+    """For the calibration file: joints whose offsets the views do not determine, and the held-out error without offsets."""
     stated = session.accuracy.joint_rad
     plain = replace(session, joints=None)
     start = replace(refined.state, offsets=np.zeros(6), corrections=0 * refined.state.corrections)

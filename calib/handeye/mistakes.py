@@ -1,6 +1,6 @@
-"""Mistakes that people make with arm poses, recognised by what would make arm and pictures agree.
+"""Common mistakes in arm poses, recognised by what would make arm and pictures agree.
 
-Each is undone in turn; where the poses then fit the pictures many times better, that is what went wrong, and it is said.
+Each mistake is undone in turn. If the poses then fit the pictures many times better, the mistake is reported.
 """
 
 from itertools import product
@@ -15,29 +15,31 @@ from datasets.core.errors import KoalaError
 
 Array = NDArray[np.float64]
 BETTER = 5.0
-"""Undoing a mistake must make the views agree so many times better."""
+"""Factor by which undoing a mistake must improve the agreement of the views."""
 POOR = 0.02
-"""Median disagreement of the views, in units of the distance that they cover, below which nothing is suspected."""
+"""No mistake is suspected if the median disagreement of the views, in units of the distance they cover, is below this."""
 FITS = 0.05
-"""The same, below which undoing a mistake counts as an explanation: arms have been seen that scatter by a fiftieth."""
+"""A mistake explains the disagreement if it falls below this when undone: some arms scatter by a fiftieth."""
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
-def _turned(base_from_flange: Array, wxyz: Array) -> Array:
-    return np.stack([pose.from_quaternion(q, t) for q, t in zip(wxyz, base_from_flange[:, :3, 3], strict=True)])
+def _turned(stand_from_mount: Array, wxyz: Array) -> Array:
+    return np.stack([pose.from_quaternion(q, t) for q, t in zip(wxyz, stand_from_mount[:, :3, 3], strict=True)])
 
 
 def _orientations(given: Array) -> dict[str, Array]:
-    """The poses with one mistake about orientation undone each."""
+    """The poses, by the mistake in orientation that was undone."""
     quaternions, vectors = pose.quaternion(given), pose.rotation_vector(given)
     found = {
         "": given,
-        "the arm's poses are inverse (flange_from_base instead of base_from_flange)": pose.inverse(given),
-        "the arm's rotations are transposed (columns read as rows)": pose.rigid(np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3]),
+        "the arm's poses are inverse (flange_from_base instead of stand_from_mount)": pose.inverse(given),
+        "the arm's rotations are transposed (columns read as rows)": pose.rigid(
+            np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3]
+        ),
         "quaternions are x y z w, but were read as w x y z": _turned(given, np.roll(quaternions, 1, -1)),
         "quaternions are w x y z, but were read as x y z w": _turned(given, np.roll(quaternions, -1, -1)),
         "the arm's axes are left-handed": _MIRROR @ given @ _MIRROR,
-    }  # fmt: skip
+    }
     if np.linalg.norm(vectors, axis=1).max() < np.deg2rad(4):
         found["angles are radians, but were read as degrees"] = pose.from_rotation_vector(np.rad2deg(vectors), given[:, :3, 3])
     return found
@@ -46,30 +48,31 @@ def _orientations(given: Array) -> dict[str, Array]:
 _LENGTHS = {
     "": 1.0,
     "the arm's positions are in millimetres, not metres": 1e-3,
-    "lengths of arm and target differ by a factor of 1000: the target's size is in millimetres, or the arm's positions were divided by 1000": 1e3,
+    "lengths of arm and target differ by a factor of 1000: the target is in mm, or the arm's positions were divided by 1000": 1e3,
 }
 
 
-def explain(base_from_flange: Array, camera_from_board: Array) -> None:
-    """Raise a CalibrationError that names the mistake, where one explains why arm and pictures disagree; else return."""
-    found = recognise(base_from_flange, camera_from_board)
+def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
+    """Raise a CalibrationError that names the mistake, if one explains why arm and pictures disagree."""
+    found = recognise(stand_from_mount, camera_from_board)
     if found:
-        raise CalibrationError("pictures and arm poses do not fit together", why=f"it looks as if {found}",
-                               remedy="correct the poses and run again")  # fmt: skip
+        raise CalibrationError(
+            "pictures and arm poses do not fit together", why=f"it looks as if {found}", remedy="correct the poses and run again"
+        )
 
 
-def recognise(base_from_flange: Array, camera_from_board: Array) -> str:
-    """The mistake that explains the disagreement best, in words; empty where there is none, or none of those that are known.
+def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
+    """The mistake that explains the disagreement best, in words; empty if there is none.
 
     Args:
-        base_from_flange: (views, 4, 4) as given.
+        stand_from_mount: (views, 4, 4) as given.
         camera_from_board: (views, 4, 4) as seen.
     """
-    given = _disagreement(base_from_flange, camera_from_board)
+    given = _disagreement(stand_from_mount, camera_from_board)
     if given < POOR:
         return ""
     scores = {}
-    for (words, poses), (length_words, factor) in product(_orientations(base_from_flange).items(), _LENGTHS.items()):
+    for (words, poses), (length_words, factor) in product(_orientations(stand_from_mount).items(), _LENGTHS.items()):
         if words or length_words:
             scaled = pose.rigid(poses[:, :3, :3], factor * poses[:, :3, 3])
             scores["; and ".join(w for w in (words, length_words) if w)] = _disagreement(scaled, camera_from_board)
@@ -78,17 +81,17 @@ def recognise(base_from_flange: Array, camera_from_board: Array) -> str:
     return best if scores[best] * BETTER < given and scores[best] < FITS else ""
 
 
-def _disagreement(base_from_flange: Array, camera_from_board: Array) -> float:
+def _disagreement(stand_from_mount: Array, camera_from_board: Array) -> float:
     """Median disagreement of the views about the board's place, the arm's travel being 1 (and half a radian of rotation)."""
     scale = max(
-        np.linalg.norm(np.ptp(base_from_flange[:, :3, 3], axis=0)),
+        np.linalg.norm(np.ptp(stand_from_mount[:, :3, 3], axis=0)),
         np.linalg.norm(np.ptp(camera_from_board[:, :3, 3], axis=0)),
         1e-9,
     )
     best = np.inf
     for method in ("park", "shah"):
         try:
-            answer = closed_forms.solve(base_from_flange, camera_from_board, method)
+            answer = closed_forms.solve(stand_from_mount, camera_from_board, method)
         except KoalaError:
             continue
         each = np.hypot(answer.translation_residual_m / scale, 2 * answer.rotation_residual_rad)

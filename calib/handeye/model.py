@@ -4,16 +4,21 @@ The flange of view i is truly at
 
     flange[i] = base_from_flange[i] @ D(q[i], offsets) @ C[i],
 
-where D is what the arm's joints do to the flange when they stand further by `offsets` than it knows, and C[i] is what its report missed
-beside, a small motion of the flange about its own origin. Corner k of that view is predicted at
+where D is the motion of the flange due to joint `offsets` (true minus reported angle), and C[i] is the remaining error of the
+report: a small motion of the flange about its own origin. Corner k of that view is predicted at
 
     project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
     project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
 
-Both are project(inverse(camera_pose) @ A[i] @ board_pose @ point[k]) with A[i] the pose of what carries the board in the frame of what
-carries the camera: inverse(flange[i]), or flange[i]. A small motion of the flange is then one of what is mounted on it.
+Both are one equation. The `mount` carries the camera: it is the flange, or the base if the camera stands beside the arm. The
+`stand` carries the board: it is the base, or the flange. Corner k is then predicted at
+
+    project(inverse(mount_from_camera) @ mount_from_stand[i] @ stand_from_board @ point[k]),
+
+where mount_from_stand[i] is inverse(flange[i]) or flange[i]. A small motion of the flange is one of what is mounted on it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -22,13 +27,14 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
 from calib.intrinsics import projection
+from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
 
 Array = NDArray[np.float64]
 OFFSET_JOINTS = [1, 2, 3, 4]
-"""The joints between the first and the last. An offset of the first turns the whole base, one of the last the flange about its own axis:
-the two unknown poses take them up exactly, so that they are zero by convention."""
+"""Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last
+rotates the flange: the two unknown poses absorb them exactly, so they are zero by convention."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class Accuracy:
     translation_m: float = 5e-5
     rotation_rad: float = float(np.deg2rad(0.01))
     joint_rad: float = 0.0
-    """Of the angle at which a joint says that it stands at zero, which is the same in all views; 0: the joints are right."""
+    """Of each joint's offset, which is the same in all views; 0: the joints have no offsets."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class Known:
 
 @dataclass(frozen=True)
 class Session:
-    """What was measured: corners of all views in one list, and the arm's word for each view."""
+    """What was measured: corners of all views in one list, and the arm's report for each view."""
 
     base_from_flange: Array
     """(views, 4, 4) as reported."""
@@ -90,12 +96,12 @@ class Session:
 
     @property
     def turning(self) -> list[int]:
-        """Joints whose offsets are estimated: `OFFSET_JOINTS` where the arm is stated to have any, else none."""
+        """Joints whose offsets are estimated: `OFFSET_JOINTS` if the stated accuracy asks for them, else none."""
         return OFFSET_JOINTS if self.accuracy.joint_rad > 0 and self.joints is not None else []
 
     @property
     def pose_names(self) -> tuple[str, str]:
-        """What camera_pose and board_pose are called here."""
+        """What mount_from_camera and stand_from_board are in this session."""
         return ("base_from_camera", "flange_from_board") if self.eye_to_hand else ("flange_from_camera", "base_from_board")
 
     @property
@@ -108,18 +114,26 @@ class Session:
         return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
 
 
+def measured(
+    session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
+) -> Session:
+    """All corners of a target session in one list."""
+    counts = [len(o.ids) for o in session.observations]
+    view = np.repeat(np.arange(len(counts)), counts)
+    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in session.observations), strict=True))
+    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints)
+    return Session(session.base_from_flange, view, pixels, points, *options)
+
+
 @dataclass(frozen=True)
 class State:
-    """The unknowns. Global parameters are ordered: free intrinsics, joint offsets, camera_pose (6), board_pose (6).
-
-    With the camera beside the arm, `flange_from_camera` holds base_from_camera and `base_from_board` holds flange_from_board.
-    """
+    """The unknowns. Order of the global ones: free intrinsics, joint offsets, mount_from_camera (6), stand_from_board (6)."""
 
     intrinsics: Array
     """(12,) in the order of `projection.NAMES`."""
-    flange_from_camera: Array
+    mount_from_camera: Array
     """(4, 4); perturbed from the left, translation first."""
-    base_from_board: Array
+    stand_from_board: Array
     """(4, 4); perturbed from the left, translation first."""
     corrections: Array
     """(views, 6): translation [m] and rotation vector [rad] of C[i]."""
@@ -127,14 +141,18 @@ class State:
     """(6,) of the joints: true angle minus reported angle [rad]."""
 
     def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
-        """The state after a step of the global parameters and of the (views, 6) corrections; `columns` are the free intrinsics."""
+        """The state after a step of the global parameters and the (views, 6) corrections; `columns` are the free intrinsics."""
         intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
         intrinsics[columns] += step[: len(columns)]
         offsets[OFFSET_JOINTS[: len(turns)]] += turns
         return replace(
-            self, intrinsics=intrinsics, flange_from_camera=perturbed(self.flange_from_camera, step[-12:-6]),
-            base_from_board=perturbed(self.base_from_board, step[-6:]), corrections=self.corrections + view_steps, offsets=offsets,
-        )  # fmt: skip
+            self,
+            intrinsics=intrinsics,
+            mount_from_camera=perturbed(self.mount_from_camera, step[-12:-6]),
+            stand_from_board=perturbed(self.stand_from_board, step[-6:]),
+            corrections=self.corrections + view_steps,
+            offsets=offsets,
+        )
 
 
 def perturbed(a_from_b: Array, twist: Array) -> Array:
@@ -152,10 +170,10 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     if not chain.in_camera[:, 2].min() > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
     pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.fisheye)
-    by_camera_mount = by_camera @ chain.camera_from_mount
-    by_board_mount = by_camera_mount @ chain.mount_from_mount[view]
-    by_camera_pose = -by_motion(by_camera_mount, chain.on_camera_mount)
-    by_board_pose = by_motion(by_board_mount, chain.on_board_mount)
+    by_mount = by_camera @ chain.camera_from_mount
+    by_stand = by_mount @ chain.mount_from_stand[view]
+    by_camera_pose = -by_motion(by_mount, chain.on_mount)
+    by_board_pose = by_motion(by_stand, chain.on_stand)
     by_flange = by_board_pose if session.eye_to_hand else by_camera_pose
     rotation, right_jacobian = exponential(state.corrections[:, 3:])
     own = np.concatenate([by_flange[..., :3] @ np.swapaxes(rotation, 1, 2)[view], by_flange[..., 3:] @ right_jacobian[view]], -1)
@@ -173,11 +191,11 @@ def camera_points(session: Session, state: State) -> Array:
 class _Chain:
     """Corners (n, 3) in the frames from board to camera [m], and the rotations between what carries the two."""
 
-    on_board_mount: Array
-    on_camera_mount: Array
+    on_stand: Array
+    on_mount: Array
     in_camera: Array
-    mount_from_mount: Array
-    """(views, 3, 3) of A: camera's mount from board's mount."""
+    mount_from_stand: Array
+    """(views, 3, 3)."""
     camera_from_mount: Array
     """(3, 3)."""
 
@@ -186,15 +204,15 @@ def _chain(session: Session, state: State) -> _Chain:
     rotation, _ = exponential(state.corrections[:, 3:])
     flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
     mounts = flange if session.eye_to_hand else pose.inverse(flange)
-    camera_from_mount = pose.inverse(state.flange_from_camera)
-    on_board_mount = session.points @ state.base_from_board[:3, :3].T + state.base_from_board[:3, 3]
-    on_camera_mount = rotate(mounts[session.view, :3, :3], on_board_mount) + mounts[session.view, :3, 3]
-    in_camera = on_camera_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
-    return _Chain(on_board_mount, on_camera_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
+    camera_from_mount = pose.inverse(state.mount_from_camera)
+    on_stand = session.points @ state.stand_from_board[:3, :3].T + state.stand_from_board[:3, 3]
+    on_mount = rotate(mounts[session.view, :3, :3], on_stand) + mounts[session.view, :3, 3]
+    in_camera = on_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
+    return _Chain(on_stand, on_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
 
 
 def _reported(session: Session, state: State) -> Array:
-    """(views, 4, 4) base_from_flange @ D: what the arm would have reported, had it known its joints."""
+    """(views, 4, 4) base_from_flange @ D: the report with joint offsets corrected."""
     if session.joints is None or not state.offsets.any():
         return session.base_from_flange
     return kinematics.turned(session.base_from_flange, session.joints, state.offsets)
@@ -203,8 +221,8 @@ def _reported(session: Session, state: State) -> Array:
 def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
     """(views, 6, k) motion of the true flange, in its own frame, for a small turn of each joint of `session.turning`.
 
-    The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of its
-    correction lead to, it is turned back, and turning moves what is not at the origin.
+    The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of
+    its correction lead to, it is turned back, and turning moves what is not at the origin.
     """
     if session.joints is None or not session.turning:
         return np.zeros((len(session.base_from_flange), 6, 0))

@@ -1,7 +1,7 @@
-"""Views in which the arm's report and the picture disagree by more than chance: found by the refinement, named and left out.
+"""Views whose arm pose and picture disagree by more than chance: the refinement finds them, and they are left out by name.
 
-The refinement gives every view a correction of the arm's report. Among honest views these scatter alike; a view taken before the arm
-had settled, or after somebody touched the board, needs a correction many times as large as the usual one.
+The refinement gives every view a correction of the arm's report. Good views need corrections of similar size. A view that was
+taken before the arm had settled, or after somebody touched the board, needs one that is many times larger.
 """
 
 from dataclasses import dataclass, replace
@@ -9,35 +9,41 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.handeye import refine, uncertainty
+from calib.handeye import model, refine, uncertainty
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 
 LIMIT = 6.0
-"""Correction in usual sizes from which on a view is left out; an honest one gets there once in ten million times."""
+"""A view is left out if its correction is this many times the usual one; chance does that once in ten million views."""
 MAX_SHARE = 0.4
-"""At most this share of the views is left out: where more disagree, it is the arm that is worse than stated."""
+"""At most this share of the views is left out. If more disagree, the arm is less accurate than stated."""
 MEDIAN_LENGTH = 1.538
 """Median length of a Gaussian vector in three dimensions, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A refinement and what took part in it."""
+    """A refinement and its input."""
 
     session: TargetSession
     measured: Session
     refined: Refined
     left_out: dict[str, str]
-    """Views that did not take part, and why."""
+    """Views left out, and why."""
 
 
 def refine_without(
-    session: TargetSession, start: State, free: tuple[str, ...], known: Known | None, accuracy: Accuracy, *, sigma_px: float,
+    session: TargetSession,
+    start: State,
+    free: tuple[str, ...],
+    known: Known | None,
+    accuracy: Accuracy,
+    *,
+    sigma_px: float,
     fisheye: bool = False,
-) -> Fit:  # fmt: skip
+) -> Fit:
     """Refine from `start`, leaving out views that disagree, one round after another.
 
     Raises:
@@ -47,7 +53,7 @@ def refine_without(
     while True:
         check_enough(session.observations, 0 if not free else MIN_TOTAL_CORNERS)
         uncertainty.check_motion(session.base_from_flange)
-        measured = session.measured(free, known, accuracy, fisheye)
+        measured = model.measured(session, free, known, accuracy, fisheye)
         refined = refine.refine(measured, start, sigma_px=sigma_px)
         bad = disagreeing(refined, accuracy)
         if not bad.any() or len(left_out) + bad.sum() > allowed:

@@ -1,18 +1,18 @@
-"""The most likely rig: everything unknown in a target session, refined together on what the pictures show.
+"""Refinement of the whole rig: everything unknown in a target session, estimated together by maximum likelihood.
 
-With the predictions and the corrections C[i] of `calib.handeye.model`, minimised is
+With the predictions and the corrections C[i] of `calib.handeye.model`, Levenberg-Marquardt with analytic derivatives minimises
 
     sum huber(|seen - predicted| / sigma_px)  +  sum |translation(C[i]) / sigma_t|^2 + |rotation(C[i]) / sigma_r|^2
-    + what is known of the intrinsics beforehand, and |offset / its stated deviation|^2 of each joint,
+    + prior knowledge of the intrinsics, and |offset / its stated deviation|^2 of each joint.
 
-by Levenberg-Marquardt with analytic derivatives. A view's correction touches its own corners alone and is eliminated view by
-view (`calib.solver.elimination`).
-Where no residual is further out than chance would have it, the loss is the plain square, which wastes nothing; Huber's
-is for sessions in which some are. The three sigmas are estimated along with the rest (MacKay 1992, eq. 4.9): sigma_px from the residuals alone, sigma_t and sigma_r
-starting from the arm's stated accuracy, which counts as `PRIOR_VIEWS` views' worth of evidence.
+A view's correction affects its own corners only and is eliminated view by view (`calib.solver.elimination`). If no residual
+is larger than expected from Gaussian noise, the loss is the plain square, which is most efficient; Huber's loss is for
+sessions with outliers. The three sigmas are estimated as well (MacKay 1992, eq. 4.9): sigma_px from the residuals alone,
+sigma_t and sigma_r starting from the stated accuracy of the arm, which counts as much as `PRIOR_VIEWS` views.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +20,20 @@ from numpy.typing import NDArray
 from calib.errors import CalibrationError
 from calib.handeye.model import Session, State, perturbed, predict
 from calib.solver.elimination import Eliminated, eliminate
+from calib.solver.levenberg_marquardt import Limits, minimise
 
 Array = NDArray[np.float64]
 HUBER = 3.0
-"""Residual in sigmas from which on a corner pulls with constant force, in a session with outliers; a good one gets there once in 90 times."""
+"""Width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times."""
 CHANCE = 0.01
-"""Share of honest sessions that are taken to hold outliers: those whose largest residual is a rare one."""
+"""Share of sessions without outliers that are taken to have some, because their largest residual is rare."""
 OUTLIER = 6.0
-"""Residual in sigmas from which on a corner is left out."""
+"""Corners with larger residuals are left out [sigmas]."""
 MIN_SIGMA_PX = 1e-4
-"""No corner is taken to be more certain than this: what is left then is rounding."""
+"""Lower limit of a corner's standard deviation: smaller residuals are rounding errors."""
+LIMITS = Limits(max_steps=50, tolerance=1e-9, least_cost=1.0, min_damping=1e-12)
 PRIOR_VIEWS = 4.0
-"""How many views' worth of evidence the arm's stated accuracy is."""
+"""The stated accuracy of the arm counts as much as this number of views."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Sigmas:
     translation_m: float
     rotation_rad: float
     width: float = np.inf
-    """Residual in sigmas from which on a corner pulls with constant force; infinite: all of them look Gaussian."""
+    """Width of Huber's loss [sigmas]; infinite: all residuals look Gaussian."""
 
     @property
     def correction(self) -> Array:
@@ -52,7 +54,7 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Refined:
-    """The answer and its verdict."""
+    """The solution and whether it converged."""
 
     state: State
     sigmas: Sigmas
@@ -62,15 +64,15 @@ class Refined:
     residuals: Array
     """(n, 2) seen minus predicted, outliers too [px]."""
     inliers: NDArray[np.bool_]
-    """(n,) corners that took part."""
+    """(n,) corners that were used."""
     steps: int
     """Accepted steps in all."""
     settled: bool
-    """Whether sigmas and outliers stopped changing; if not, the answer may still move."""
+    """Whether sigmas and outliers stopped changing; if not, the solution may still move."""
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the corners that took part [px]."""
+        """Root mean square distance of the corners that were used [px]."""
         return float(np.sqrt(np.mean(np.sum(self.residuals[self.inliers] ** 2, -1))))
 
 
@@ -81,39 +83,61 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
         CalibrationError: the start is too far off, or nearly all corners are outliers.
     """
     sigmas = Sigmas(max(sigma_px, MIN_SIGMA_PX), session.accuracy.translation_m, session.accuracy.rotation_rad, HUBER)
-    state, steps, settled, suspicious = start, 0, False, False
+    steps, settled, suspicious = 0, False, False
     inliers = np.ones(len(session.view), bool)
-    linear = _linear(session, state)
+    point = _Point(session, start, sigmas)
     for number in range(rounds):
-        chosen = session.some(inliers)
-        state, fitted, count = _minimise(chosen, state, sigmas, linear.some(inliers))
+        found, count = minimise(point.weighed(sigmas, inliers), LIMITS)
         steps += count
-        linear = fitted if inliers.all() else _linear(session, state)
-        last, sigmas = sigmas, _estimated_sigmas(chosen, state, sigmas, fitted)
-        distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
+        point = found if inliers.all() else _Point(session, found.state, sigmas)
+        last, sigmas = sigmas, _estimated_sigmas(found)
+        distance = np.linalg.norm(point.residuals, axis=1) / sigmas.pixel
         kept = distance <= OUTLIER
-        honest = _look_gaussian(distance[kept])
-        suspicious |= not (honest or np.isfinite(last.width))  # plain squares were tried: no second time
-        sigmas = replace(sigmas, width=np.inf if honest and not suspicious else HUBER)
+        gaussian = _look_gaussian(distance[kept])
+        suspicious |= not (gaussian or np.isfinite(last.width))  # plain squares were tried: no second time
+        sigmas = replace(sigmas, width=np.inf if gaussian and not suspicious else HUBER)
         if kept.sum() < 0.5 * len(kept):
-            raise CalibrationError("pictures and arm poses do not fit together", why=f"{(~kept).sum()} of {len(kept)} corners are outliers",
-                                   remedy="check that poses are flange poses in metres and belong to these images")  # fmt: skip
+            why = f"{(~kept).sum()} of {len(kept)} corners are outliers"
+            remedy = "check that poses are flange poses in metres and belong to these images"
+            raise CalibrationError("pictures and arm poses do not fit together", why=why, remedy=remedy)
         ratios = np.log([sigmas.pixel / last.pixel, *(sigmas.correction[[0, 3]] / last.correction[[0, 3]])])
         settled = number > 0 and bool((kept == inliers).all() and np.abs(ratios).max() < 0.01 and sigmas.width == last.width)
         inliers = kept
         if settled:
             break
-    information = _system(session.some(inliers), state, sigmas, linear.some(inliers)).information
-    return Refined(state, sigmas, information, linear.residuals, inliers, steps, settled)
+    information = point.weighed(sigmas, inliers).system.information
+    return Refined(point.state, sigmas, information, point.residuals, inliers, steps, settled)
+
+
+def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined:
+    """What `state` says of a session: each view gets the most likely correction, and everything else stays as it is.
+
+    Raises:
+        CalibrationError: the target comes to lie behind the camera.
+    """
+    inliers, sigmas, settled = np.ones(len(session.view), bool), replace(sigmas, width=HUBER), False
+    point = _Point(session, state, sigmas)
+    for _ in range(12):
+        for _ in range(5):  # Gauss-Newton; the problem is nearly linear
+            point = _Point(session, point.weighed(sigmas, inliers).follow_views().state, sigmas)
+        distance = np.linalg.norm(point.residuals, axis=1) / sigmas.pixel
+        kept = distance <= OUTLIER
+        width = np.inf if _look_gaussian(distance[kept]) else HUBER
+        settled = bool((kept == inliers).all() and width == sigmas.width)
+        inliers, sigmas = kept, replace(sigmas, width=width)
+        if settled:
+            break
+    information = point.weighed(sigmas, inliers).system.information
+    return Refined(point.state, sigmas, information, point.residuals, inliers, 0, settled)
 
 
 def _look_gaussian(distances: Array) -> bool:
-    """Whether the largest of (n,) residuals, in sigmas, is no further out than Gaussian ones come: exp(-d^2 / 2) of them pass d."""
+    """Whether the largest of (n,) residuals [sigmas] is within what Gaussian noise gives: a share exp(-d^2 / 2) exceeds d."""
     return bool(distances.max(initial=0.0) <= np.sqrt(2 * np.log(max(len(distances), 1) / CHANCE)))
 
 
 def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
-    """`state` with the board where the corners want it, all else kept: Gauss-Newton with Huber's weights."""
+    """`state` with the pose of the board fitted to the corners, by Gauss-Newton with Huber's weights."""
     for _ in range(max_steps):
         pixels, by_global, _ = predict(session, state)
         residuals = session.pixels - pixels
@@ -122,52 +146,74 @@ def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
         root = np.sqrt(np.minimum(1.0, HUBER * sigma / np.maximum(distance, 1e-12)))[:, None]
         rows = (by_global[..., -6:] * root[..., None]).reshape(-1, 6)
         step = np.linalg.lstsq(rows, (residuals * root).ravel(), rcond=None)[0]
-        state = replace(state, base_from_board=perturbed(state.base_from_board, step))
+        state = replace(state, stand_from_board=perturbed(state.stand_from_board, step))
         if np.abs(step).max() < 1e-9:
             break
     return state
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """Predictions about a state, before anything is weighed."""
+class _Point:
+    """A state with its predictions, weighed by sigmas."""
 
-    residuals: Array
-    """(n, 2) seen minus predicted [px]."""
-    by_global: Array
-    """(n, 2, p)."""
-    by_view: Array
-    """(n, 2, 6)."""
+    def __init__(self, session: Session, state: State, sigmas: Sigmas, prediction: tuple[Array, ...] | None = None) -> None:
+        self.session, self.state, self.sigmas = session, state, sigmas
+        if prediction is None:
+            pixels, by_global, by_view = predict(session, state)
+            prediction = session.pixels - pixels, by_global, by_view
+        self._prediction = self.residuals, self._by_global, self._by_view = prediction
+        self.cost = self._cost()
 
-    def some(self, chosen: NDArray[np.bool_]) -> "_Linear":
-        return _Linear(self.residuals[chosen], self.by_global[chosen], self.by_view[chosen])
+    def weighed(self, sigmas: Sigmas, chosen: NDArray[np.bool_]) -> "_Point":
+        """The same state weighed by other sigmas, with the corners of `chosen` (n,) alone."""
+        return _Point(self.session.some(chosen), self.state, sigmas, tuple(part[chosen] for part in self._prediction))
+
+    def _cost(self) -> float:
+        """What is minimised."""
+        sigmas, state = self.sigmas, self.state
+        distance = np.linalg.norm(self.residuals, axis=1) / sigmas.pixel
+        cost = (distance**2 - np.maximum(distance - sigmas.width, 0.0) ** 2).sum()
+        cost += ((state.corrections / sigmas.correction) ** 2).sum()
+        return float(cost + (_known_rows(self.session, state)[:, -1] ** 2).sum())
+
+    @cached_property
+    def system(self) -> Eliminated:
+        """The linear problem, with corners beyond the loss's width weighed down and the corrections eliminated."""
+        sigmas, state = self.sigmas, self.state
+        distance = np.linalg.norm(self.residuals, axis=1) / sigmas.pixel
+        root = (np.sqrt(np.minimum(1.0, sigmas.width / np.maximum(distance, 1e-12))) / sigmas.pixel)[:, None, None]
+        rows = np.concatenate([self._by_view, self._by_global, self.residuals[..., None]], -1) * root
+        own = np.zeros((len(state.corrections), 6, 7))
+        own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
+        return eliminate(self.session.view, rows, own, _known_rows(self.session, state))
+
+    def stepped(self, damping: float) -> "_Point":
+        """The point after one damped step.
+
+        If the cost has not fallen, the corrections are solved once more. The more certain the corners, the narrower and more
+        bent the valley in which corrections and global unknowns must move together (a second-order correction; Nocedal &
+        Wright, 15.6).
+        """
+        candidate = _Point(self.session, self.state.moved(self.session.columns, *self.system.step(damping)), self.sigmas)
+        for _ in range(2):
+            if candidate.cost <= self.cost:
+                break
+            candidate = candidate.follow_views()
+        return candidate
+
+    def follow_views(self) -> "_Point":
+        """The point after a Gauss-Newton step of the corrections alone."""
+        own = np.asarray(np.linalg.solve(self.system.own, self.system.own_side[..., None])[..., 0], np.float64)
+        still = np.zeros(len(self.system.side))
+        return _Point(self.session, self.state.moved(self.session.columns, still, own), self.sigmas)
 
 
-def _linear(session: Session, state: State) -> _Linear:
-    pixels, by_global, by_view = predict(session, state)
-    return _Linear(session.pixels - pixels, by_global, by_view)
-
-
-def _cost(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> float:
-    """What is minimised."""
-    distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
-    cost = (distance**2 - np.maximum(distance - sigmas.width, 0.0) ** 2).sum()
-    cost += ((state.corrections / sigmas.correction) ** 2).sum()
-    return float(cost + (_known_rows(session, state)[:, -1] ** 2).sum())
-
-
-def _system(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Eliminated:
-    """The linear problem about `state`, corners beyond the loss's width weighed down, the corrections eliminated."""
-    distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
-    root = (np.sqrt(np.minimum(1.0, sigmas.width / np.maximum(distance, 1e-12))) / sigmas.pixel)[:, None, None]
-    rows = np.concatenate([linear.by_view, linear.by_global, linear.residuals[..., None]], -1) * root
-    own = np.zeros((len(state.corrections), 6, 7))
-    own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
-    return eliminate(session.view, rows, own, _known_rows(session, state))
+def linear_system(session: Session, state: State, sigmas: Sigmas) -> Eliminated:
+    """The linear problem about `state`: its information, and the Gauss-Newton step from there."""
+    return _Point(session, state, sigmas).system
 
 
 def _known_rows(session: Session, state: State) -> Array:
-    """(k, p + 1) what is known of the global unknowns beforehand, whitened: derivatives, and how far `state` is from it."""
+    """(k, p + 1) prior knowledge of the global unknowns, whitened: derivatives, and the deviation of `state` from it."""
     names, turning, known = session.free, session.turning, session.known
     rows = np.zeros((len(turning), len(names) + len(turning) + 13))
     rows[range(len(turning)), range(len(names), len(names) + len(turning))] = 1.0
@@ -181,54 +227,9 @@ def _known_rows(session: Session, state: State) -> Array:
     return np.vstack([of_camera, rows])
 
 
-def _attempt(
-    session: Session, state: State, sigmas: Sigmas, step: tuple[Array, Array], cost: float
-) -> tuple[State, _Linear, float]:
-    """The state after a step, and its cost.
-
-    Where the cost has not fallen, the corrections follow once more: the more certain the corners, the narrower and more bent the
-    valley along which corrections and global unknowns must move together (a second-order correction; Nocedal & Wright, 15.6).
-    """
-    candidate = state.moved(session.columns, *step)
-    linear = _linear(session, candidate)
-    for _ in range(2):
-        if _cost(session, candidate, sigmas, linear) <= cost:
-            break
-        system = _system(session, candidate, sigmas, linear)
-        candidate = candidate.moved(session.columns, 0 * step[0], np.linalg.solve(system.own, system.own_side[..., None])[..., 0])
-        linear = _linear(session, candidate)
-    return candidate, linear, _cost(session, candidate, sigmas, linear)
-
-
-def linear_system(session: Session, state: State, sigmas: Sigmas) -> Eliminated:
-    """The linear problem about `state`: its information, and the Gauss-Newton step from there."""
-    return _system(session, state, sigmas, _linear(session, state))
-
-
-def _minimise(session: Session, state: State, sigmas: Sigmas, linear: _Linear, max_steps: int = 50) -> tuple[State, _Linear, int]:
-    """Levenberg-Marquardt until a step changes the cost by less than 1e-9 of it; the linearisation about the end comes along."""
-    damping, steps = 1e-6, 0
-    cost, system = _cost(session, state, sigmas, linear), _system(session, state, sigmas, linear)
-    while steps < max_steps and damping < 1e10:
-        try:
-            candidate, following, changed = _attempt(session, state, sigmas, system.step(damping), cost)
-        except (np.linalg.LinAlgError, CalibrationError):
-            damping *= 10
-            continue
-        if not changed <= cost:
-            damping *= 10
-            continue
-        gained, cost = cost - changed, changed
-        state, linear, damping, steps = candidate, following, max(damping / 10, 1e-12), steps + 1
-        if gained <= 1e-9 * max(cost, 1.0):
-            break
-        system = _system(session, state, sigmas, linear)
-    return state, linear, steps
-
-
-def _estimated_sigmas(session: Session, state: State, sigmas: Sigmas, linear: _Linear) -> Sigmas:
-    """Sigmas that explain what is left: sums of squares over the degrees of freedom that the fit left to each kind of error."""
-    system = _system(session, state, sigmas, linear)
+def _estimated_sigmas(point: _Point) -> Sigmas:
+    """Sigmas that explain the residuals: for each kind of error, the sum of squares over its degrees of freedom."""
+    session, state, sigmas, system = point.session, point.state, point.sigmas, point.system
     inverse = np.linalg.pinv(system.root)
     of_views = system.own_covariances(inverse @ inverse.T)
     share = np.clip(np.diagonal(of_views, axis1=1, axis2=2) / sigmas.correction**2, 0, 1)  # 1: the corners say nothing
@@ -238,10 +239,9 @@ def _estimated_sigmas(session: Session, state: State, sigmas: Sigmas, linear: _L
         prior, freedom = 3 * PRIOR_VIEWS, 3 * views - share[:, columns].sum()
         return float(np.sqrt((prior * stated**2 + (state.corrections[:, columns] ** 2).sum()) / (prior + freedom)))
 
-    corners = len(linear.residuals)
+    corners = len(point.residuals)
     freedom = max(2 * corners - len(system.root) - 6 * views + share.sum(), 0.1 * corners)
-    clipped = np.minimum(np.linalg.norm(linear.residuals, axis=1), sigmas.width * sigmas.pixel)
-    return Sigmas(
-        max(float(np.sqrt((clipped**2).sum() / freedom)), MIN_SIGMA_PX),
-        of_arm(slice(0, 3), session.accuracy.translation_m), of_arm(slice(3, 6), session.accuracy.rotation_rad), sigmas.width,
-    )  # fmt: skip
+    clipped = np.minimum(np.linalg.norm(point.residuals, axis=1), sigmas.width * sigmas.pixel)
+    pixel = max(float(np.sqrt((clipped**2).sum() / freedom)), MIN_SIGMA_PX)
+    translation, rotation = session.accuracy.translation_m, session.accuracy.rotation_rad
+    return Sigmas(pixel, of_arm(slice(0, 3), translation), of_arm(slice(3, 6), rotation), sigmas.width)

@@ -1,7 +1,7 @@
-"""How well the rig is known, and what a session cannot know at all.
+"""Uncertainty of the rig, and what a session cannot determine at all.
 
-Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are
-the inverse of the information that corners, the arm's accuracy and known intrinsics give together.
+Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are the
+inverse of the information that corners, the arm's accuracy and known intrinsics give together.
 """
 
 from itertools import combinations
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 MIN_TURN_RAD = float(np.deg2rad(3))
 """Rms angle about an axis below which the flange counts as not having turned about it."""
 MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
-"""A pose less certain than this is refused: no reconstruction could use it."""
+"""A pose less certain than this is useless for a reconstruction and refused."""
 
 
 def check_motion(base_from_flange: Array) -> None:
@@ -40,16 +40,17 @@ def check_motion(base_from_flange: Array) -> None:
     _, spread, axes = np.linalg.svd(np.array(turns) / np.sqrt(len(turns)))
     if spread[0] < MIN_TURN_RAD:
         raise Unobservable(
-            "translation of the hand-eye pose is not observable", why=f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only",
+            "translation of the hand-eye pose is not observable",
+            why=f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only",
             remedy="tilt the camera by 20 degrees and more about two different axes between views",
-        )  # fmt: skip
+        )
     if spread[1] < MIN_TURN_RAD:
         axis = ", ".join(f"{x:.2f}" for x in axes[0] * np.sign(axes[0][np.abs(axes[0]).argmax()]))
         raise Unobservable(
             "translation of the hand-eye pose along the axis of rotation is not observable",
-            why=f"the flange turned about one axis only, ({axis}) in the base, and by {np.rad2deg(spread[1]):.2g} deg about others",
+            why=f"the flange turned about ({axis}) in the base, and by only {np.rad2deg(spread[1]):.2g} deg about other axes",
             remedy="add views that are tilted about a second axis by 20 degrees and more",
-        )  # fmt: skip
+        )
 
 
 def parameter_names(session: Session) -> list[str]:
@@ -77,13 +78,13 @@ def covariance(session: Session, refined: Refined) -> Array:
 
 
 def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPose, UncertainPose]:
-    """(flange_from_camera, base_from_board) with their (6, 6) covariances out of the `joint` (p, p) one."""
+    """(mount_from_camera, stand_from_board) with their (6, 6) covariances out of the `joint` (p, p) one."""
     state = refined.state
-    return UncertainPose(state.flange_from_camera, joint[-12:-6, -12:-6]), UncertainPose(state.base_from_board, joint[-6:, -6:])
+    return UncertainPose(state.mount_from_camera, joint[-12:-6, -12:-6]), UncertainPose(state.stand_from_board, joint[-6:, -6:])
 
 
 def _units(session: Session) -> Array:
-    """(p,) sizes that make parameters comparable: what an error would have to be to matter."""
+    """(p,) errors that would matter: scales that make the parameters comparable."""
     of_camera, of_joints = np.where(np.array(session.columns) < 4, 10.0, 0.1), np.full(len(session.turning), MAX_STD_RAD)
     return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
@@ -106,5 +107,8 @@ def _check(session: Session, refined: Refined, joint: Array) -> None:
 
 
 def _refuse(session: Session, parameter: int, why: str) -> None:
-    raise Unobservable(f"{parameter_names(session)[parameter]} is not observable", why=why,
-                       remedy="add views that are tilted by 20 degrees and more about two axes, at two distances")  # fmt: skip
+    raise Unobservable(
+        f"{parameter_names(session)[parameter]} is not observable",
+        why=why,
+        remedy="add views that are tilted by 20 degrees and more about two axes, at two distances",
+    )

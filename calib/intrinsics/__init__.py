@@ -1,1 +1,1 @@
-"""Intrinsics: projection with derivatives, estimation from views of a flat target, cross-validation."""
+"""Intrinsics from views of a flat target: projection with derivatives, estimation, cross-validation."""

@@ -1,9 +1,10 @@
-"""Poses of a target in all views at once, with or without the camera: least squares in pixels, without an arm.
+"""Poses of a target in all views, with or without the camera, by least squares in pixels without an arm.
 
-What Zhang (2000) minimises in his section 3.3, by Levenberg-Marquardt with analytic derivatives.
+This is the problem of Zhang (2000), section 3.3, solved by Levenberg-Marquardt with analytic derivatives.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from calib.errors import CalibrationError
 from calib.intrinsics import projection
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.geometry import by_motion, rotate
+from calib.solver.levenberg_marquardt import Limits, minimise
 from datasets import pose
 
 Array = NDArray[np.float64]
@@ -19,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bundle:
-    """The answer."""
+    """The solution."""
 
     intrinsics: Array
     """(12,) in the order of `projection.NAMES`."""
@@ -31,10 +33,18 @@ class Bundle:
     """(p, p) of the free intrinsics for corners of unit deviation, poses eliminated [1 / px^2]."""
 
 
+LIMITS = Limits(max_steps=30, tolerance=1e-10, least_cost=1e-8, rounding=1e-12, max_damping=2e7)
+
+
 def fit(
-    view: NDArray[np.int64], pixels: Array, points: Array, intrinsics: Array, camera_from_board: Array,
-    free: tuple[str, ...] = (), fisheye: bool = False, max_steps: int = 30,
-) -> Bundle:  # fmt: skip
+    view: NDArray[np.int64],
+    pixels: Array,
+    points: Array,
+    intrinsics: Array,
+    camera_from_board: Array,
+    free: tuple[str, ...] = (),
+    fisheye: bool = False,
+) -> Bundle:
     """Minimise the distance of seen and predicted corners.
 
     Args:
@@ -49,48 +59,47 @@ def fit(
     Raises:
         CalibrationError: a board lies behind the camera at the start.
     """
-    columns = [projection.NAMES.index(name) for name in free]
-    damping = 1e-6
-    residuals, system = _linear(view, pixels, points, intrinsics, camera_from_board, columns, fisheye)
-    for _ in range(max_steps):
-        try:
-            step, view_steps = system.step(damping)
-            moved = intrinsics.copy()
-            moved[columns] += step
-            turned = pose.from_rotation_vector(view_steps[:, 3:], view_steps[:, :3]) @ camera_from_board
-            following = _linear(view, pixels, points, moved, turned, columns, fisheye)
-        except (np.linalg.LinAlgError, CalibrationError):
-            damping *= 10
-            continue
-        before, after = (residuals**2).sum(), (following[0] ** 2).sum()
-        if not after <= before:
-            if damping > 1e6 or before - after > -1e-12 * before:
-                break
-            damping *= 10
-            continue
-        intrinsics, camera_from_board, (residuals, system), damping = moved, turned, following, damping / 10
-        if before - after <= 1e-10 * before + 1e-18:
-            break
-    return Bundle(intrinsics, camera_from_board, residuals, system.information)
+    corners = _Corners(view, pixels, points, [projection.NAMES.index(name) for name in free], fisheye)
+    found, _ = minimise(_Point(corners, intrinsics, camera_from_board), LIMITS)
+    return Bundle(found.intrinsics, found.camera_from_board, found.residuals, found.system.information)
 
 
-def _linear(
-    view: NDArray[np.int64],
-    pixels: Array,
-    points: Array,
-    intrinsics: Array,
-    camera_from_board: Array,
-    columns: list[int],
-    fisheye: bool,
-) -> tuple[Array, Eliminated]:
-    """(n, 2) residuals and the linear problem about a state; poses are perturbed from the left."""
-    turned = rotate(camera_from_board[view, :3, :3], points)
-    in_camera = turned + camera_from_board[view, :3, 3]
-    if not in_camera[:, 2].min() > 1e-6:
-        raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
-    predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics, fisheye)
-    residuals = pixels - predicted
-    by_pose = by_motion(by_camera, in_camera)
-    rows = np.concatenate([by_pose, by_intrinsics[..., columns], residuals[..., None]], -1)
-    views = len(camera_from_board)
-    return residuals, eliminate(view, rows, np.zeros((views, 6, 7)), np.zeros((0, len(columns) + 1)))
+@dataclass(frozen=True)
+class _Corners:
+    """What stays the same during a fit."""
+
+    view: NDArray[np.int64]
+    pixels: Array
+    points: Array
+    columns: list[int]
+    """Indices of the free intrinsics."""
+    fisheye: bool
+
+
+class _Point:
+    """A camera and poses, with residuals and the linear problem about them; poses are perturbed from the left."""
+
+    def __init__(self, corners: _Corners, intrinsics: Array, camera_from_board: Array) -> None:
+        self.corners, self.intrinsics, self.camera_from_board = corners, intrinsics, camera_from_board
+        rotations, translations = camera_from_board[corners.view, :3, :3], camera_from_board[corners.view, :3, 3]
+        in_camera = rotate(rotations, corners.points) + translations
+        if not in_camera[:, 2].min() > 1e-6:
+            raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
+        predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics, corners.fisheye)
+        self.residuals = corners.pixels - predicted
+        self.cost = float((self.residuals**2).sum())
+        self._rows = by_motion(by_camera, in_camera), by_intrinsics[..., corners.columns], self.residuals[..., None]
+
+    @cached_property
+    def system(self) -> Eliminated:
+        """The linear problem."""
+        own, of_camera = np.zeros((len(self.camera_from_board), 6, 7)), np.zeros((0, len(self.corners.columns) + 1))
+        return eliminate(self.corners.view, np.concatenate(self._rows, -1), own, of_camera)
+
+    def stepped(self, damping: float) -> "_Point":
+        """The point after one damped step."""
+        step, twists = self.system.step(damping)
+        intrinsics = self.intrinsics.copy()
+        intrinsics[self.corners.columns] += step
+        moved = pose.from_rotation_vector(twists[:, 3:], twists[:, :3]) @ self.camera_from_board
+        return _Point(self.corners, intrinsics, moved)

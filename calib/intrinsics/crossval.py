@@ -1,7 +1,7 @@
-"""Two cameras from two halves of a session: where in the image they disagree is where the calibration is not to be trusted.
+"""Cameras from two halves of a session: do not trust the calibration in image regions where they disagree.
 
-Both halves see the same lens; what differs is noise, and what the lens model cannot follow. A camera turned by a little looks like one
-whose centre has moved by a little, so that the best rotation is taken out first (as mrcal's projection difference does).
+Both halves see the same lens, so differences are noise or errors of the lens model. A small rotation of the camera resembles
+a shift of its principal point. The best rotation is therefore removed first (as in mrcal's projection difference).
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib.intrinsics import estimate
 from calib.intrinsics.estimate import Lens
-from calib.targets.target import Observation
+from calib.targets.detection import Observation
 from datasets import pose
 from datasets.camera_model import Camera
 

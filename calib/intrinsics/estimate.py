@@ -1,9 +1,9 @@
 """Intrinsics from views of a flat target (Zhang 2000), with as many coefficients as the views support.
 
-OpenCV finds a start; then each candidate lens is fitted on some views by least squares, and the others are judged with their pose
-alone left free. Usual are k1 k2 p1 p2: more or fewer have to lower that held-out error. (With fewer as the rule, one session in
-twenty would leave out what it had too few views to prove, and state a centre several deviations off.) Corners and views that
-disagree grossly are left out.
+OpenCV finds a start. Each candidate lens is then fitted to some views by least squares and judged on the others, of which
+only the poses are fitted. The usual lens has k1 k2 p1 p2; more or fewer coefficients must lower the held-out error. (If fewer
+were the rule, one session in twenty would omit a coefficient for lack of views and give a principal point several deviations
+off.) Corners and views with gross errors are left out.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.intrinsics import bundle, projection
 from calib.targets import screening
-from calib.targets.target import Observation
+from calib.targets.detection import Observation
 from datasets import conventions, pose
 from datasets.camera_model import Camera
 
@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
 GAIN = 0.002
-"""Share by which another model must lower the held-out error to be taken: less is the luck of the draw."""
+"""Share by which another lens must lower the held-out error to be chosen: less may be chance."""
 MAX_FOCAL_STD = 0.03
-"""Relative standard deviation of the focal length from which on it counts as not observed."""
+"""Relative standard deviation above which the focal length counts as not observable."""
 MIN_TILT_RAD = float(np.deg2rad(6))
-"""Rms angle between the target's normals and their mean below which the views count as one direction."""
+"""Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
 OUTLIER = 6.0
-"""Distance of a corner from where it should be, in robust standard deviations, from which on it is left out."""
+"""Corners with larger residuals are left out [robust standard deviations]."""
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
@@ -53,9 +53,12 @@ USUAL = BROWN[3]
 RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
 FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
 LENSES: dict[str, tuple[Lens, ...]] = {
-    "auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE,
-}  # fmt: skip
-"""Candidates by the name that a person asks for; each next one is kept where it predicts unseen views better."""
+    "auto": (*BROWN, RATIONAL, *FISHEYE),
+    "brown": BROWN,
+    "rational": (*BROWN, RATIONAL),
+    "fisheye": FISHEYE,
+}
+"""Candidates by the name of the `--lens` option."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +80,9 @@ class Intrinsics:
     camera_from_board: Array
     """(views, 4, 4), in the order of `observations`."""
     observations: tuple[Observation, ...]
-    """What took part."""
+    """The observations that were used."""
     left_out: dict[str, str] = field(default_factory=dict)
-    """Views that did not, and why."""
+    """Views left out, and why."""
 
     @property
     def std(self) -> dict[str, float]:
@@ -115,7 +118,7 @@ def calibrate(
 def _finished(
     observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens, held_out_px: float, left_out: dict[str, str]
 ) -> Intrinsics:
-    """The last fit, and the checks that it means something."""
+    """The final fit, with checks that the result is meaningful."""
     camera, fitted = fit(observations, first, poses, lens)
     _check_directions(fitted.camera_from_board)
     freedom = fitted.residuals.size - 6 * len(observations) - len(lens.free)
@@ -124,17 +127,27 @@ def _finished(
     covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
     if not relative.max() <= MAX_FOCAL_STD:
-        raise Unobservable("focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it",
-                           remedy=_TILT)  # fmt: skip
+        raise Unobservable(
+            "focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it", remedy=_TILT
+        )
     view = flat(observations)[0]
     by_view = {o.name: _rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
-    return Intrinsics(camera, lens, covariance, _rms(fitted.residuals), held_out_px, by_view,
-                      coverage(observations, camera.width, camera.height), fitted.camera_from_board, tuple(observations),
-                      left_out)  # fmt: skip
+    return Intrinsics(
+        camera,
+        lens,
+        covariance,
+        _rms(fitted.residuals),
+        held_out_px,
+        by_view,
+        coverage(observations, camera.width, camera.height),
+        fitted.camera_from_board,
+        tuple(observations),
+        left_out,
+    )
 
 
 def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
-    """The lens that predicts unseen views best, and its error [px]: from the usual one to more and to fewer coefficients, while it helps."""
+    """The lens that predicts unseen views best, and its error [px]. More and fewer coefficients are tried while that helps."""
     chosen = USUAL if USUAL in lenses else lenses[0]
     best = _held_out(observations, first, poses, chosen)
     usual = lenses.index(chosen)
@@ -152,7 +165,7 @@ def _choice(observations: Sequence[Observation], first: Camera, poses: Array, le
 
 
 def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
-    """A fisheye is tried where it was asked for, or where the image reaches 35 degrees and more off the axis."""
+    """Fisheyes are tried on request, and for images that reach 35 degrees and more off the axis."""
     reach = np.hypot(first.width, first.height) / 2 / min(first.fx, first.fy)
     return not lens.fisheye or all(other.fisheye for other in lenses) or reach > np.tan(np.deg2rad(35))
 
@@ -162,9 +175,10 @@ def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_COR
     corners = sum(len(o.ids) for o in observations)
     if len(observations) < MIN_VIEWS or corners < least:
         raise TargetError(
-            "target is seen too little", why=f"{corners} corners in {len(observations)} views, at least {least} "
-            f"in {MIN_VIEWS} are needed", remedy="record more views with the whole target in the picture, sharp and evenly lit",
-        )  # fmt: skip
+            "target is not seen often enough",
+            why=f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed",
+            remedy="record more views with the whole target in the picture, sharp and evenly lit",
+        )
 
 
 def _check_directions(camera_from_board: Array) -> None:
@@ -279,9 +293,9 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
 def _without_outliers(
     observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]
 ) -> tuple[list[Observation], Array, dict[str, str]]:
-    """Observations without corners, and without views, that a first fit cannot explain; the poses of the rest; who went and why.
+    """Observations without corners and views that a first fit cannot explain; their poses; the views left out, and why.
 
-    Corners go first, by what is usual in their own view: a few wrong ones bend the whole view's fit, and the view is good without them.
+    Corners are removed first, compared with the other corners of their view: a few wrong corners spoil the fit of a good view.
     """
     middle = FISHEYE[0] if first.fisheye else USUAL
     left_out: dict[str, str] = {}
@@ -300,7 +314,7 @@ def _without_outliers(
             if len(survivors) in (len(kept), *range(MIN_VIEWS)):
                 break
             for i in np.setdiff1d(np.arange(len(kept)), survivors):
-                left_out[observations[i].name] = f"corners are {by_view[i]:.2g} px off, {typical:.2g} px elsewhere"
+                left_out[observations[i].name] = f"its corners are {by_view[i]:.2g} px off, those of other views {typical:.2g} px"
         observations, poses = [kept[i] for i in survivors], fitted.camera_from_board[survivors]
     return observations, poses, left_out
 

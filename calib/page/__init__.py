@@ -1,1 +1,1 @@
-"""What a person sees of a calibration: the page in the browser, the HTML report, figures and words."""
+"""The page of a calibration in the browser, its HTML report, figures and summary."""

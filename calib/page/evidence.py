@@ -1,25 +1,25 @@
-"""What a page shows of a calibration: the recording that it was made from, fitted again, stage by stage."""
+"""A stored calibration held against its recording: what pages show beside the file. No calibration is estimated here."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import calibrate, verify
-from calib.calibrate import Solution
 from calib.errors import CalibrationError
-from calib.handeye.model import Accuracy
+from calib.handeye import flips, model, refine, verify
+from calib.handeye.model import Accuracy, State
 from calib.intrinsics import estimate, projection
-from calib.page import figures
-from calib.session import TargetSession, observe_recording
+from calib.page.summary import POSES
+from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError
-from datasets.recording import Recording
 
 Array = NDArray[np.float64]
+CORRECTED, REPORTED, ALONE = "arm corrected", "arm as reported", "camera alone"
+"""Kinds of residuals: each view with the correction that its corners ask for; with the arm's pose as reported; without an arm."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Sighting:
     """One view of the target."""
 
     name: str
-    image: Path
+    image: Path | None
     by_arm: Array
     """(4, 4) pose of the camera (of the board, where the camera stands beside the arm) in the base, by the arm's report [m]."""
     by_picture: Array
@@ -35,116 +35,137 @@ class Sighting:
     pixels: Array
     """(n, 2) corners that were found [px]."""
     residuals: dict[str, Array]
-    """(n, 2) seen minus predicted [px], by stage."""
+    """(n, 2) seen minus predicted [px], by kind; none for a view that was left out."""
     left_out: str = ""
-    """Why the view took no part."""
+    """Why the view was left out."""
 
-    def rms(self, stage: str) -> float:
-        """Root mean square length of the residuals of a stage [px]."""
-        return verify.rms(self.residuals[stage])
+    def rms(self, kind: str) -> float:
+        """Root mean square length of one kind of residuals [px]."""
+        return verify.rms(self.residuals[kind])
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A calibration with its recording."""
+    """A stored calibration and a recording, corner by corner: n corners of the views that the calibration was made from."""
 
-    stages: tuple[str, ...]
-    """What residuals there are of: before and after the refinement, or of the camera alone."""
-    sightings: tuple[Sighting, ...]
-    pictures: dict[str, bytes]
-    """Figures as PNG files, by title."""
-    notes: tuple[str, ...] = ()
+    calibration: Calibration
+    everything: TargetSession
+    """All views that show the target."""
+    boards: Array
+    """(all views, 4, 4) camera_from_board as seen."""
+    session: TargetSession
+    """The views that took part in the calibration."""
+    view: NDArray[np.int64]
+    """(n,) index of each corner's view in `session`."""
+    pixels: Array
+    """(n, 2) where the corners are seen [px]."""
+    residuals: dict[str, Array]
+    """(n, 2) seen minus predicted [px], by kind; the most important kind first."""
+    inliers: NDArray[np.bool_]
+    """(n,) corners that agree with the calibration."""
+    corrections: Array | None
+    """(views, 6) of the arm's reports: translation [m], rotation vector [rad]; None for a calibration of the camera alone."""
 
+    @property
+    def kind(self) -> str:
+        """The most important kind of residuals."""
+        return next(iter(self.residuals))
 
-BEFORE, AFTER, ALONE = "before refinement", "after refinement", "camera alone"
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know about the recording."""
+        hashes = [source.provenance.get("frames_sha256") for source in (self.everything, self.calibration)]
+        return () if hashes[0] == hashes[1] else ("this is not the recording that the calibration was made from",)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Views that did not take part, and why."""
+        return {name: "no target was found" for name in self.everything.unseen} | left_out(self.calibration)
+
+    def sightings(self) -> Iterator[Sighting]:
+        """Every view that shows the target."""
+        session, index = self.everything, {o.name: i for i, o in enumerate(self.session.observations)}
+        mount, stand = poses_of(self.calibration, session) if self.corrections is not None else (np.eye(4), np.eye(4))
+        for number, observation in enumerate(session.observations):
+            by_picture = self.boards[number] if session.eye_to_hand else pose.inverse(self.boards[number])
+            by_arm = by_picture
+            if self.corrections is not None:
+                in_base, on_flange = (mount, stand) if session.eye_to_hand else (stand, mount)
+                by_picture, by_arm = in_base @ by_picture, session.base_from_flange[number] @ on_flange
+            own = self.inliers & (self.view == index.get(observation.name, -1))
+            residuals = {kind: values[own] for kind, values in self.residuals.items()} if own.any() else {}
+            pixels = self.pixels[own] if own.any() else observation.pixels
+            why = self.left_out.get(observation.name, "" if residuals else "no corner agrees with the calibration")
+            yield Sighting(observation.name, session.images.get(observation.name), by_arm, by_picture, pixels, residuals, why)
 
 
 def recording_of(calibration: Calibration, given: Path | None) -> Path:
-    """Folder of the recording that a calibration was made from. Raises UsageError where it is not known or not there."""
-    path = given or Path(calibration.provenance.get("recording", ""))
-    if not (path / "manifest.json").is_file():
-        raise UsageError("the recording is not there", where=path, why="residuals and views cannot be shown",
-                     remedy="give the folder as --recording")  # fmt: skip
+    """Folder that a calibration was made from. Raises UsageError where it is unknown or missing."""
+    path = given or Path(calibration.provenance.get("recording") or calibration.provenance.get("folder", ""))
+    if not path.is_dir() or path == Path():
+        where = path if path != Path() else "calibration"
+        remedy = "give the folder as --recording"
+        raise UsageError("the recording is missing", where=where, why="residuals and views cannot be shown", remedy=remedy)
     return path
 
 
-def gather(calibration: Calibration, path: Path, *, seen: Callable[[str], None] = lambda words: None) -> Evidence:
-    """Find the target in a recording again, and repeat the calibration on it.
+def left_out(calibration: Calibration) -> dict[str, str]:
+    """Views that were left out of a calibration, and why; older files state no reason."""
+    reasons = calibration.residuals.get("why_left_out", {})
+    return {name: reasons.get(name, "left out") for name in calibration.residuals.get("views_left_out", ())}
 
-    Args:
-        calibration: as stored.
-        path: the recording that it was made from.
-        seen: called after each view with a few words on it.
+
+def poses_of(calibration: Calibration, session: TargetSession) -> tuple[Array, Array]:
+    """(4, 4) mount_from_camera and stand_from_board, named as in `calib.handeye.model`. Raises CalibrationError."""
+    mount = calibration.base_from_camera if session.eye_to_hand else calibration.flange_from_camera
+    stand = calibration.flange_from_board if session.eye_to_hand else calibration.base_from_board
+    if mount is None or stand is None:
+        why = "one has the camera on the flange, the other beside the arm"
+        raise CalibrationError("calibration and recording do not belong together", why=why)
+    return mount.matrix, stand.matrix
+
+
+def gather(calibration: Calibration, session: TargetSession) -> Evidence:
+    """Hold a stored calibration against a session.
 
     Raises:
-        KoalaError: what `observe_recording` and `calibrate.solve` raise.
+        UsageError: the images have another size than the camera.
+        CalibrationError: the recording does not fit the calibration at all.
     """
-    session = observe_recording(path, seen=seen)
-    recording = Recording.open(path)
-    images = {frame.name: recording.image_path(frame) for frame in recording.frames}
-    same = session.provenance.get("frames_sha256") == calibration.provenance.get("frames_sha256")
-    notes = () if same else ("this is not the recording that the calibration was made from",)
-    if calibration.flange_from_camera is None and calibration.base_from_camera is None:
-        return _of_camera(calibration, session, images, notes)
-    stated = calibration.provenance.get("arm_accuracy_stated", {})
-    degrees = np.deg2rad([stated.get("rotation_deg", 0.01), stated.get("joint_deg", 0.0)])
-    accuracy = Accuracy(1e-3 * stated.get("translation_mm", 0.05), *map(float, degrees))
-    given = calibration if calibration.provenance.get("intrinsics_given") else None
-    return _of_rig(calibration, calibrate.solve(session, given, accuracy), images, notes)
-
-
-def _of_camera(calibration: Calibration, session: TargetSession, images: dict[str, Path], notes: tuple[str, ...]) -> Evidence:
+    verify.check_size(session, calibration.camera)
     boards = estimate.camera_from_boards(calibration.camera, session.observations)
-    sightings = []
-    for observation, camera_from_board in zip(session.observations, boards, strict=True):
-        residuals = observation.pixels - estimate.reproject(calibration.camera, camera_from_board, observation)
-        place = pose.inverse(camera_from_board)
-        why = calibration.residuals.get("why_left_out", {}).get(observation.name, "")
-        sightings.append(
-            Sighting(observation.name, images[observation.name], place, place, observation.pixels, {ALONE: residuals}, why)
+    with_arm = any(getattr(calibration, name) is not None for name in POSES)
+    if with_arm:
+        session, boards = flips.as_placed(session, boards, *poses_of(calibration, session))
+    used = np.array([o.name not in left_out(calibration) for o in session.observations])
+    if not used.any():
+        raise CalibrationError("recording shows no view that the calibration was made from", remedy="give another --recording")
+    chosen = session.chosen(used)
+    measured = model.measured(chosen, (), None, Accuracy(), calibration.camera.fisheye)
+    if not with_arm:
+        predicted = [estimate.reproject(calibration.camera, b, o) for b, o in zip(boards[used], chosen.observations, strict=True)]
+        residuals, inliers, corrections = (
+            {ALONE: measured.pixels - np.concatenate(predicted)},
+            np.ones(len(measured.view), bool),
+            None,
         )
-    return Evidence((ALONE,), tuple(sightings), {}, notes)
-
-
-def _of_rig(calibration: Calibration, solution: Solution, images: dict[str, Path], notes: tuple[str, ...]) -> Evidence:
-    before = at_start(solution)
-    pictures = {
-        f"residuals {AFTER}": figures.residual_vectors(solution), f"residuals {BEFORE}": figures.residual_vectors(before),
-        "coverage": figures.coverage(solution), "errors by view": figures.view_errors(solution), "rotations": figures.rotations(solution),
-    }  # fmt: skip
-    sightings = tuple(_sightings(calibration, solution, before, images))
-    return Evidence((AFTER, BEFORE), sightings, pictures, notes)
-
-
-def at_start(solution: Solution) -> Solution:
-    """The solution with the residuals of the closed form, which the refinement started from: the arm is taken at its word."""
-    fit = solution.fit
-    state = replace(fit.refined.state, intrinsics=projection.vector(solution.first.camera), corrections=0 * fit.refined.state.corrections,
-                    offsets=0 * fit.refined.state.offsets,
-                    flange_from_camera=solution.closed.flange_from_camera, base_from_board=solution.closed.base_from_board)  # fmt: skip
-    residuals, _ = verify.errors(fit.measured, state)
-    return replace(solution, fit=replace(fit, refined=replace(fit.refined, state=state, residuals=residuals)))
-
-
-def _sightings(calibration: Calibration, solution: Solution, before: Solution, images: dict[str, Path]) -> Iterator[Sighting]:
-    fitted = {observation.name: index for index, observation in enumerate(solution.fit.session.observations)}
-    session = solution.first.session
-    if session.eye_to_hand:
-        on_flange, in_base = calibration.flange_from_board, calibration.base_from_camera
     else:
-        on_flange, in_base = calibration.flange_from_camera, calibration.base_from_board
-    if on_flange is None or in_base is None:
-        raise CalibrationError(
-            "calibration and recording do not belong together", why="one has the camera on the flange, the other beside the arm"
+        offsets = np.zeros(6) if calibration.joint_offsets is None else calibration.joint_offsets.offsets
+        still = np.zeros((len(chosen.observations), 6))
+        state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, offsets)
+        refined = refine.with_corrections(measured, state, sigmas_of(calibration))
+        plain = verify.errors(measured, replace(state, offsets=0 * offsets))[0]
+        residuals, inliers, corrections = (
+            {CORRECTED: refined.residuals, REPORTED: plain},
+            refined.inliers,
+            refined.state.corrections,
         )
-    for number, observation in enumerate(session.observations):
-        base_from_flange, camera_from_board = session.base_from_flange[number], solution.boards[number]
-        by_arm = base_from_flange @ on_flange.matrix
-        by_picture = in_base.matrix @ (camera_from_board if session.eye_to_hand else pose.inverse(camera_from_board))
-        residuals, pixels = {}, observation.pixels
-        if observation.name in fitted:
-            chosen = (solution.fit.measured.view == fitted[observation.name]) & solution.fit.refined.inliers
-            pixels = solution.fit.measured.pixels[chosen]
-            residuals = {AFTER: solution.fit.refined.residuals[chosen], BEFORE: before.fit.refined.residuals[chosen]}
-        yield Sighting(observation.name, images[observation.name], by_arm, by_picture, pixels, residuals,
-                       solution.left_out.get(observation.name, "" if residuals else "left out"))  # fmt: skip
+    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, residuals, inliers, corrections)
+
+
+def sigmas_of(calibration: Calibration) -> refine.Sigmas:
+    """The standard deviations that a calibration has estimated; the usual ones where its file does not hold them."""
+    usual, found = Accuracy(), calibration.residuals
+    translation_m = 1e-3 * found.get("arm_translation_mm", 1e3 * usual.translation_m)
+    rotation_rad = np.deg2rad(found.get("arm_rotation_deg", np.rad2deg(usual.rotation_rad)))
+    return refine.Sigmas(found.get("sigma_px", found.get("rms_px", 0.2) / np.sqrt(2)), translation_m, float(rotation_rad))

@@ -9,14 +9,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from calib.calibrate import Solution
+from calib.handeye import verify
 from calib.intrinsics.crossval import Difference
+from calib.page.evidence import Evidence
 from datasets import pose
 from datasets.calibration import UncertainPose
+from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 CHI2_95 = 5.991
-"""95 % point of chi-square with two degrees of freedom: an ellipse holds the truth in 95 of 100 sessions."""
+"""95 % point of chi-square with two degrees of freedom: the truth lies in the ellipse in 95 of 100 sessions."""
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -31,46 +33,52 @@ def _png(figure: Figure) -> bytes:
     return data.getvalue()
 
 
-def residual_vectors(solution: Solution) -> bytes:
-    """Every corner's residual where it was seen, enlarged; corners left out in red."""
-    refined, measured, camera = solution.fit.refined, solution.fit.measured, solution.first.camera
-    good = refined.inliers
-    lengths = np.linalg.norm(refined.residuals[good], axis=1)
-    enlarged = 0.03 * camera.width / max(float(np.percentile(lengths, 95)), 1e-9)
+def _over_image(camera: Camera, title: str) -> tuple[Figure, Any]:
+    """A figure with axes in pixels of a camera's image."""
     figure = _figure(8, 8 * camera.height / camera.width + 0.6)
     axes = figure.add_subplot()
-    x, y = measured.pixels[good].T
-    u, v = (enlarged * refined.residuals[good]).T
-    drawn = axes.quiver(x, y, u, v, lengths, angles="xy", scale_units="xy", scale=1, width=0.0015, cmap="viridis",
-                        clim=(0, float(np.percentile(lengths, 98))))  # fmt: skip
+    axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), xlabel="column [px]", ylabel="row [px]", title=title)
+    axes.set_aspect("equal")
+    return figure, axes
+
+
+def residual_vectors(evidence: Evidence, kind: str) -> bytes:
+    """Every corner's residual where it was seen, enlarged; outliers in red."""
+    good, camera = evidence.inliers, evidence.calibration.camera
+    residuals, outliers = evidence.residuals[kind][good], int((~good).sum())
+    lengths = np.linalg.norm(residuals, axis=1)
+    enlarged = 0.03 * camera.width / max(float(np.percentile(lengths, 95)), 1e-9)
+    figure, axes = _over_image(camera, f"residuals, {kind}, {enlarged:.0f} times enlarged; {outliers} outliers (red)")
+    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.0015, "cmap": "viridis"}
+    limits = (0, float(np.percentile(lengths, 98)))
+    drawn = axes.quiver(*evidence.pixels[good].T, *(enlarged * residuals).T, lengths, clim=limits, **style)
     figure.colorbar(drawn, ax=axes, label="residual [px]", shrink=0.8)
-    axes.plot(*measured.pixels[~good].T, "rx", markersize=4)
-    axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", xlabel="column [px]", ylabel="row [px]",
-             title=f"residuals, {enlarged:.0f} times enlarged; {int((~good).sum())} corners left out (red)")  # fmt: skip
+    axes.plot(*evidence.pixels[~good].T, "rx", markersize=4)
     return _png(figure)
 
 
-def view_errors(solution: Solution) -> bytes:
-    """Residual and correction of the arm's report, view by view."""
-    refined, measured = solution.fit.refined, solution.fit.measured
-    names = [o.name for o in solution.fit.session.observations]
-    rms = [float(np.sqrt(np.mean(np.sum(refined.residuals[chosen] ** 2, -1)))) if (chosen := refined.inliers & (measured.view == i)).any() else np.nan
-           for i in range(len(names))]  # fmt: skip
-    sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)
-    figure = _figure(9, 6)
-    rows = figure.subplots(3, 1, sharex=True)
-    for axes, values, label in zip(rows, (rms, 1e3 * sizes[:, 0], np.rad2deg(sizes[:, 1])),
-                                   ("residual [px]", "arm off by [mm]", "arm off by [°]"), strict=True):  # fmt: skip
+def view_errors(evidence: Evidence) -> bytes:
+    """Residual of each view and, where there is an arm, the correction of its report."""
+    names = [o.name for o in evidence.session.observations]
+    own = [evidence.inliers & (evidence.view == i) for i in range(len(names))]
+    rms = [verify.rms(evidence.residuals[evidence.kind][chosen]) if chosen.any() else np.nan for chosen in own]
+    bars: list[tuple[Any, str]] = [(rms, "residual [px]")]
+    if evidence.corrections is not None:
+        sizes = np.linalg.norm(evidence.corrections.reshape(-1, 2, 3), axis=2)
+        bars += [(1e3 * sizes[:, 0], "arm error [mm]"), (np.rad2deg(sizes[:, 1]), "arm error [°]")]
+    figure = _figure(9, 2 * len(bars))
+    rows = figure.subplots(len(bars), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (values, label) in zip(rows, bars, strict=True):
         axes.bar(range(len(names)), values, color="tab:blue")
         axes.set_ylabel(label)
-    rows[2].set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    rows[2].set_xlabel("view")
+    rows[-1].set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    rows[-1].set_xlabel("view")
     return _png(figure)
 
 
-def coverage(solution: Solution) -> bytes:
-    """Where in the image corners were seen, and from which sides and how turned the board was."""
-    session, camera = solution.fit.session, solution.first.camera
+def coverage(evidence: Evidence) -> bytes:
+    """Where in the image corners were seen, and the tilt and roll of the board in each view."""
+    camera, session = evidence.calibration.camera, evidence.session
     pixels = np.concatenate([o.pixels for o in session.observations])
     figure = _figure(11, 4.4)
     left = figure.add_subplot(1, 2, 1)
@@ -78,21 +86,19 @@ def coverage(solution: Solution) -> bytes:
     shown = left.imshow(counts, extent=(0, camera.width, camera.height, 0), cmap="Blues", aspect="equal")
     figure.colorbar(shown, ax=left, label="corners", shrink=0.8)
     left.set(xlabel="column [px]", ylabel="row [px]", title="corners over the image")
+    used = {o.name for o in session.observations}
+    boards = evidence.boards[[o.name in used for o in evidence.everything.observations]]
+    normals, roll = boards[:, :3, 2], np.rad2deg(np.arctan2(boards[:, 1, 0], boards[:, 0, 0]))
+    direction, tilt = np.arctan2(normals[:, 1], normals[:, 0]), np.rad2deg(np.arccos(np.clip(normals[:, 2], -1, 1)))
     right = figure.add_subplot(1, 2, 2, projection="polar")
-    boards = solution.boards[
-        np.isin([o.name for o in solution.first.session.observations], [o.name for o in session.observations])
-    ]
-    normals = boards[:, :3, 2]
-    roll = np.rad2deg(np.arctan2(boards[:, 1, 0], boards[:, 0, 0]))
-    drawn = right.scatter(np.arctan2(normals[:, 1], normals[:, 0]), np.rad2deg(np.arccos(np.clip(normals[:, 2], -1, 1))), c=roll,
-                          cmap="twilight", clim=(-180, 180))  # fmt: skip
+    drawn = right.scatter(direction, tilt, c=roll, cmap="twilight", clim=(-180, 180))
     figure.colorbar(drawn, ax=right, label="roll about the axis [°]", shrink=0.8)
     right.set_title("tilt of the board [°] by direction")
     return _png(figure)
 
 
 def ellipses(title: str, value: UncertainPose) -> bytes:
-    """95 % ellipses of position and of rotation in the three planes."""
+    """95 % confidence ellipses of position and of rotation in the three planes."""
     x, y, z = value.matrix[:3, 3]
     of_origin = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
     parts = (("mm", 1e6 * of_origin @ value.covariance @ of_origin.T), ("°", np.rad2deg(1) ** 2 * value.covariance[3:, 3:]))
@@ -102,16 +108,11 @@ def ellipses(title: str, value: UncertainPose) -> bytes:
         size = 1.1 * np.sqrt(CHI2_95 * np.diag(covariance).max())
         for axes, (i, j) in zip(row, ((0, 1), (0, 2), (1, 2)), strict=True):
             _ellipse(axes, covariance[np.ix_([i, j], [i, j])])
-            axes.set(
-                xlim=(-size, size),
-                ylim=(-size, size),
-                aspect="equal",
-                xlabel=f"{'xyz'[i]} [{unit}]",
-                ylabel=f"{'xyz'[j]} [{unit}]",
-            )
+            axes.set(xlim=(-size, size), ylim=(-size, size), xlabel=f"{'xyz'[i]} [{unit}]", ylabel=f"{'xyz'[j]} [{unit}]")
+            axes.set_aspect("equal")
             axes.locator_params(nbins=3)
             axes.grid(alpha=0.3)
-    figure.suptitle(f"{title}: where the truth is, 95 of 100 times (above: position, below: rotation)")
+    figure.suptitle(f"{title}: 95 % confidence ellipses (above: position, below: rotation)")
     return _png(figure)
 
 
@@ -122,31 +123,27 @@ def _ellipse(axes: Any, covariance: Array) -> None:
     axes.add_patch(Ellipse((0, 0), width, height, angle=angle, facecolor="tab:blue", alpha=0.3, edgecolor="tab:blue"))
 
 
-def difference_map(difference: Difference, solution: Solution) -> bytes:
-    """Where two halves of the session disagree about the camera."""
-    camera = solution.first.camera
-    figure = _figure(8, 8 * camera.height / camera.width + 0.6)
-    axes = figure.add_subplot()
+def difference_map(difference: Difference, evidence: Evidence) -> bytes:
+    """Where cameras from two halves of the session disagree."""
+    title = f"cameras of two halves of the views, {difference.rms_px:.3f} px rms; white: corners"
+    figure, axes = _over_image(evidence.calibration.camera, title)
     shown = axes.pcolormesh(difference.columns, difference.rows, difference.distance_px, cmap="magma", shading="nearest")
     figure.colorbar(shown, ax=axes, label="difference [px]", shrink=0.8)
-    pixels = np.concatenate([o.pixels for o in solution.fit.session.observations])
-    axes.plot(*pixels.T, ",", color="white", alpha=0.5)
-    axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", xlabel="column [px]", ylabel="row [px]",
-             title=f"cameras of two halves of the views, {difference.rms_px:.3f} px rms; white: corners")  # fmt: skip
+    axes.plot(*evidence.pixels.T, ",", color="white", alpha=0.5)
     return _png(figure)
 
 
-def rotations(solution: Solution) -> bytes:
-    """Axis and angle of the turns of the flange between views, which hand-eye calibration lives on."""
-    flange = solution.fit.session.base_from_flange
+def rotations(evidence: Evidence) -> bytes:
+    """Rotation vectors of the flange between any two views: hand-eye calibration needs them to differ in direction."""
+    flange = evidence.session.base_from_flange
     first, second = np.triu_indices(len(flange), 1)
     turns = np.rad2deg(pose.rotation_vector(flange[first, :3, :3] @ np.swapaxes(flange[second, :3, :3], 1, 2)))
     figure = _figure(9, 3.4)
     row = figure.subplots(1, 3)
     for axes, (i, j) in zip(row, ((0, 1), (0, 2), (1, 2)), strict=True):
-        axes.plot(turns[:, i], turns[:, j], ".", markersize=3, alpha=0.6)
-        axes.plot(-turns[:, i], -turns[:, j], ".", markersize=3, alpha=0.6, color="tab:blue")
+        for sign in (1, -1):
+            axes.plot(sign * turns[:, i], sign * turns[:, j], ".", markersize=3, alpha=0.6, color="tab:blue")
         axes.set(xlabel=f"about {'xyz'[i]} of the base [°]", ylabel=f"about {'xyz'[j]} [°]", aspect="equal")
         axes.grid(alpha=0.3)
-    figure.suptitle("turns of the flange between any two views")
+    figure.suptitle("rotations of the flange between any two views")
     return _png(figure)

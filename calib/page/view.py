@@ -1,6 +1,6 @@
-"""The page of a calibration: target and cameras in space, what the refinement changed, residuals over the image, and certainty.
+"""The page of a calibration: target and cameras in space, arm against pictures, residuals over the image, uncertainty.
 
-What the file holds is there at once; the recording is searched for the target again in the background.
+What the file holds is shown at once. The target is then found in the recording again, in the background.
 """
 
 from pathlib import Path
@@ -12,10 +12,13 @@ import viser
 from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
+from calib.handeye import verify
 from calib.page import figures
-from calib.page.evidence import AFTER, Evidence, Sighting, gather, recording_of
-from calib.page.words import describe_calibration
-from calib.targets.target import Board
+from calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
+from calib.page.summary import POSES, describe_calibration
+from calib.sessions.importer import observe_folder
+from calib.targets.detection import read_board
+from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
@@ -31,8 +34,7 @@ ARROW = 0.03
 WORST_PX = 0.5
 """Residual that is drawn fully red [px]."""
 ENLARGED = 100.0
-"""How much longer than they are differences between arm and picture are drawn."""
-POSES = ("flange_from_camera", "base_from_camera", "base_from_board", "flange_from_board")
+"""Factor by which differences between arm and picture are drawn longer than they are."""
 
 
 class CalibrationView:
@@ -43,15 +45,15 @@ class CalibrationView:
         self.beside = calibration.base_from_camera is not None
         """Whether the camera stands beside the arm."""
         self.evidence: Evidence | None = None
+        self.sightings: list[Sighting] = []
         self._state = page.gui.add_markdown("*reading the recording*")
-        self._stage: viser.GuiDropdownHandle[Any] = page.gui.add_dropdown("residuals", (AFTER,))
-        self._stage.on_update(lambda event: self._colour())
-        self.panel = PicturePanel(
-            page, "View", "click a camera: arrows lead from where a corner is predicted to where it was seen"
-        )
+        self._kind: viser.GuiDropdownHandle[Any] = page.gui.add_dropdown("residuals", (CORRECTED,))
+        self._kind.on_update(lambda event: self._colour())
+        words = "click a camera: arrows lead from the predicted corners to the detected ones"
+        self.panel = PicturePanel(page, "View", words)
         self._figures: dict[str, NDArray[np.uint8]] = {}
-        self._add_figures({f"certainty of {name}": figures.ellipses(name, value)
-                           for name in POSES if (value := getattr(calibration, name)) is not None})  # fmt: skip
+        known = {name: value for name in POSES if (value := getattr(calibration, name)) is not None}
+        self._add_figures({f"uncertainty of {name}": figures.ellipses(name, value) for name, value in known.items()})
         with page.gui.add_folder("Result"):
             page.gui.add_markdown(in_markdown(describe_calibration(calibration)))
         self._target()
@@ -62,7 +64,7 @@ class CalibrationView:
         place = np.eye(4) if self.calibration.base_from_board is None else self.calibration.base_from_board.matrix
         content = self.calibration.provenance.get("board")
         if content is not None and not self.beside:
-            add_board(self.page, "/target", Board.from_json(content, where="calibration file, board"), place)
+            add_board(self.page, "/target", read_board(content, where="calibration file, board"), place)
         if self.calibration.base_from_camera is not None:
             place = self.calibration.base_from_camera.matrix
             shapes.add_camera(self.page, "/camera", place, self.calibration.camera, colour=shapes.colour_of("train"), length=0.1)
@@ -85,20 +87,25 @@ class CalibrationView:
         self._drawn.image = self._figures[self._figure.value]
 
     def read(self, recording: Path | None) -> None:
-        """Add what the recording holds; where that is missing or cannot be used, say so."""
+        """Add what the recording holds; where it is missing or cannot be used, say so."""
         try:
             path = recording_of(self.calibration, recording)
-            self.evidence = gather(self.calibration, path, seen=self._seen)
+            session, _ = observe_folder(path, seen=self._seen)
+            self.evidence = evidence = gather(self.calibration, session)
         except KoalaError as error:
             self._state.content = f"*{error}*"
             return
         except _Stopped:
             return
-        self._stage.options = self.evidence.stages
-        self._add_figures(self.evidence.pictures)
-        rows = "".join(f"  \n{stage}: {overall(self.evidence, stage):.3f} px rms" for stage in self.evidence.stages)
-        notes = "".join(f"  \n**{note}**" for note in self.evidence.notes)
-        self._state.content = f"`{path}`, {len(self.evidence.sightings)} views{rows}{notes}"
+        self.sightings, self._kind.options = list(evidence.sightings()), tuple(evidence.residuals)
+        pictures = {f"residuals, {kind}": figures.residual_vectors(evidence, kind) for kind in evidence.residuals}
+        pictures |= {"coverage": figures.coverage(evidence), "errors by view": figures.view_errors(evidence)}
+        if evidence.corrections is not None:
+            pictures["rotations"] = figures.rotations(evidence)
+        self._add_figures(pictures)
+        rows = "".join(f"  \n{kind}: {overall(evidence, kind):.3f} px rms" for kind in evidence.residuals)
+        notes = "".join(f"  \n**{note}**" for note in evidence.notes)
+        self._state.content = f"`{path}`, {len(self.sightings)} views{rows}{notes}"
         self._draw()
 
     def _seen(self, words: str) -> None:
@@ -107,46 +114,42 @@ class CalibrationView:
         self._state.content = f"*finding the target: {words}*"
 
     def _draw(self) -> None:
-        """Every view in space, and how far arm and picture disagree."""
-        assert self.evidence is not None  # `read` has put it there
+        """Every view in space, and the difference between arm and picture."""
         differences = []
         self._handles: dict[str, viser.CameraFrustumHandle] = {}
-        camera = self.calibration.camera
-        for sighting in self.evidence.sightings:
+        colour = shapes.colour_of("calibration")
+        for sighting in self.sightings:
             start, end = sighting.by_arm[:3, 3], sighting.by_picture[:3, 3]
             differences.append((start, start + ENLARGED * (end - start)))
-            handle = shapes.add_camera(self.page, f"/views/{sighting.name}", sighting.by_arm, camera, length=0.05,
-                                       colour=shapes.colour_of("calibration"))  # fmt: skip
+            name, camera = f"/views/{sighting.name}", self.calibration.camera
+            handle = shapes.add_camera(self.page, name, sighting.by_arm, camera, length=0.05, colour=colour)
             handle.on_click(lambda event, sighting=sighting: self._chosen(event.client, sighting))
             self._handles[sighting.name] = handle
-        shapes.add_lines(
-            self.page, f"/arm against picture, {ENLARGED:.0f} times", differences, colour=(214, 39, 40), thickness=2.5
-        )
+        title = f"/arm against picture, {ENLARGED:.0f} times"
+        shapes.add_lines(self.page, title, differences, colour=(214, 39, 40), thickness=2.5)
         self._colour()
-        for sighting in self.evidence.sightings:
-            if not self.page.stopping.is_set():
+        for sighting in self.sightings:
+            if sighting.image is not None and not self.page.stopping.is_set():
                 self._handles[sighting.name].image = bytes_of(images.read(sighting.image), THUMBNAIL)
 
     def _colour(self) -> None:
-        """Colour the views by their residual: green for none, red from WORST_PX on; grey where they took no part."""
-        if self.evidence is None:
-            return
-        for sighting in self.evidence.sightings:
-            share = min(sighting.rms(self._stage.value) / WORST_PX, 1.0) if self._stage.value in sighting.residuals else None
+        """Colour the views by their residual: from green for 0 to red for WORST_PX and more; grey for views left out."""
+        for sighting in self.sightings:
+            share = min(sighting.rms(self._kind.value) / WORST_PX, 1.0) if self._kind.value in sighting.residuals else None
             self._handles[sighting.name].color = shapes.COLOURS["blocked"] if share is None else between_green_and_red(share)
 
     def _chosen(self, client: viser.ClientHandle | None, sighting: Sighting) -> None:
-        if client is None:
+        if client is None or sighting.image is None:
             return
-        stage = self._stage.value
+        kind = self._kind.value
         distance = 1e3 * float(np.linalg.norm(sighting.by_arm[:3, 3] - sighting.by_picture[:3, 3]))
         words = [f"**view {sighting.name}**", f"arm and picture {distance:.2f} mm apart"]
         words += [f"{name}: {sighting.rms(name):.3f} px rms" for name in sighting.residuals]
         if sighting.left_out:
-            words.append(f"took no part: {sighting.left_out}")
-        picture, enlarged = with_arrows(images.read(sighting.image), sighting.pixels, sighting.residuals.get(stage))
+            words.append(f"left out: {sighting.left_out}")
+        picture, enlarged = with_arrows(images.read(sighting.image), sighting.pixels, sighting.residuals.get(kind))
         if enlarged:
-            words.append(f"arrows: {stage}, {enlarged:.0f} times enlarged")
+            words.append(f"arrows: {kind}, {enlarged:.0f} times enlarged")
         self.panel.show(client, "  \n".join(words), picture)
 
 
@@ -155,7 +158,7 @@ class _Stopped(Exception):
 
 
 def in_markdown(words: str) -> str:
-    """Lines of `describe_calibration`, a name and a value each, as Markdown that a narrow panel can break; indented ones as a list."""
+    """The lines of `describe_calibration` as Markdown that wraps in a narrow panel; indented lines as a list."""
     shown = []
     for line in words.splitlines():
         name, _, value = line.strip().partition("  ")
@@ -164,10 +167,9 @@ def in_markdown(words: str) -> str:
     return "\n".join(shown)
 
 
-def overall(evidence: Evidence, stage: str) -> float:
-    """Root mean square residual of a stage over all views [px]."""
-    parts = [sighting.residuals[stage] for sighting in evidence.sightings if stage in sighting.residuals]
-    return float(np.sqrt(np.mean(np.sum(np.concatenate(parts) ** 2, axis=-1)))) if parts else float("nan")
+def overall(evidence: Evidence, kind: str) -> float:
+    """Root mean square residual of one kind over all views [px]."""
+    return verify.rms(evidence.residuals[kind][evidence.inliers]) if evidence.inliers.any() else float("nan")
 
 
 def between_green_and_red(share: float) -> shapes.Colour:

@@ -1,1 +1,1 @@
-"""Least squares with six unknowns per view beside the global ones."""
+"""Nonlinear least squares in which each view has six unknowns of its own beside the global ones."""

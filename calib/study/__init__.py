@@ -1,1 +1,1 @@
-"""Studies on simulated sessions: benchmark, comparison of methods, which views help."""
+"""Studies: benchmark, comparison of methods, good sessions, the next views to take."""

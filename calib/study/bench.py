@@ -1,13 +1,13 @@
 """Run time against error: every closed form and the refinement on simulated sessions, beside the Cramér-Rao bound.
 
-A point of the benchmark is a noise level and a number of views; each trial is one simulated session, whose board poses come from
-its corners by least squares. The bound is the smallest covariance that any unbiased method can reach: the inverse information
-at the truth. What a sample of finite size shows of it scatters by several percent, so that the efficient estimator, which is the
-truth plus one Gauss-Newton step on the same noise and known only to a simulation, is measured along: it tells how lucky the draws
-were (`calib.study.ratios`). Times are the processor's: what else the machine does is not counted.
+A point of the benchmark is a noise level and a number of views. Each trial is one simulated session, whose board poses come
+from its corners by least squares. The bound is the smallest covariance of any unbiased method: the inverse information at the
+truth. Errors of a finite sample scatter around it by several percent. The efficient estimator, known only to a simulation, is
+therefore measured as well: it is the truth plus one Gauss-Newton step on the same noise, and shows how lucky the draws were
+(`calib.study.ratios`). Times are those of the processor.
 
-The best of seven closed forms in a few hundred trials is partly the luckiest. So the one that is compared with was the best in the other
-half of the trials, and a point where the two are nearly equal gets more trials.
+The best of seven closed forms in a few hundred trials is partly the luckiest. The refinement is therefore compared with the
+one that was best in the other half of the trials, and points where the two are nearly equal get more trials.
 """
 
 import time
@@ -24,17 +24,17 @@ from calib.intrinsics import bundle
 from calib.study import ratios
 from calib.study.ratios import Ratio
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
 
 Array = NDArray[np.float64]
-RIG = replace(KOALA, board=Board("chessboard", 7, 6, 0.04))
+RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
 """The Koala rig with a board of 30 corners, seen whole."""
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
 FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
-"""An arm without error is stated to be this accurate: nobody would claim more."""
+"""Stated accuracy of an arm without error."""
 GIVEN: tuple[str, ...] = ()
 ESTIMATED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
@@ -48,22 +48,22 @@ class Point:
     arm_deg: float
     views: int
     free: tuple[str, ...] = GIVEN
-    """Intrinsics that are estimated along; for the closed forms from the pictures alone."""
+    """Intrinsics that are estimated; for the closed forms from the pictures alone."""
 
     @property
     def arm(self) -> Accuracy:
-        """Of the arm, truly."""
+        """True accuracy of the arm."""
         return Accuracy(1e-3 * self.arm_mm, float(np.deg2rad(self.arm_deg)))
 
     @property
     def stated(self) -> Accuracy:
-        """Of the arm, as the refinement is told."""
+        """Stated accuracy of the arm."""
         return Accuracy(max(self.arm.translation_m, FLOOR.translation_m), max(self.arm.rotation_rad, FLOOR.rotation_rad))
 
 
 @dataclass
 class Errors:
-    """What one method did at one point, a value per trial that it finished."""
+    """Errors of one method at one point, a value per successful trial."""
 
     translation_mm: list[float] = field(default_factory=list)
     rotation_deg: list[float] = field(default_factory=list)
@@ -104,7 +104,7 @@ class Result:
     methods: dict[str, Errors]
     """By name: closed forms, `REFINED`, `DRAWN`."""
     bound: tuple[float, float]
-    """Rms error that no unbiased method undercuts (translation [mm], rotation [deg])."""
+    """Smallest rms error of an unbiased method (translation [mm], rotation [deg])."""
 
     @property
     def best(self) -> tuple[str, str]:
@@ -129,7 +129,7 @@ class Result:
         return self._both(lambda axis: ratios.of_errors(self.methods[REFINED].of(axis), self._best_elsewhere(axis)))
 
     def _best_elsewhere(self, axis: int) -> Array:
-        """(trials,) errors, in every second trial of the closed form that is best in the others; empty where all of them failed."""
+        """(trials,) errors: in each half of the trials those of the closed form that is best in the other half."""
         closed = [self.methods[name] for name in closed_forms.METHODS if name in self.methods and not self.methods[name].failures]
         if not closed:
             return np.empty(0)
@@ -168,10 +168,13 @@ EXACT = (1e-4, 1e-5)
 
 
 def full_grid() -> list[Point]:
-    """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views; with known intrinsics, and around the Koala rig estimated along."""
+    """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views, intrinsics given; around the Koala rig also estimated."""
     known = [Point(*levels) for levels in product((0.0, 0.1, 1.0), (0.0, 0.03, 1.0), (0.0, 0.005, 0.1), (5, 10, 20, 50))]
-    along = [Point(px, mm, deg, views, ESTIMATED)
-             for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1)) for views in (10, 20, 50)]  # fmt: skip
+    along = [
+        Point(px, mm, deg, views, ESTIMATED)
+        for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1))
+        for views in (10, 20, 50)
+    ]
     return known + along
 
 
@@ -184,7 +187,7 @@ def quick_grid() -> list[Point]:
 def run(
     points: Sequence[Point], trials: int, seed: int, *, rig: Rig = RIG, done: Callable[[Result], None] = lambda result: None
 ) -> Iterator[Result]:
-    """Measure `points` with `trials` sessions each, and `MORE` times as many where it is a close call; the same seed gives the same."""
+    """Measure `points` with `trials` sessions each, and with `MORE` times as many where the result is close."""
     for number, point in enumerate(points):
         result = measure(point, trials, np.random.default_rng([seed, number]), rig, more=MORE)
         done(result)
@@ -192,8 +195,7 @@ def run(
 
 
 def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG, *, more: int = 1) -> Result:
-    """Measure every method at one point, with `trials` sessions, or `more` times as many where refinement and best closed form are
-    nearly equal then."""
+    """Measure every method at one point with `trials` sessions, or `more` times as many if the result is close."""
     methods = {name: Errors() for name in (*closed_forms.METHODS, REFINED, DRAWN)}
     variances: list[Array] = []
     while True:
@@ -209,10 +211,11 @@ def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG,
 def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, Errors]) -> Array:
     """(2,) what `bound` says of one session, whose errors are counted."""
     sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm,
-                     free=point.free)  # fmt: skip
+    drawn = simulate(
+        rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm, free=point.free
+    )
     drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
-    methods[DRAWN].add(drawn.truth.flange_from_camera, efficient(drawn, sigmas), 0.0)
+    methods[DRAWN].add(drawn.truth.mount_from_camera, efficient(drawn, sigmas), 0.0)
     _compare(drawn, point, methods)
     return bound(drawn, sigmas)
 
@@ -229,17 +232,17 @@ def _compare(drawn: Simulated, point: Point, methods: dict[str, Errors]) -> None
         except KoalaError:
             methods[name].failures += 1
             continue
-        methods[name].add(truth.flange_from_camera, answer.flange_from_camera, time.process_time() - start)
+        methods[name].add(truth.mount_from_camera, answer.mount_from_camera, time.process_time() - start)
         answers.append(answer)
     best = min(answers, key=lambda answer: answer.score(np.ones(point.views, bool)))
     start = time.process_time()
-    first = State(seen.intrinsics, best.flange_from_camera, best.base_from_board, np.zeros((point.views, 6)))
+    first = State(seen.intrinsics, best.mount_from_camera, best.stand_from_board, np.zeros((point.views, 6)))
     try:
         refined = refine.refine(session, first, sigma_px=_spread(seen.residuals, point.views, len(point.free)))
     except KoalaError:
         methods[REFINED].failures += 1
         return
-    methods[REFINED].add(truth.flange_from_camera, refined.state.flange_from_camera, time.process_time() - start)
+    methods[REFINED].add(truth.mount_from_camera, refined.state.mount_from_camera, time.process_time() - start)
 
 
 def _spread(residuals: Array, views: int, free: int) -> float:
@@ -248,13 +251,13 @@ def _spread(residuals: Array, views: int, free: int) -> float:
 
 
 def efficient(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
-    """(4, 4) the hand-eye pose of the truth plus one Gauss-Newton step on the session's noise: what an efficient estimator finds."""
+    """(4, 4) hand-eye pose of an efficient estimator: the truth plus one Gauss-Newton step on the session's noise."""
     step, _ = refine.linear_system(drawn.session, drawn.truth, sigmas).step(0.0)
-    return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).flange_from_camera
+    return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).mount_from_camera
 
 
 def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     """(2,) variances of the hand-eye pose over all axes that a session allows: translation [m^2], rotation [rad^2]."""
     inverse = np.linalg.inv(refine.linear_system(drawn.session, drawn.truth, sigmas).root)
-    stated = UncertainPose(drawn.truth.flange_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
+    stated = UncertainPose(drawn.truth.mount_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
     return np.array([np.sum((1e-3 * stated.translation_std_mm) ** 2), np.sum(np.deg2rad(stated.rotation_std_deg) ** 2)])

@@ -17,13 +17,12 @@ from datasets.core import files
 
 Array = NDArray[np.float64]
 TIE = 1.005
-"""Methods whose errors differ by less than half a hundredth are equal to what a thousand trials can tell."""
+"""A thousand trials cannot distinguish methods whose errors differ by less than 0.5 %."""
 ROUNDING = 1e-4
-"""An arm without error is stated as one of a micrometre and of a ten-thousandth of a degree: smaller differences are of that."""
+"""An arm without error is stated as accurate to 1 um and 1e-4 degrees, which causes differences of this size."""
 CLOSE = 1.10
-"""How near to the bound the refinement is wanted."""
-COLUMNS = ("sigma_px", "arm_mm", "arm_deg", "views", "intrinsics", "trials", "method", "rms_mm", "rms_deg", "median_mm", "median_deg",
-           "time_ms", "failures")  # fmt: skip
+"""Wanted ratio of the refinement's error to the bound."""
+COLUMNS = "sigma_px arm_mm arm_deg views intrinsics trials method rms_mm rms_deg median_mm median_deg time_ms failures".split()
 
 
 def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
@@ -32,16 +31,17 @@ def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
     for result in results:
         for name, errors in result.methods.items():
             (rms_mm, rms_deg), (median_mm, median_deg) = errors.rms, errors.median
-            found.append({**_place(result), "method": name, "rms_mm": rms_mm, "rms_deg": rms_deg, "median_mm": median_mm,
-                          "median_deg": median_deg, "time_ms": _time(errors), "failures": errors.failures})  # fmt: skip
+            values = (name, rms_mm, rms_deg, median_mm, median_deg, _time(errors), errors.failures)
+            found.append({**_place(result), **dict(zip(COLUMNS[6:], values, strict=True))})
         found.append({**_place(result), "method": BOUND, "rms_mm": result.bound[0], "rms_deg": result.bound[1]})
     return found
 
 
 def _place(result: Result) -> dict[str, Any]:
     point = result.point
-    return {"sigma_px": point.sigma_px, "arm_mm": point.arm_mm, "arm_deg": point.arm_deg, "views": point.views,
-            "intrinsics": "estimated" if point.free else "given", "trials": result.trials}  # fmt: skip
+    intrinsics = "estimated" if point.free else "given"
+    values = (point.sigma_px, point.arm_mm, point.arm_deg, point.views, intrinsics, result.trials)
+    return dict(zip(COLUMNS, values, strict=False))
 
 
 def _time(errors: Errors) -> float:
@@ -49,19 +49,22 @@ def _time(errors: Errors) -> float:
 
 
 def summary(results: Sequence[Result]) -> dict[str, Any]:
-    """What the benchmark says as a whole: worst ratios of the refinement, and at how many points it keeps to them."""
+    """The benchmark as a whole: worst ratios of the refinement, and the number of points within the limits."""
     best, bound = (_table(results, kind) for kind in (Result.against_best, Result.against_bound))
     plain = np.array([result.plainly_against_bound() for result in results if max(result.methods[REFINED].rms) > EXACT[0]])
     return {
-        "points": len(results), "trials": [min(r.trials for r in results), max(r.trials for r in results)],
+        "points": len(results),
+        "trials": [min(r.trials for r in results), max(r.trials for r in results)],
         "failures_of_refinement": sum(r.methods[REFINED].failures for r in results),
-        "at_or_below_best": int((best[..., 0] <= TIE).all(1).sum()), "worst_against_best": best[..., 0].max(0).tolist(),
+        "at_or_below_best": int((best[..., 0] <= TIE).all(1).sum()),
+        "worst_against_best": best[..., 0].max(0).tolist(),
         "surely_above_best": int((best[..., 1] > 1 + ROUNDING).any(1).sum()),
-        "within_tenth_of_bound": int((bound[..., 0] <= CLOSE).all(1).sum()), "worst_against_bound": bound[..., 0].max(0).tolist(),
+        "within_tenth_of_bound": int((bound[..., 0] <= CLOSE).all(1).sum()),
+        "worst_against_bound": bound[..., 0].max(0).tolist(),
         "surely_within_tenth_of_bound": int((bound[..., 2] <= CLOSE).all(1).sum()),
         "worst_upper_end_against_bound": bound[..., 2].max(0).tolist(),
         "worst_plainly_against_bound": plain.max(0, initial=0.0).tolist(),
-    }  # fmt: skip
+    }
 
 
 def _table(results: Sequence[Result], kind: Callable[[Result], tuple[Ratio, Ratio]]) -> Array:
@@ -77,44 +80,55 @@ def describe(results: Sequence[Result]) -> str:
     def pair(name: str) -> str:
         return f"{s[name][0]:.3f} in translation, {s[name][1]:.3f} in rotation"
 
-    return (
-        f"{s['points']} points of {fewest if fewest == most else f'{fewest} to {most}'} trials, refinement failed {s['failures_of_refinement']} times\n"
-        f"at or below the best closed form (within {TIE - 1:.1%}): {s['at_or_below_best']} points; worst {pair('worst_against_best')}\n"
-        f"above it by more than chance (95 % interval above 1): {s['surely_above_best']} points\n"
-        f"within {CLOSE - 1:.0%} of the bound: {s['within_tenth_of_bound']} points; worst {pair('worst_against_bound')}\n"
-        f"the whole 95 % interval within {CLOSE - 1:.0%}: {s['surely_within_tenth_of_bound']} points; "
-        f"highest end {pair('worst_upper_end_against_bound')}\n"
-        f"plain quotient of drawn error and bound, which {fewest} trials leave uncertain by {(2 * fewest) ** -0.5:.0%}: "
-        f"at most {pair('worst_plainly_against_bound')}"
+    trials = fewest if fewest == most else f"{fewest} to {most}"
+    return "\n".join(
+        [
+            f"{s['points']} points of {trials} trials, refinement failed {s['failures_of_refinement']} times",
+            f"at or below the best closed form (within {TIE - 1:.1%}): {s['at_or_below_best']} points; "
+            f"worst {pair('worst_against_best')}",
+            f"above it by more than chance (95 % interval above 1): {s['surely_above_best']} points",
+            f"within {CLOSE - 1:.0%} of the bound: {s['within_tenth_of_bound']} points; worst {pair('worst_against_bound')}",
+            f"the whole 95 % interval within {CLOSE - 1:.0%}: {s['surely_within_tenth_of_bound']} points; "
+            f"highest end {pair('worst_upper_end_against_bound')}",
+            f"plain quotient of error and bound, which {fewest} trials leave uncertain by {(2 * fewest) ** -0.5:.0%}: "
+            f"at most {pair('worst_plainly_against_bound')}",
+        ]
     )
 
 
 def markdown(results: Sequence[Result]) -> str:
     """A table with one row per point."""
-    lines = [
-        "| corners [px] | arm [mm] | arm [°] | views | intrinsics | trials | best closed form: translation | rotation | refinement [mm] | [°] "
-        "| bound [mm] | [°] | refinement / best | refinement / bound | time, closed forms to refinement [ms] |",
-        "|" + "---|" * 15,
-    ]
+    head = "corners [px]|arm [mm]|arm [°]|views|intrinsics|trials|best closed form: translation|rotation|refinement [mm]|[°]"
+    head += "|bound [mm]|[°]|refinement / best|refinement / bound|time, closed forms to refinement [ms]"
+    lines = [_row(head.split("|")), "|" + "---|" * 15]
     for result in results:
         p, refined = result.point, result.methods[REFINED]
         (first, second), best, bound = result.best, result.against_best(), result.against_bound()
         closed = [_time(result.methods[name]) for name in closed_forms.METHODS]
-        lines.append(
-            f"| {p.sigma_px:g} | {p.arm_mm:g} | {p.arm_deg:g} | {p.views} | {'estimated' if p.free else 'given'} | {result.trials} "
-            f"| {first} {result.methods[first].rms[0]:.4f} | {second} {result.methods[second].rms[1]:.4f} "
-            f"| {refined.rms[0]:.4f} | {refined.rms[1]:.4f} | {result.bound[0]:.4f} | {result.bound[1]:.4f} "
-            f"| {best[0]}, {best[1]} | {bound[0]}, {bound[1]} "
-            f"| {min(closed):.1f}–{max(closed):.1f}, {_time(refined):.1f} |"
-        )
+        settings = [
+            f"{p.sigma_px:g}",
+            f"{p.arm_mm:g}",
+            f"{p.arm_deg:g}",
+            p.views,
+            "estimated" if p.free else "given",
+            result.trials,
+        ]
+        forms = [f"{first} {result.methods[first].rms[0]:.4f}", f"{second} {result.methods[second].rms[1]:.4f}"]
+        errors = [f"{value:.4f}" for value in (*refined.rms, *result.bound)]
+        ratios = [f"{best[0]}, {best[1]}", f"{bound[0]}, {bound[1]}"]
+        lines.append(_row([*settings, *forms, *errors, *ratios, f"{min(closed):.1f}–{max(closed):.1f}, {_time(refined):.1f}"]))
     return "\n".join(lines) + "\n"
+
+
+def _row(cells: Sequence[object]) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
 
 
 def write(folder: Path, results: Sequence[Result]) -> None:
     """Write bench.csv, bench.md and bench.png into a new folder."""
     with files.atomic_folder(folder) as temporary:
         text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, restval="")
+        writer: csv.DictWriter[str] = csv.DictWriter(text, COLUMNS, restval="")
         writer.writeheader()
         writer.writerows(rows(results))
         files.write_text(temporary / "bench.csv", text.getvalue())

@@ -1,23 +1,23 @@
-"""All methods on one session, judged by views that they have not seen.
+"""All methods on one session, judged by views held out of their fit.
 
-For each of five folds a method sees the other views; the board is then where that method puts it, the arm's poses are taken as
-reported, and the corners of the views left out are predicted. That is the error that a reconstruction meets.
+Each method is fitted to four of five folds and predicts the corners of the fifth, with its own pose of the board and the
+arm's poses as reported. A reconstruction has to expect this error.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib import calibrate, verify
+from calib import calibrate
 from calib.calibrate import STATED
-from calib.handeye import closed_forms, refine
+from calib.handeye import closed_forms, model, refine, verify
 from calib.handeye.model import Accuracy, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
@@ -31,14 +31,14 @@ class Judged:
 
     name: str
     camera_pose: Array | None
-    """(4, 4) from all views; None where it found no answer."""
+    """(4, 4) from all views; None if the method failed."""
     residual_mm: float
-    """Rms disagreement of the board's place by view [mm]; the figure that others publish."""
+    """Rms disagreement of the board's place by view [mm]; the figure that is usually published."""
     residual_deg: float
     held_out_px: float
     held_out_mm: float
     views: int
-    """That took part."""
+    """Used."""
 
 
 def compare(
@@ -51,9 +51,9 @@ def compare(
     solution = calibrate.solve(session, given, accuracy, lens)
     first, fit = solution.first, solution.fit
     session, boards, camera = first.session, solution.boards, first.camera
-    measured = session.measured(first.free, first.known, accuracy, camera.fisheye)
+    measured = model.measured(session, first.free, first.known, accuracy, camera.fisheye)
     rows = [_closed_form(name, session, boards, measured, projection.vector(camera)) for name in closed_forms.METHODS]
-    start = replace(solution.start(), corrections=np.zeros((len(boards), 6)))
+    start = calibrate.start_from(camera, solution.closed, len(boards))
     rows.append(
         _refined("refinement, all views", session, boards, measured, refine.refine(measured, start, sigma_px=first.sigma_px))
     )
@@ -65,23 +65,23 @@ def compare(
 
 
 def _refined(name: str, session: TargetSession, boards: Array, measured: Session, refined: Refined) -> Judged:
-    pose_found = refined.state.flange_from_camera
-    residual = _residual(session.mount_poses, boards, pose_found)
+    pose_found = refined.state.mount_from_camera
+    residual = _residual(session.stand_from_mount, boards, pose_found)
     held_out = verify.held_out(measured, refined)
     pixels, millimetres = (np.nan if value is None else value for value in (held_out["held_out_px"], held_out["held_out_mm"]))
     return Judged(name, pose_found, *residual, pixels, millimetres, len(boards))
 
 
 def _closed_form(name: str, session: TargetSession, boards: Array, measured: Session, camera: Array) -> Judged:
-    """A closed form on all views, and fold by fold on those that it has not seen."""
-    mount, views = session.mount_poses, len(boards)
+    """A closed form on all views, and its held-out error."""
+    mount, views = session.stand_from_mount, len(boards)
     try:
         answer = closed_forms.solve(mount, boards, name)
         errors = []
         for fold in range(verify.FOLDS):
             seen = np.arange(views) % min(verify.FOLDS, views) != fold
             part = closed_forms.solve(mount[seen], boards[seen], name)
-            state = State(camera, part.flange_from_camera, part.base_from_board, np.zeros((views, 6)))
+            state = State(camera, part.mount_from_camera, part.stand_from_board, np.zeros((views, 6)))
             rest = measured.some(~seen[measured.view])
             if len(rest.view):
                 errors.append(verify.errors(rest, state))
@@ -90,8 +90,8 @@ def _closed_form(name: str, session: TargetSession, boards: Array, measured: Ses
     pixels, millimetres = (np.concatenate([e[i] for e in errors]) for i in (0, 1))
     return Judged(
         name,
-        answer.flange_from_camera,
-        *_residual(mount, boards, answer.flange_from_camera),
+        answer.mount_from_camera,
+        *_residual(mount, boards, answer.mount_from_camera),
         verify.rms(pixels),
         verify.rms(millimetres),
         views,
@@ -116,6 +116,8 @@ def markdown(rows: Sequence[Judged]) -> str:
             continue
         place = ", ".join(f"{v:.2f}" for v in 1e3 * row.camera_pose[:3, 3])
         turn = ", ".join(f"{v:.2f}" for v in np.rad2deg(pose.rotation_vector(row.camera_pose)))
-        lines.append(f"| {row.name} | {row.views} | {place} | {turn} | {row.residual_mm:.2f} mm, {row.residual_deg:.3f}° "
-                     f"| {row.held_out_px:.2f} px = {row.held_out_mm:.2f} mm |")  # fmt: skip
+        lines.append(
+            f"| {row.name} | {row.views} | {place} | {turn} | {row.residual_mm:.2f} mm, {row.residual_deg:.3f}° "
+            f"| {row.held_out_px:.2f} px = {row.held_out_mm:.2f} mm |"
+        )
     return "\n".join(lines)

@@ -1,7 +1,7 @@
-"""Ratios of rms errors over simulated trials, and how far the luck of the draws may have moved them.
+"""Ratios of rms errors over simulated trials, with intervals for the luck of the draws.
 
-Two methods that met the same noise are compared trial by trial. Intervals are percentiles over trials drawn again with replacement
-(bootstrap; Efron & Tibshirani 1993, chapter 13), the same draws for both methods.
+Two methods that met the same noise are compared trial by trial. Intervals are percentiles over trials drawn with replacement
+(bootstrap; Efron & Tibshirani 1993, chapter 13), with the same draws for both methods.
 """
 
 from dataclasses import dataclass
@@ -47,8 +47,9 @@ def of_errors(errors: ArrayLike, reference: ArrayLike) -> Ratio:
 def to_bound(errors: ArrayLike, efficient: ArrayLike, bound: float) -> Ratio:
     """Rms of (n,) errors in units of a known bound.
 
-    Over few trials the plain quotient says more of the draws than of the method. An efficient estimator on the same noise, whose expected
-    square is known to be bound^2, tells how lucky they were, and that is taken out (a control variate; Hammersley & Handscomb 1964, 5.5):
+    With few trials the plain quotient depends more on the draws than on the method. The expected squared error of an efficient
+    estimator is bound^2, so its error on the same noise shows how lucky the draws were; that is removed (a control variate;
+    Hammersley & Handscomb 1964, 5.5):
 
         ratio^2 = (mean(errors^2) - mean(efficient^2) + bound^2) / bound^2.
 

@@ -1,7 +1,7 @@
-"""Target sessions without pictures: true corners, with noise on corners and on the arm's reports.
+"""Target sessions without pictures: true corners, with noise on the corners and on the arm's reports.
 
-What benchmarks, studies and advice are made with. The arm's error is that of `calib.handeye.model`: the true flange is the reported
-one moved by a small Gaussian motion, of which `Accuracy` gives the standard deviations per axis.
+Benchmarks and studies use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved
+by a small Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
 """
 
 from dataclasses import dataclass, replace
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from calib.handeye import model
 from calib.handeye.model import Accuracy, Session, State
 from calib.intrinsics import projection
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation
 from datasets import pose
+from datasets.board import Board
 from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Pattern:
 
 KOALA = Rig(
     Camera(1920, 1080, 1700.0, 1698.0, 968.0, 534.0, -0.08, 0.05, 0.0006, -0.0004, 0.0),
-    Board("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
+    Board.of("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
     pose.from_rotation_vector([np.deg2rad(45), 0, 0], [0.0, 0.06, 0.08]),
     pose.from_rotation_vector([np.pi, 0.0, 0.0], [0.265, 0.105, 0.003]),
 )
@@ -98,6 +99,11 @@ def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:
     return board @ board_from_camera
 
 
+def inside_image(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
+    """(n,) which of (n, 2) pixels lie in the image, two pixels from its border."""
+    return np.all((pixels > 2) & (pixels < [camera.width - 2, camera.height - 2]), axis=1)
+
+
 def simulate(
     rng: Generator, rig: Rig, base_from_camera: Array, *, sigma_px: float, arm: Accuracy, free: tuple[str, ...] = ()
 ) -> Simulated:
@@ -108,9 +114,8 @@ def simulate(
     reported = base_from_camera @ pose.inverse(rig.flange_from_camera) @ pose.inverse(missed)
     points = rig.board.points
     truth = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, errors)
-    every = Session(reported, np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2)),
-                    np.tile(points, (views, 1)), free, accuracy=arm)  # fmt: skip
+    view, unseen = np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2))
+    every = Session(reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm)
     pixels = projection.project(model.camera_points(every, truth), truth.intrinsics)[0]
-    inside = ((pixels > 2) & (pixels < [rig.camera.width - 2, rig.camera.height - 2])).all(1)
-    session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside)
+    session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside_image(pixels, rig.camera))
     return Simulated(rig, base_from_camera, session, truth)

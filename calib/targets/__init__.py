@@ -1,1 +1,1 @@
-"""Calibration targets: their geometry, detection of their corners, printing."""
+"""Calibration targets: detection, corners to a few thousandths of a pixel, screening, printing."""

@@ -1,12 +1,12 @@
-"""Corners of a checkered target to a few thousandths of a pixel, by fitting what a corner looks like.
+"""Corners of a checkered target to a few thousandths of a pixel, by fitting a model of a corner's picture.
 
 Around a corner c, where two edges with unit normals n1, n2 cross, a picture blurred by s pixels is
 
     brightness(u) = level + slope . (u - c) + contrast * erf(n1 . (u - c) / (s sqrt 2)) * erf(n2 . (u - c) / (s sqrt 2)).
 
-All corners of a view are fitted at once by Gauss-Newton, each on the pixels of a disc on the board (an ellipse in the picture) that
-no marker and no other corner reaches. Unlike `cornerSubPix`, which weighs gradients, it is unbiased for tilted boards.
-Pixel coordinates here are OpenCV's: the first centre is at (0, 0).
+All corners of a view are fitted at once by Gauss-Newton. Each uses the pixels of a disc on the board (an ellipse in the
+picture) that contains no marker and no other corner. Unlike `cornerSubPix`, which weighs gradients, this is unbiased for
+tilted boards. Pixel coordinates here are OpenCV's: the first centre is at (0, 0).
 """
 
 import cv2
@@ -20,7 +20,7 @@ MAX_RADIUS_PX = 9
 MIN_PIXELS = 24
 """A corner with fewer pixels in its disc keeps its place."""
 MAX_SHIFT_PX = 1.5
-"""A fit that ends further away from its start has fitted something else."""
+"""A fit that ends further from its start is wrong."""
 _STEPS = 15
 
 
@@ -74,7 +74,7 @@ def _patches(grey: NDArray[np.float32], start: Array, scale: Array, clear_m: flo
     window = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
     pixels = np.rint(start).astype(int)[:, None] + window
     offsets = pixels - start[:, None]
-    inside = ((pixels >= 0) & (pixels < [width, height])).all(-1)
+    inside = np.all((pixels >= 0) & (pixels < [width, height]), axis=-1)
     column, row = np.moveaxis(np.where(inside[..., None], pixels, 0), -1, 0)
     on_board = np.einsum("nij,nmj->nmi", np.linalg.inv(scale), offsets)
     near = (np.linalg.norm(on_board, axis=-1) <= clear_m) & (np.linalg.norm(offsets, axis=-1) <= MAX_RADIUS_PX)
@@ -82,7 +82,7 @@ def _patches(grey: NDArray[np.float32], start: Array, scale: Array, clear_m: flo
 
 
 def _initial(values: Array, weight: Array, scale: Array) -> Array:
-    """(n, 9) start: shift 0, directions of the normals from the board, lens blur of 0.5 px, contrast and level by least squares."""
+    """(n, 9) start: no shift, normals as on the board, lens blur of 0.5 px, contrast and level by least squares."""
     count = np.maximum(weight.sum(1), 1)
     level = (values * weight).sum(1) / count
     edges = np.arctan2(scale[:, 1], scale[:, 0])  # (n, 2) directions of the board's x and y axes in the picture
@@ -93,7 +93,7 @@ def _initial(values: Array, weight: Array, scale: Array) -> Array:
 
 
 def _blur(parameters: Array) -> Array:
-    """(n,) standard deviation of the blur [px]: that of the lens and that of a square pixel, whose variance is 1/12 in any direction."""
+    """(n,) standard deviation of the blur [px]: of the lens, and of a square pixel, whose variance is 1/12 in any direction."""
     return np.sqrt(np.exp(2 * parameters[:, 4]) + 1 / 12)
 
 

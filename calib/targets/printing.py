@@ -1,7 +1,7 @@
 """Boards to print, in true size, as SVG or PDF.
 
-Everything dark is a rectangle: squares, and the cells of markers. Below the board stand its description and a bar of 100 mm, to be
-measured on paper: printers like to fit pages.
+Everything dark is a rectangle: squares, and the cells of markers. A bar of 100 mm below the board shows whether the printer
+has scaled the page.
 """
 
 from pathlib import Path
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.targets.target import Board
+from datasets.board import Board
 from datasets.core import files
 from datasets.core.errors import UsageError
 
@@ -23,29 +23,29 @@ POINTS_PER_MM = 72 / 25.4
 def dark_rectangles(board: Board) -> Array:
     """(n, 4) x, y, width, height [m] in the board frame of everything that is printed black."""
     side, found = board.square_length_m, []
-    if board.type != "tags":
+    if board.kind != "tags":
         found += [
             (x * side, y * side, side, side)
             for y in range(board.squares_y)
             for x in range(board.squares_x)
             if _is_dark(board, x, y)
         ]
-    if board.type != "chessboard":
+    if board.kind != "chessboard":
         margin = (side - board.marker_length_m) / 2
         for number, (x, y) in enumerate(_marker_squares(board)):
-            cells = _marker(board, board.first_id + number if board.type == "tags" else number)
+            cells = _marker(board, board.first_id + number if board.kind == "tags" else number)
             found += _cells(cells, x * side + margin, y * side + margin, board.marker_length_m / len(cells))
     return np.array(found)
 
 
 def _is_dark(board: Board, x: int, y: int) -> bool:
-    return (x + y + (board.squares_y % 2 == 0 and board.type == "charuco" and board.legacy_pattern)) % 2 == 0
+    return (x + y + (board.squares_y % 2 == 0 and board.kind == "charuco" and board.legacy_pattern)) % 2 == 0
 
 
 def _marker_squares(board: Board) -> list[tuple[int, int]]:
     """(column, row) of the squares that hold markers, in the order of their numbers."""
     squares = [(x, y) for y in range(board.squares_y) for x in range(board.squares_x)]
-    return squares if board.type == "tags" else [(x, y) for x, y in squares if not _is_dark(board, x, y)]
+    return squares if board.kind == "tags" else [(x, y) for x, y in squares if not _is_dark(board, x, y)]
 
 
 def _marker(board: Board, number: int) -> NDArray[np.bool_]:
@@ -81,9 +81,10 @@ def page_mm(board: Board) -> tuple[float, float]:
 
 
 def _label(board: Board) -> str:
-    marker = f", markers {1e3 * board.marker_length_m:g} mm {board.dictionary}" if board.type != "chessboard" else ""
-    first = f" from {board.first_id}" if board.type == "tags" else ""
-    return f"{board.type} {board.squares_x}x{board.squares_y}, squares {1e3 * board.square_length_m:g} mm{marker}{first}; bar: 100 mm"
+    marker = f", markers {1e3 * board.marker_length_m:g} mm {board.dictionary}" if board.kind != "chessboard" else ""
+    first = f" from {board.first_id}" if board.kind == "tags" else ""
+    squares = f"{board.squares_x}x{board.squares_y}, squares {1e3 * board.square_length_m:g} mm"
+    return f"{board.kind} {squares}{marker}{first}; bar: 100 mm"
 
 
 def _placed(board: Board) -> Array:
@@ -94,12 +95,15 @@ def _placed(board: Board) -> Array:
 
 def _svg(board: Board) -> bytes:
     width, height = page_mm(board)
-    boxes = "\n".join(f'<rect x="{x:.4f}" y="{y:.4f}" width="{w:.4f}" height="{h:.4f}"/>' for x, y, w, h in _placed(board))
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.4f}mm" height="{height:.4f}mm" viewBox="0 0 {width:.4f} {height:.4f}">\n'
-        f'<rect width="100%" height="100%" fill="white"/>\n{boxes}\n'
-        f'<text x="{MARGIN_MM}" y="{height - MARGIN_MM:.4f}" font-family="sans-serif" font-size="3.5">{_label(board)}</text>\n</svg>\n'
-    ).encode()
+    size = f'width="{width:.4f}mm" height="{height:.4f}mm" viewBox="0 0 {width:.4f} {height:.4f}"'
+    place = f'x="{MARGIN_MM}" y="{height - MARGIN_MM:.4f}"'
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
+        '<rect width="100%" height="100%" fill="white"/>',
+        *(f'<rect x="{x:.4f}" y="{y:.4f}" width="{w:.4f}" height="{h:.4f}"/>' for x, y, w, h in _placed(board)),
+        f'<text {place} font-family="sans-serif" font-size="3.5">{_label(board)}</text>\n</svg>\n',
+    ]
+    return "\n".join(lines).encode()
 
 
 def _pdf(board: Board) -> bytes:
@@ -111,18 +115,17 @@ def _pdf(board: Board) -> bytes:
         ["0 g", *lines, "f", f"BT /F 9 Tf {MARGIN_MM * k:.2f} {(MARGIN_MM - 1) * k:.2f} Td ({_label(board)}) Tj ET"]
     )
     objects = [
-        "<< /Type /Catalog /Pages 2 0 R >>", "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        "<< /Type /Catalog /Pages 2 0 R >>",
+        "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
         f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width * k:.4f} {height * k:.4f}] /Contents 4 0 R "
         "/Resources << /Font << /F << /Type /Font /Subtype /Type1 /BaseFont /Helvetica >> >> >> >>",
         f"<< /Length {len(content)} >>\nstream\n{content}\nendstream",
-    ]  # fmt: skip
+    ]
     data, places = b"%PDF-1.4\n", []
     for number, body in enumerate(objects, 1):
         places.append(len(data))
         data += f"{number} 0 obj\n{body}\nendobj\n".encode()
     table = "".join(f"{place:010d} 00000 n \n" for place in places)
     size = len(objects) + 1
-    return (
-        data
-        + f"xref\n0 {size}\n0000000000 65535 f \n{table}trailer << /Size {size} /Root 1 0 R >>\nstartxref\n{len(data)}\n%%EOF\n".encode()
-    )
+    trailer = f"trailer << /Size {size} /Root 1 0 R >>\nstartxref\n{len(data)}\n%%EOF\n"
+    return data + f"xref\n0 {size}\n0000000000 65535 f \n{table}{trailer}".encode()

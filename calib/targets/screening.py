@@ -1,4 +1,4 @@
-"""Corners that cannot be right, whatever the camera: found before anything is fitted to them."""
+"""Wrong corners that can be recognised before any camera is fitted."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.targets.target import MIN_CORNERS, Observation
+from calib.targets.detection import MIN_CORNERS, Observation
 
 TOLERANCE = 1.0
-"""How far, in lengths between neighbouring corners, a lens may bend a flat target's picture away from a homography."""
+"""Largest distance from a homography that a lens may cause, in units of the distance between neighbouring corners."""
 BENT_SHARE = 0.1
-"""Where more than half of the views would lose more than this share of their corners, it is the lens that bends so much."""
+"""If more than half of the views would lose more than this share of their corners, the lens is the reason."""
 MIN_SHARE = 0.5
-"""A view of whose corners fewer than this agree with any homography shows something else."""
+"""A view is left out if a smaller share of its corners agrees with a homography."""
 
 
 def some(observation: Observation, chosen: NDArray[np.bool_]) -> Observation:

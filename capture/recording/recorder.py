@@ -186,16 +186,9 @@ def _manifest(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         "camera": rig.camera.description(),
         "robot": rig.robot.description(),
         "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
-        "board": _board(trajectory),
+        "board": trajectory.target.to_json() if trajectory.target else None,
         "object": box,
     }
-
-
-def _board(trajectory: Trajectory) -> dict[str, Any] | None:
-    if trajectory.target is None:
-        return None
-    described = trajectory.target.model_dump(mode="json")
-    return {"type": described.pop("kind"), **described}
 
 
 def _comparable(value: Any) -> Any:

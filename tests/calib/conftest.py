@@ -9,13 +9,14 @@ import pytest
 
 from calib.handeye import model
 from calib.intrinsics import projection
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation
 from datasets import pose
+from datasets.board import Board
 from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
 
-BOARD = Board("charuco", 11, 8, 0.03, 0.022, "DICT_5X5_100")
+BOARD = Board.of("charuco", 11, 8, 0.03, 0.022, "DICT_5X5_100")
 CAMERA = Camera(960, 600, 850.0, 848.0, 484.0, 296.0, -0.08, 0.05, 0.0006, -0.0004, 0.0)
 SMALL_CAMERA = CAMERA.scaled(480, 300)
 FLANGE_FROM_CAMERA = pose.from_rotation_vector([0.05, -0.03, 1.55], [0.06, 0.01, 0.08])
@@ -37,9 +38,12 @@ class Simulated:
     def session(self, **options) -> model.Session:
         view = np.repeat(np.arange(len(self.observations)), [len(o.ids) for o in self.observations])
         return model.Session(
-            self.reported, view, np.concatenate([o.pixels for o in self.observations]),
-            np.concatenate([o.points for o in self.observations]), **options,
-        )  # fmt: skip
+            self.reported,
+            view,
+            np.concatenate([o.pixels for o in self.observations]),
+            np.concatenate([o.points for o in self.observations]),
+            **options,
+        )
 
     def state(self) -> model.State:
         """The truth as a start."""
@@ -85,7 +89,7 @@ def _simulate(seed=0, views=20, noise_px=0.1, translation_m=5e-5, rotation_deg=0
 
 @lru_cache
 def _rays(camera, samples):
-    """samples^2 pictures (height, width, 3) of ray directions, spread over each pixel without lines that edges could lie along."""
+    """samples^2 pictures (height, width, 3) of ray directions, spread over each pixel, but not along lines as edges are."""
     places = np.arange(samples**2)[:, None] * [0.7548776662, 0.5698402910] % 1 - 0.5  # Roberts' R2 sequence
     return [camera.directions(camera.pixel_centres() + place - places.mean(0)) for place in places]
 
@@ -94,14 +98,14 @@ def _board_picture(board, per_square):
     """(height, width) print of a board, 0..1, without a margin; drawn here, square by square."""
     rows, columns = np.arange(board.squares_y * per_square) // per_square, np.arange(board.squares_x * per_square) // per_square
     picture = ((rows[:, None] + columns) % 2).astype(np.float32)
-    if board.type == "tags":
+    if board.kind == "tags":
         picture[:] = 1.0
-    if board.type != "chessboard":
+    if board.kind != "chessboard":
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
         side = round(per_square * board.marker_length_m / board.square_length_m)
         assert side == pytest.approx(per_square * board.marker_length_m / board.square_length_m), "the print must be exact"
         squares = [(row, column) for row in range(board.squares_y) for column in range(board.squares_x)]
-        squares = squares if board.type == "tags" else [(row, column) for row, column in squares if (row + column) % 2]
+        squares = squares if board.kind == "tags" else [(row, column) for row, column in squares if (row + column) % 2]
         for number, (row, column) in enumerate(squares, board.first_id):
             y, x = (per_square * place + (per_square - side) // 2 for place in (row, column))
             picture[y : y + side, x : x + side] = dictionary.generateImageMarker(number, side, borderBits=1) / 255

@@ -98,10 +98,13 @@ def test_a_board_is_printed(tmp_path):
     assert json.loads(result.stdout)["page_mm"] == [140.0, 124.0] and "<rect" in (tmp_path / "b.svg").read_text()
 
 
-def test_report_is_a_page(recorded, tmp_path):
-    result = calib("report", recorded[0], "--out", tmp_path / "page.html")
+def test_report_is_a_page_about_a_stored_calibration(handeye, recorded, tmp_path):
+    before = handeye[1].read_bytes()
+    result = calib("report", handeye[1], "--out", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
-    assert "Two halves of the views" in (tmp_path / "page.html").read_text()
+    assert "Two halves of the views" in (tmp_path / "page.html").read_text() and handeye[1].read_bytes() == before
+    missing = calib("report", handeye[1], "--recording", tmp_path / "gone", "--out", tmp_path / "other.html")
+    assert missing.returncode == 2 and "--recording" in missing.stderr and not (tmp_path / "other.html").exists()
 
 
 def test_plan_writes_a_trajectory(recorded, tmp_path):
@@ -129,7 +132,7 @@ def test_importing_calib_does_not_touch_jax():
     """Float64 is a switch of the whole process: nobody who trains may find it thrown by a calibration."""
     code = (
         "import importlib, pkgutil, sys, calib\n"
-        "modules = [importlib.import_module('calib.' + found.name) for found in pkgutil.iter_modules(calib.__path__)]\n"
+        "modules = [importlib.import_module(found.name) for found in pkgutil.walk_packages(calib.__path__, 'calib.')]\n"
         "print(len(modules), 'jax' in sys.modules)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

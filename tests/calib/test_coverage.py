@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from calib import calibrate
 from calib.handeye import refine, uncertainty
-from calib.study import study
+from calib.study import variants
 from calib.study.bench import ESTIMATED, RIG
 from calib.study.simulate import Pattern, simulate, viewpoints
 from datasets import pose
@@ -21,12 +21,18 @@ def inside(truth, stated):
 
 def draw(seed, views):
     rng = np.random.default_rng([9, seed, views])
-    return simulate(rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=study.SIGMA_PX, arm=study.ARM, free=ESTIMATED)
+    return simulate(
+        rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=variants.SIGMA_PX, arm=variants.ARM, free=ESTIMATED
+    )
 
 
 def refined_poses(simulated):
-    start = simulated.truth.__class__(simulated.truth.intrinsics, simulated.truth.flange_from_camera, simulated.truth.base_from_board,
-                                      np.zeros_like(simulated.truth.corrections))  # fmt: skip
+    start = simulated.truth.__class__(
+        simulated.truth.intrinsics,
+        simulated.truth.mount_from_camera,
+        simulated.truth.stand_from_board,
+        np.zeros_like(simulated.truth.corrections),
+    )
     found = refine.refine(simulated.session, start, sigma_px=0.2)
     return uncertainty.poses(simulated.session, found, uncertainty.covariance(simulated.session, found))
 
@@ -37,7 +43,7 @@ def test_coverage_of_sixty_sessions():
         simulated = draw(seed, 12)
         camera_pose, board_pose = refined_poses(simulated)
         held.append(
-            (inside(simulated.truth.flange_from_camera, camera_pose), inside(simulated.truth.base_from_board, board_pose))
+            (inside(simulated.truth.mount_from_camera, camera_pose), inside(simulated.truth.stand_from_board, board_pose))
         )
     # 57 of 60 expected, with a deviation of 1.7: four either side
     assert (np.sum(held, axis=0) >= 50).all()
@@ -51,6 +57,6 @@ def test_coverage_of_two_hundred_sessions_that_go_the_whole_way(views):
     held = []
     for seed in range(200):
         simulated = draw(seed, views)
-        found = calibrate.calibrate_handeye(study.target_session(simulated), accuracy=study.ARM)
-        held.append(inside(simulated.truth.flange_from_camera, found.flange_from_camera))
+        found = calibrate.calibrate_handeye(variants.target_session(simulated), accuracy=variants.ARM)
+        held.append(inside(simulated.truth.mount_from_camera, found.flange_from_camera))
     assert 0.93 <= np.mean(held) <= 0.97, np.mean(held)

@@ -5,18 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate, verify
+from calib import calibrate
 from calib.errors import Unobservable
-from calib.handeye import model, refine, uncertainty
+from calib.handeye import model, refine, uncertainty, verify
 from calib.handeye.model import Accuracy, Session, State
 from calib.intrinsics import projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation
 from datasets import pose
+from datasets.board import Board
 from datasets.calibration import Calibration
 
-BOARD = Board("charuco", 9, 7, 0.02, 0.0146)
+BOARD = Board.of("charuco", 9, 7, 0.02, 0.0146)
 BASE_FROM_CAMERA = pose.look_at((1.1, 0.1, 0.5), (0.5, 0.0, 0.4))
 FLANGE_FROM_BOARD = pose.from_rotation_vector([0.1, np.pi, 0.2], [0.05, -0.02, 0.06])
 ARM = Accuracy(5e-5, float(np.deg2rad(0.01)))
@@ -48,21 +49,23 @@ def simulated(seed, views=25, sigma_px=0.1, arm=ARM):
 
 def test_noise_free_corners_are_predicted_exactly():
     session, errors = simulated(0, sigma_px=0)
-    measured = session.measured((), None, ARM)
+    measured = model.measured(session, (), None, ARM)
     state = State(projection.vector(KOALA.camera), BASE_FROM_CAMERA, FLANGE_FROM_BOARD, errors)
     np.testing.assert_allclose(model.predict(measured, state)[0], measured.pixels, atol=1e-8)
 
 
 def test_jacobian_agrees_with_central_differences():
     session, errors = simulated(1, views=6)
-    measured: Session = session.measured(("fx", "k1"), None, ARM)
+    measured: Session = model.measured(session, ("fx", "k1"), None, ARM)
     state = State(projection.vector(KOALA.camera), BASE_FROM_CAMERA, FLANGE_FROM_BOARD, 1e3 * errors)
     _, by_global, by_view = model.predict(measured, state)
     none = np.zeros((6, 6))
     for index in range(by_global.shape[-1]):
         step = 1e-6 * np.eye(by_global.shape[-1])[index]
-        numeric = (model.predict(measured, state.moved(measured.columns, step, none))[0]
-                   - model.predict(measured, state.moved(measured.columns, -step, none))[0]) / 2e-6  # fmt: skip
+        numeric = (
+            model.predict(measured, state.moved(measured.columns, step, none))[0]
+            - model.predict(measured, state.moved(measured.columns, -step, none))[0]
+        ) / 2e-6
         np.testing.assert_allclose(by_global[..., index], numeric, rtol=1e-5, atol=2e-3)
     for index in range(6):
         step = np.zeros((6, 6))
@@ -95,7 +98,7 @@ def test_it_survives_its_file_and_verifies_another_session(tmp_path):
 
 def test_a_pose_that_no_view_shows_is_named_as_it_is_here():
     session, errors = simulated(40, views=6)
-    measured = session.measured((), None, ARM)
+    measured = model.measured(session, (), None, ARM)
     state = State(projection.vector(KOALA.camera), BASE_FROM_CAMERA, FLANGE_FROM_BOARD, errors)
     refined = refine.refine(measured, state, sigma_px=0.1)
     information = refined.information.copy()

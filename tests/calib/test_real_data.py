@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import calibrate, importer
+from calib import calibrate
 from calib.calibrate import calibrate_handeye
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate
-from calib.page.words import notes
+from calib.page.summary import notes
+from calib.sessions import importer
 from calib.study import compare
 from datasets import pose
 from datasets.calibration import Calibration
@@ -57,7 +58,7 @@ def published():
 
 
 def closed_form(session, camera, method):
-    return closed_forms.solve(session.mount_poses, estimate.camera_from_boards(camera, session.observations), method)
+    return closed_forms.solve(session.stand_from_mount, estimate.camera_from_boards(camera, session.observations), method)
 
 
 def by_name(session, camera):

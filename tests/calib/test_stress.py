@@ -10,16 +10,16 @@ from calib import calibrate
 from calib.errors import CalibrationError, Unobservable
 from calib.handeye import closed_forms, uncertainty
 from calib.handeye.model import Accuracy
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core.errors import KoalaError
 
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
-BOARD = Board("charuco", 8, 6, 0.045, 0.033)
+BOARD = Board.of("charuco", 8, 6, 0.045, 0.033)
 RIG = replace(KOALA, board=BOARD)
 
 
@@ -43,7 +43,7 @@ def outcome(simulated, *, given=True, reported=None, arm=ARM):
 
 def assert_right(found, simulated, sigmas=5.5):
     """Within the stated region: six degrees of freedom, beyond 5.5 deviations once in a hundred thousand sessions."""
-    perturbation = simulated.truth.flange_from_camera @ pose.inverse(found.flange_from_camera.matrix)
+    perturbation = simulated.truth.mount_from_camera @ pose.inverse(found.flange_from_camera.matrix)
     error = np.concatenate([perturbation[:3, 3], pose.rotation_vector(perturbation)])
     distance = np.sqrt(error @ np.linalg.solve(found.flange_from_camera.covariance, error))
     assert distance < sigmas, f"{distance:.1f} deviations off"
@@ -105,8 +105,7 @@ def test_two_poses_many_times_are_refused():
 
 def test_four_poses_many_times_are_worth_four():
     simulated = draw(seed=5, pattern=Pattern((25.0, 45.0)))
-    again = simulate(np.random.default_rng(0), RIG, simulated.base_from_camera[np.arange(15) % 4],
-                     sigma_px=0.1, arm=ARM)  # fmt: skip
+    again = simulate(np.random.default_rng(0), RIG, simulated.base_from_camera[np.arange(15) % 4], sigma_px=0.1, arm=ARM)
     assert right_or_refused(outcome(again), again)
 
 
@@ -126,7 +125,7 @@ def test_focal_lengths_of_a_hundred_to_a_hundred_thousand_pixels(focal, given):
 @pytest.mark.parametrize("width", [0.05, 0.2, 1.0, 5.0, 50.0])
 def test_boards_of_five_centimetres_to_fifty_metres(width):
     scale = width / 0.36
-    board = Board("charuco", 8, 6, 0.045 * scale, 0.033 * scale)
+    board = Board.of("charuco", 8, 6, 0.045 * scale, 0.033 * scale)
     simulated = draw(
         seed=7, rig=replace(RIG, board=board), pattern=Pattern(distance_m=(0.4 * scale, 0.6 * scale), shift_m=0.03 * scale)
     )
@@ -162,7 +161,7 @@ def test_perfect_and_terrible_measurements(sigma_px, arm):
     if isinstance(found, str):
         assert arm.translation_m > 1e-3 or sigma_px >= 5, found
         return
-    distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.flange_from_camera)
+    distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.mount_from_camera)
     bound = 1e-7 + 1e-4 * sigma_px + arm.translation_m
     assert distance < 20 * bound and angle < 20 * (1e-7 + 1e-4 * sigma_px + arm.rotation_rad)
 

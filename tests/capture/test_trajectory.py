@@ -97,6 +97,8 @@ def test_a_target_session_has_no_split(tmp_path):
     with pytest.raises(UsageError, match="a session with a target has no split"):
         _load(tmp_path, SMALL + target)
     assert set(_load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target)).splits) == {"calibration"}
+    with pytest.raises(UsageError, match="only ChArUco boards"):
+        _load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target.replace("charuco", "chessboard")))
 
 
 def test_box_corners():

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from capture.sim.laboratory import textures
 from capture.sim.laboratory.lens import Lens
 from capture.sim.laboratory.scenes import TABLE_SIZE
-from capture.trajectory import CharucoTarget
 from datasets import pose
+from datasets.board import Board
 
 INK, PAPER = 0.04, 0.95
 """Radiance of black and white, relative to the lamps."""
@@ -27,7 +27,7 @@ def _table(seed: int) -> NDArray[np.float32]:
 class BoardPicture:
     """A ChArUco board on the table."""
 
-    target: CharucoTarget
+    target: Board
     table_from_board: NDArray[np.float64]
     seed: int
     centre: tuple[float, float]

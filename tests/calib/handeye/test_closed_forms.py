@@ -16,15 +16,15 @@ def test_every_method_gives_the_truth_from_perfect_poses(simulate, method):
     perfect = simulate(seed=21, views=10, noise_px=0, translation_m=0, rotation_deg=0)
     truth = pose.inverse(perfect.reported @ perfect.flange_from_camera) @ perfect.base_from_board
     found = closed_forms.solve(perfect.reported, truth, method)
-    np.testing.assert_allclose(found.flange_from_camera, perfect.flange_from_camera, atol=1e-6)
-    np.testing.assert_allclose(found.base_from_board, perfect.base_from_board, atol=1e-6)
+    np.testing.assert_allclose(found.mount_from_camera, perfect.flange_from_camera, atol=1e-6)
+    np.testing.assert_allclose(found.stand_from_board, perfect.base_from_board, atol=1e-6)
     assert found.translation_residual_m.max() < 1e-6 and found.rotation_residual_rad.max() < 1e-6
 
 
 def test_noise_leaves_what_it_should(simulate):
     ordinary = simulate(seed=22, views=20)
     found, keep = closed_forms.solve_robustly(ordinary.reported, boards(ordinary))
-    distance, angle = pose.difference(found.flange_from_camera, ordinary.flange_from_camera)
+    distance, angle = pose.difference(found.mount_from_camera, ordinary.flange_from_camera)
     assert keep.all()
     assert distance < 1e-3 and np.rad2deg(angle) < 0.1  # a start for the refinement, five times its error
 
@@ -35,7 +35,7 @@ def test_a_view_taken_in_motion_is_found_and_left_out(simulate):
     reported[6] = pose.from_rotation_vector([0, 0.05, 0], [0.01, 0, 0.02]) @ reported[6]
     found, keep = closed_forms.solve_robustly(reported, boards(ordinary))
     assert np.flatnonzero(~keep).tolist() == [6]
-    assert pose.difference(found.flange_from_camera, ordinary.flange_from_camera)[0] < 1e-3
+    assert pose.difference(found.mount_from_camera, ordinary.flange_from_camera)[0] < 1e-3
 
 
 def test_unknown_methods_and_too_few_views_are_refused(small):

@@ -7,20 +7,20 @@ from calib import calibrate
 from calib.handeye import flips
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate
-from calib.study import study
+from calib.study import variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 
 ARM = Accuracy(1e-4, float(np.deg2rad(0.02)))
-AMBIGUOUS = replace(KOALA, board=Board("chessboard", 9, 7, 0.03))
+AMBIGUOUS = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03))
 
 
 def spoilt(seed, roll=(-180.0, 180.0)):
     """(simulated, session in which every second view is read upside down, which)."""
     rng = np.random.default_rng([4, seed])
     simulated = simulate(rng, AMBIGUOUS, viewpoints(rng, AMBIGUOUS, 14, Pattern(roll_deg=roll)), sigma_px=0.1, arm=ARM)
-    session, turned = study.target_session(simulated), rng.random(14) < 0.5
+    session, turned = variants.target_session(simulated), rng.random(14) < 0.5
     points = AMBIGUOUS.board.points
     last = len(points) - 1
     observations = [
@@ -46,7 +46,7 @@ def test_views_are_read_the_same_way_round(seed):
 def test_hand_eye_of_an_ambiguous_board_is_right():
     simulated, session, _ = spoilt(9)
     found = calibrate.calibrate_handeye(session, accuracy=ARM)
-    distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.flange_from_camera)
+    distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.mount_from_camera)
     assert distance < 4e-4 and np.rad2deg(angle) < 0.08  # five times the stated deviation
     assert found.residuals["views_left_out"] == []
 
@@ -60,6 +60,6 @@ def test_half_a_turn_maps_the_board_to_itself():
 
 def test_other_boards_are_left_alone(simulate):
     simulated = simulate(seed=3, views=8)
-    session = study.TargetSession(simulated.board, 960, 600, tuple(simulated.observations), simulated.reported)
+    session = variants.TargetSession(simulated.board, 960, 600, tuple(simulated.observations), simulated.reported)
     boards = estimate.camera_from_boards(simulated.camera, session.observations)
     assert flips.resolve(session, boards)[0] is session

@@ -5,21 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate, verify
+from calib import calibrate
 from calib.errors import CalibrationError
-from calib.handeye import joints, model, uncertainty
+from calib.handeye import joints, model, uncertainty, verify
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import projection
-from calib.page import words
-from calib.session import TargetSession
+from calib.page import summary
+from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, viewpoints
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation
 from capture.kinematics import inverse
 from datasets import kinematics, pose
+from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError
 
-RIG = replace(KOALA, board=Board("charuco", 12, 9, 0.03, 0.022))
+RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 OFFSETS = np.deg2rad([0.0, 0.05, -0.06, 0.04, -0.03, 0.0])
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)), float(np.deg2rad(0.05)))
 BUILT = kinematics.UR5E.calibrated(np.random.default_rng(1), 5e-4, 5e-4)
@@ -50,8 +51,15 @@ def simulated(seed, views=25, offsets=OFFSETS, links=BUILT, noise=1.0, angles=No
         ids = np.flatnonzero(((pixels > 2) & (pixels < [RIG.camera.width - 2, RIG.camera.height - 2])).all(1))
         seen = pixels[ids] + 0.1 * noise * rng.normal(size=(len(ids), 2))
         observations.append(Observation(f"{index:03d}", ids, seen, RIG.board.points[ids]))
-    return TargetSession(RIG.board, RIG.camera.width, RIG.camera.height, tuple(observations), kinematics.forward(angles, links),
-                         provenance={"frames_sha256": f"{seed}"}, joints=angles)  # fmt: skip
+    return TargetSession(
+        RIG.board,
+        RIG.camera.width,
+        RIG.camera.height,
+        tuple(observations),
+        kinematics.forward(angles, links),
+        provenance={"frames_sha256": f"{seed}"},
+        joints=angles,
+    )
 
 
 def calibrated(session, accuracy=ARM):
@@ -68,14 +76,14 @@ def hand_eye_error(found):
 @pytest.mark.parametrize("eye_to_hand", [False, True])
 def test_jacobian_agrees_with_central_differences(eye_to_hand):
     session = replace(simulated(0, views=4), eye_to_hand=eye_to_hand)
-    measured = session.measured(("fx",), None, ARM)
+    measured = model.measured(session, ("fx",), None, ARM)
     rng = np.random.default_rng(3)
     corrections = rng.normal(0, 1, (4, 6)) * np.repeat([0.01, 0.1], 3)  # large: no term of the derivative is nearly zero
     state = State(projection.vector(RIG.camera), RIG.flange_from_camera, RIG.base_from_board, corrections, OFFSETS * 30)
     if eye_to_hand:  # the board on the flange, the camera where it sees every view
         flange = session.base_from_flange[0]
         state = replace(
-            state, flange_from_camera=flange @ pose.from_rotation_vector([np.pi, 0, 0], [0, 0, 2]), base_from_board=np.eye(4)
+            state, mount_from_camera=flange @ pose.from_rotation_vector([np.pi, 0, 0], [0, 0, 2]), stand_from_board=np.eye(4)
         )
     _, by_global, _ = model.predict(measured, state)
     assert by_global.shape[-1] == 1 + 4 + 12
@@ -95,7 +103,7 @@ def test_first_and_last_joint_are_taken_up_by_the_two_poses():
         pose.from_rotation_vector([0, 0, -first]) @ RIG.base_from_board,
         np.zeros((8, 6)),
     )
-    measured = session.measured((), None, ARM)
+    measured = model.measured(session, (), None, ARM)
     np.testing.assert_allclose(model.predict(measured, state)[0], measured.pixels, atol=1e-8)
 
 
@@ -142,14 +150,16 @@ def test_offsets_that_no_view_shows_stay_at_their_prior():
     assert found.residuals["joints_not_shown"] == [2, 3, 4]
     np.testing.assert_allclose(found.joint_offsets.std[1:4], ARM.joint_rad, rtol=0.05)
     assert found.joint_offsets.std[4] < 0.5 * ARM.joint_rad
-    assert any("say nothing of the offset of joint 2, 3, 4" in note for note in words.notes(found))
+    assert any("do not determine the offset of joint 2, 3, 4" in note for note in summary.notes(found))
 
 
 def test_parameters_are_named_in_their_order():
-    measured = simulated(70, 4).measured(("fx",), None, ARM)
+    measured = model.measured(simulated(70, 4), ("fx",), None, ARM)
     assert uncertainty.parameter_names(measured)[:6] == [
-        "fx", *(f"offset of joint {number}" for number in (2, 3, 4, 5)), "flange_from_camera translation x",
-    ]  # fmt: skip
+        "fx",
+        *(f"offset of joint {number}" for number in (2, 3, 4, 5)),
+        "flange_from_camera translation x",
+    ]
 
 
 def test_verification_applies_them():

@@ -7,7 +7,7 @@ from calib.calibrate import calibrate_handeye
 from calib.errors import CalibrationError, Unobservable
 from calib.handeye import mistakes
 from calib.intrinsics import estimate
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets import pose
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -36,7 +36,7 @@ CASES = [
     (lambda p: MIRROR @ p @ MIRROR, "left-handed"),
     (lambda p: pose.from_rotation_vector(np.deg2rad(pose.rotation_vector(p)), p[:, :3, 3]), "radians, but were read as degrees"),
     (lambda p: millimetres(pose.inverse(p)), "inverse.*millimetres"),
-]  # fmt: skip
+]
 NAMES = ["millimetres", "target in millimetres", "inverse", "transposed", "quaternion", "mirror", "radians", "inverse mm"]
 
 

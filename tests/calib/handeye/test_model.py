@@ -12,7 +12,7 @@ from datasets.camera_model import Camera
 
 @pytest.fixture
 def bent(small):
-    """A session of which everything is free, at a state with large corrections, so that no term of the derivative is nearly zero."""
+    """A session with all parameters free and large corrections, so that no term of the derivative is nearly zero."""
     session = small.session(free=projection.NAMES)
     rng = np.random.default_rng(5)
     corrections = rng.normal(0, 1, (12, 6)) * np.repeat([0.01, 0.1], 3)
@@ -28,8 +28,8 @@ def test_predicts_along_the_chain_of_frames(small):
     for k in range(0, len(session.view), 37):  # the slow, obvious way
         i = session.view[k]
         correction = pose.from_rotation_vector(state.corrections[i, 3:], state.corrections[i, :3])
-        base_from_camera = session.base_from_flange[i] @ correction @ state.flange_from_camera
-        point = pose.inverse(base_from_camera) @ state.base_from_board @ [*session.points[k], 1]
+        base_from_camera = session.base_from_flange[i] @ correction @ state.mount_from_camera
+        point = pose.inverse(base_from_camera) @ state.stand_from_board @ [*session.points[k], 1]
         np.testing.assert_allclose(pixels[k], camera.project(point[:3]), atol=1e-9)
         np.testing.assert_allclose(model.camera_points(session, state)[k], point[:3], atol=1e-12)
 
@@ -60,6 +60,6 @@ def test_perturbation_moves_about_the_first_frame():
 
 
 def test_a_target_behind_the_camera_is_an_error(small):
-    behind = replace(small.state(), flange_from_camera=small.flange_from_camera @ pose.from_rotation_vector([np.pi, 0, 0]))
+    behind = replace(small.state(), mount_from_camera=small.flange_from_camera @ pose.from_rotation_vector([np.pi, 0, 0]))
     with pytest.raises(CalibrationError, match="behind the camera"):
         model.predict(small.session(), behind)

@@ -7,12 +7,12 @@ import pytest
 
 from calib import calibrate
 from calib.handeye.model import Accuracy
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 
-RIG = replace(KOALA, board=Board("charuco", 8, 6, 0.045, 0.033))
+RIG = replace(KOALA, board=Board.of("charuco", 8, 6, 0.045, 0.033))
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 VIEWS = 25
 
@@ -73,7 +73,7 @@ KINDS = [wrong_detections, corners_read_a_square_off, wrong_by_millimetres, not_
 
 def error(found, simulated):
     """(mm, deg) of the hand-eye pose."""
-    distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.flange_from_camera)
+    distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.mount_from_camera)
     return 1e3 * float(distance), float(np.rad2deg(angle))
 
 

@@ -73,7 +73,7 @@ def test_two_views_are_refused(small):
 
 @pytest.mark.parametrize(("tilt_deg", "refused"), [(2.5, True), (2.7, False)], ids=["too little", "enough"])
 def test_the_line_between_weak_and_ordinary_motion_is_at_three_degrees(tilt_deg, refused):
-    """Four views tilted to four sides, without a turn: about each axis two of them differ by sqrt(8 / 6) tilts rms: 2.9 and 3.1 degrees."""
+    """Four views tilted to four sides: about each axis they differ by sqrt(8 / 6) tilts rms, 2.9 and 3.1 degrees."""
     tilts = np.deg2rad(tilt_deg) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     views = pose.from_rotation_vector(tilts, np.zeros((4, 3)))
     if refused:

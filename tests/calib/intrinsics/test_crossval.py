@@ -5,7 +5,7 @@ import pytest
 
 from calib.intrinsics import crossval, estimate
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from calib.study.study import ARM
+from calib.study.variants import ARM
 
 CAMERA = KOALA.camera
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.handeye import refine
+from calib.handeye import model, refine
 from calib.solver.elimination import eliminate
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
@@ -74,10 +74,8 @@ def test_an_unknown_that_no_row_touches_is_singular():
 def test_certain_corners_cost_no_digits(small):
     """Corners a million times more certain than the arm: the information on the hand-eye pose is then that of the arm alone."""
     session = small.session(free=())
-    linear = refine._linear(session, small.state())
-    found = [
-        refine._system(session, small.state(), refine.Sigmas(pixel, 1e-3, 1e-3), linear).information for pixel in (1e-6, 1e-8)
-    ]
+    sigmas = [refine.Sigmas(pixel, 1e-3, 1e-3) for pixel in (1e-6, 1e-8)]
+    found = [refine.linear_system(session, small.state(), chosen).information for chosen in sigmas]
     scale = np.sqrt(np.diag(found[0]))
     # a view seen to 1e-4 px is known to 1e-5 of the arm: at 1e-6 px the corners add 1e-9 to the variance
     np.testing.assert_allclose(found[1] / np.outer(scale, scale), found[0] / np.outer(scale, scale), atol=1e-6)
@@ -85,19 +83,20 @@ def test_certain_corners_cost_no_digits(small):
 
 def test_step_of_the_refinement_solves_the_dense_problem(small):
     session, sigmas = small.session(free=FREE), refine.Sigmas(0.1, 5e-5, 2e-4, refine.HUBER)
-    linear = refine._linear(session, small.state())
-    p, views = linear.by_global.shape[-1], len(small.reported)
+    pixels, by_global, by_view = model.predict(session, small.state())
+    residuals = session.pixels - pixels
+    p, views = by_global.shape[-1], len(small.reported)
     rows = np.zeros((len(session.view), 2, p + 6 * views))
-    rows[..., :p] = linear.by_global
+    rows[..., :p] = by_global
     for k, i in enumerate(session.view):
-        rows[k, :, p + 6 * i : p + 6 * i + 6] = linear.by_view[k]
+        rows[k, :, p + 6 * i : p + 6 * i + 6] = by_view[k]
     prior = np.hstack([np.zeros((6 * views, p)), np.diag(np.tile(1 / sigmas.correction, views))])
-    distance = np.linalg.norm(linear.residuals, axis=1) / sigmas.pixel
+    distance = np.linalg.norm(residuals, axis=1) / sigmas.pixel
     weight = np.minimum(1, refine.HUBER / distance)[:, None]
     weighted = np.sqrt(weight) / sigmas.pixel
     matrix = np.vstack([(rows * weighted[..., None]).reshape(-1, p + 6 * views), prior])
-    targets = np.concatenate([(linear.residuals * weighted).ravel(), np.zeros(6 * views)])
+    targets = np.concatenate([(residuals * weighted).ravel(), np.zeros(6 * views)])
     scale = np.linalg.norm(matrix, axis=0)
     expected = np.linalg.lstsq(matrix / scale, targets, rcond=None)[0]
-    step, own = refine._system(session, small.state(), sigmas, linear).step(0.0)
+    step, own = refine.linear_system(session, small.state(), sigmas).step(0.0)
     np.testing.assert_allclose(np.concatenate([step, own.ravel()]) * scale, expected, atol=1e-8)

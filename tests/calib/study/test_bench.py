@@ -80,7 +80,7 @@ def test_the_best_of_seven_is_chosen_without_luck():
 
 
 def test_where_the_arm_errs_in_place_alone_refinement_and_park_are_the_same_least_squares():
-    """With exact corners the board's place is linear in both unknown translations and every view counts alike: no method can do better."""
+    """With exact corners the board's place is linear in both unknown translations: no method can do better."""
     methods = bench.measure(bench.Point(0.0, 1.0, 0.0, 8), 6, np.random.default_rng(5)).methods
     for other in ("park", "horaud", "shah", bench.DRAWN):
         # the arm's rotations are said to be right to 1e-4 degrees: a micrometre at half a metre, against a millimetre of noise

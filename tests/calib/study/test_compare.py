@@ -3,7 +3,7 @@ import pytest
 
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
-from calib.study import compare, study
+from calib.study import compare
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 
@@ -16,8 +16,8 @@ def rows():
     simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 15, Pattern()), sigma_px=0.2, arm=ARM)
     reported = simulated.session.base_from_flange.copy()
     reported[6] = reported[6] @ pose.from_rotation_vector([0, 0, 0], [0.004, 0, 0])
-    session = study.target_session(simulated)
-    session = study.TargetSession(session.board, 1920, 1080, session.observations, reported)
+    session = variants.target_session(simulated)
+    session = variants.TargetSession(session.board, 1920, 1080, session.observations, reported)
     return simulated, compare.compare(session, accuracy=ARM)
 
 
@@ -30,7 +30,7 @@ def test_every_method_is_judged(rows):
 
 def test_leaving_the_wrong_view_out_pays_on_unseen_views(rows):
     simulated, found = rows
-    distance, _ = pose.difference(found[-1].camera_pose, simulated.truth.flange_from_camera)
+    distance, _ = pose.difference(found[-1].camera_pose, simulated.truth.mount_from_camera)
     assert distance < 2e-3  # corners of 0.2 px, an arm of 0.2 mm, intrinsics estimated along
     last = {r.name: r.held_out_mm for r in found}
     assert last["refinement, outliers left out"] < last["refinement, all views"]

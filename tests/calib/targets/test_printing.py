@@ -5,14 +5,15 @@ import numpy as np
 import pytest
 
 from calib.targets import printing
-from calib.targets.target import Board
+from calib.targets.detection import detect
+from datasets.board import Board
 from datasets.core.errors import UsageError
 
 BOARDS = [
-    Board("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
-    Board("charuco", 6, 8, 0.03, 0.022, "DICT_4X4_50"),
-    Board("chessboard", 10, 7, 0.025),
-    Board("tags", 4, 3, 0.04, 0.03, "DICT_APRILTAG_36h11", first_id=5),
+    Board.of("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
+    Board.of("charuco", 6, 8, 0.03, 0.022, "DICT_4X4_50"),
+    Board.of("chessboard", 10, 7, 0.025),
+    Board.of("tags", 4, 3, 0.04, 0.03, "DICT_APRILTAG_36h11", first_id=5),
 ]
 IDS = ["charuco", "charuco even", "chessboard", "tags"]
 
@@ -27,7 +28,7 @@ def painted(rectangles, per_mm, width, height):
 
 def assert_found(board, picture, per_mm, left, top):
     """The detector that reads recordings finds every corner where the page has it."""
-    seen = board.detect(picture, "page")
+    seen = detect(board, picture, "page")
     assert seen is not None and len(seen.ids) == len(board.points)
     expected = (1e3 * seen.points[:, :2] + [left, top]) * per_mm
     assert np.abs(seen.pixels - expected).max() < 0.6  # corners of tags are found to half a pixel, of squares to a hundredth

@@ -4,12 +4,12 @@ import pytest
 
 from capture.sim.laboratory.board import BoardPicture
 from capture.sim.laboratory.lens import Lens, Sensor
-from capture.trajectory import CharucoTarget
 from datasets import pose
+from datasets.board import Board
 from datasets.camera_model import Camera
 from datasets.conventions import pixels_from_opencv
 
-TARGET = CharucoTarget(kind="charuco", squares_x=7, squares_y=5, square_length_m=0.03, marker_length_m=0.0225)
+TARGET = Board.of("charuco", 7, 5, 0.03, 0.0225)
 TABLE_FROM_BOARD = pose.from_rotation_vector([np.pi, 0, 0], [0.35, 0.08, 0.003])
 CAMERA = Camera(640, 480, 560.0, 561.0, 331.0, 228.0, k1=-0.11, k2=0.06, p1=8e-4, p2=-9e-4)
 

@@ -1,8 +1,8 @@
-"""The next views: those that leave the least uncertainty of the hand-eye pose.
+"""The next views to take: those that leave the least uncertainty of the hand-eye pose.
 
-What a view would tell is known before it is taken: the information that its corners would give, the arm's error being what the session
-has shown. Candidates are drawn around the board where the recorded views have been; the one that lowers the uncertainty most is taken
-first, then the next one beside it (greedy choice of an A-optimal design; Pukelsheim 2006, chapter 6).
+The information of a view is known before it is taken: it follows from its corners and from the arm's accuracy as shown by the
+session. Candidates are drawn around the board, where the recorded views were. The one that lowers the uncertainty most is
+chosen first, then the best one in addition to it (greedy A-optimal design; Pukelsheim 2006, chapter 6).
 """
 
 from dataclasses import dataclass, replace
@@ -19,23 +19,23 @@ from calib.handeye import model, refine
 from calib.handeye.model import Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import projection
-from calib.study.simulate import Pattern, Rig, viewpoints
+from calib.study.simulate import Pattern, Rig, inside_image, viewpoints
 from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.core import files
 
 Array = NDArray[np.float64]
 LEVER_M = 0.4
-"""A rotation error matters as much as what it moves at this distance: that of the object from the camera."""
+"""Rotation errors are weighed by the motion they cause at this distance, that of the object from the camera."""
 CANDIDATES = 400
 MAX_TILT_DEG = 50.0
 MIN_SHARE = 0.7
-"""Share of the board's corners that a view has to show."""
+"""Smallest share of the board's corners in a view."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Where the camera may be: what the recorded views have shown to be within reach."""
+    """Where the camera may be: the region of the recorded views."""
 
     low: Array
     """(3,) lowest corner of a box in the base frame [m]."""
@@ -50,11 +50,11 @@ class Reach:
     def holds(self, base_from_camera: Array) -> NDArray[np.bool_]:
         """(n,) whether cameras of (n, 4, 4) poses are inside."""
         places = base_from_camera[:, :3, 3]
-        return ((places >= self.low) & (places <= self.high)).all(1)
+        return np.all((places >= self.low) & (places <= self.high), axis=1)
 
 
 @dataclass(frozen=True)
-class Advice:
+class NextViews:
     """Views to take next, the most useful first."""
 
     base_from_camera: Array
@@ -65,8 +65,8 @@ class Advice:
     """The same after each view, expected."""
 
 
-def advise(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> Advice:
-    """The next `count` views after a session that has been solved, camera on the flange.
+def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
+    """The next `count` views after a session that has been solved, with the camera on the flange.
 
     Raises:
         CalibrationError: no view within reach shows the board; the camera is beside the arm.
@@ -75,9 +75,9 @@ def advise(solution: Solution, count: int, *, reach: Reach | None = None, grow_m
     if fit.session.eye_to_hand:
         raise CalibrationError("views are planned for a camera on the flange only", why="this one stands beside the arm")
     state = fit.refined.state
-    flown = fit.session.base_from_flange @ state.flange_from_camera
+    flown = fit.session.base_from_flange @ state.mount_from_camera
     camera = projection.with_vector(solution.first.camera, state.intrinsics)
-    rig = Rig(camera, fit.session.board, state.flange_from_camera, state.base_from_board)
+    rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
     candidates = _candidates(np.random.default_rng(seed), rig, flown, reach or Reach.of(flown, grow_m))
     informations, showing = [], []
     for candidate in candidates:
@@ -94,7 +94,7 @@ def advise(solution: Solution, count: int, *, reach: Reach | None = None, grow_m
         total = total + informations[best]
         chosen.append(showing[best])
         after.append(_deviations(total, state))
-    return Advice(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
+    return NextViews(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
 
 
 def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Reach) -> list[Array]:
@@ -114,13 +114,14 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
     """(p, p) information of one view more, or None where it shows too little of the board."""
     points = rig.board.points
     reported = candidate @ pose.inverse(rig.flange_from_camera)
-    session = Session(reported[None], np.zeros(len(points), np.int64), np.zeros((len(points), 2)), points, measured.free,
-                      accuracy=measured.accuracy, fisheye=measured.fisheye)  # fmt: skip
-    state = State(refined.state.intrinsics, refined.state.flange_from_camera, refined.state.base_from_board, np.zeros((1, 6)))
+    view, pixels = np.zeros(len(points), np.int64), np.zeros((len(points), 2))
+    options = {"accuracy": measured.accuracy, "fisheye": measured.fisheye}
+    session = Session(reported[None], view, pixels, points, measured.free, **options)
+    state = State(refined.state.intrinsics, refined.state.mount_from_camera, refined.state.stand_from_board, np.zeros((1, 6)))
     if model.camera_points(session, state)[:, 2].min() <= 1e-3:
         return None
     pixels = model.predict(session, state)[0]
-    inside = ((pixels > 2) & (pixels < [rig.camera.width - 2, rig.camera.height - 2])).all(1)
+    inside = inside_image(pixels, rig.camera)
     if inside.sum() < max(8, MIN_SHARE * len(points)):
         return None
     seen = replace(session, pixels=pixels)  # as predicted: nothing is an outlier
@@ -129,7 +130,7 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:
     """Standard deviations of the hand-eye pose over all axes: translation [mm], rotation [deg]."""
-    stated = UncertainPose(state.flange_from_camera, np.linalg.inv(information)[-12:-6, -12:-6])
+    stated = UncertainPose(state.mount_from_camera, np.asarray(np.linalg.inv(information)[-12:-6, -12:-6], np.float64))
     return float(np.linalg.norm(stated.translation_std_mm)), float(np.linalg.norm(stated.rotation_std_deg))
 
 
@@ -139,15 +140,19 @@ def _score(information: Array, state: State) -> float:
     return (1e-3 * translation_mm) ** 2 + (LEVER_M * np.deg2rad(rotation_deg)) ** 2
 
 
-def write_trajectory(path: Path, advice: Advice, manifest: dict[str, Any]) -> None:
-    """Write the views as a trajectory file for 'capture plan' and 'capture run', with all else as the recording had it."""
+def write_trajectory(path: Path, found: NextViews, manifest: dict[str, Any]) -> None:
+    """Write the views as a trajectory file for 'capture plan' and 'capture run', with the other settings of the recording."""
     recorded = manifest.get("trajectory") or {}
     kept = {key: recorded[key] for key in ("camera", "motion", "safety", "target", "board") if recorded.get(key) is not None}
-    views = [{"position": matrix[:3, 3].round(6).tolist(), "quaternion_wxyz": pose.quaternion(matrix).round(9).tolist()}
-             for matrix in advice.base_from_camera]  # fmt: skip
-    content = {"format": "koala-trajectory", "version": 1, "name": f"{recorded.get('name', 'calibration')}_next",
-               "views": [{"kind": "poses", "poses": views}], **kept}  # fmt: skip
-    before, after = advice.before, advice.after[-1]
-    head = (f"# The {len(views)} views that tell most beside those recorded: the hand-eye pose is known to {before[0]:.4f} mm, "
-            f"{before[1]:.5f} deg now,\n# and is expected to be to {after[0]:.4f} mm, {after[1]:.5f} deg with them.\n")  # fmt: skip
-    files.write_text(path, head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=130))
+    poses = [
+        {"position": matrix[:3, 3].round(6).tolist(), "quaternion_wxyz": pose.quaternion(matrix).round(9).tolist()}
+        for matrix in found.base_from_camera
+    ]
+    name = f"{recorded.get('name', 'calibration')}_next"
+    head = {"format": "koala-trajectory", "version": 1, "name": name, "views": [{"kind": "poses", "poses": poses}]}
+    before, after = found.before, found.after[-1]
+    comment = (
+        f"# The {len(poses)} most informative views after those recorded. Standard deviation of the hand-eye pose now:\n"
+        f"# {before[0]:.4f} mm, {before[1]:.5f} deg; expected with these views: {after[0]:.4f} mm, {after[1]:.5f} deg.\n"
+    )
+    files.write_text(path, comment + yaml.safe_dump({**head, **kept}, sort_keys=False, default_flow_style=None, width=130))

@@ -6,39 +6,45 @@ import pytest
 import yaml
 
 from calib.handeye import refine
-from calib.study import bench, study
+from calib.study import bench, variants
 from calib.study.simulate import Pattern, simulate
-from calib.targets.target import Board
 from capture.trajectory import load_trajectory
 from datasets import pose
 
-TRAJECTORY = Path(__file__).resolve().parents[2] / "configs" / "trajectories" / "calibration.yaml"
+TRAJECTORY = Path(__file__).resolve().parents[3] / "configs" / "trajectories" / "calibration.yaml"
 
 
 def test_a_larger_board_is_known_to_be_better():
-    variants = [study.Variant("small", study.KOALA), study.Variant("A3", study.A3)]
-    small, large = study.run(2, 0, variants=variants)
+    chosen = [variants.Variant("small", variants.KOALA), variants.Variant("A3", variants.A3)]
+    small, large = variants.run(2, 0, variants=chosen)
     assert small.failures == large.failures == 0
     assert (np.median(large.stated, axis=0) < np.median(small.stated, axis=0)).all()
     assert small.refined.shape == small.park.shape == (2, 2)
-    table = study.markdown([small, large])
+    table = variants.markdown([small, large])
     assert table.count("\n") == 3 and "A3" in table
 
 
 def test_intrinsics_of_their_own_help():
-    alone, along = study.run(1, 1, variants=[study.Variant("own", study.KOALA, separate=40), study.Variant("along", study.KOALA)])
+    alone, along = variants.run(
+        1, 1, variants=[variants.Variant("own", variants.KOALA, separate=40), variants.Variant("along", variants.KOALA)]
+    )
     assert np.median(alone.stated[:, 1]) < np.median(along.stated[:, 1])
 
 
 def test_failures_are_counted():
-    straight = study.Variant("straight", study.KOALA, Pattern((0.0, 0.5), roll_deg=(0.0, 0.0)))
-    (outcome,) = study.run(2, 0, variants=[straight])
-    assert outcome.failures == 2 and "failed 2 times" in study.markdown([outcome])
+    straight = variants.Variant("straight", variants.KOALA, Pattern((0.0, 0.5), roll_deg=(0.0, 0.0)))
+    (outcome,) = variants.run(2, 0, variants=[straight])
+    assert outcome.failures == 2 and "failed 2 times" in variants.markdown([outcome])
 
 
 def test_planned_views_help():
-    drawn, planned = study.run(
-        1, 2, variants=[study.Variant("drawn", study.KOALA, views=15), study.Variant("planned", study.KOALA, views=15, planned=5)]
+    drawn, planned = variants.run(
+        1,
+        2,
+        variants=[
+            variants.Variant("drawn", variants.KOALA, views=15),
+            variants.Variant("planned", variants.KOALA, views=15, planned=5),
+        ],
     )
     assert (np.median(planned.stated, axis=0) < np.median(drawn.stated, axis=0)).all()
 
@@ -46,26 +52,27 @@ def test_planned_views_help():
 def test_the_calibration_trajectory_reaches_the_aim():
     """Its 25 views with the board that it names, on the Koala rig, and an efficient estimator."""
     content = yaml.safe_load(TRAJECTORY.read_text())
-    target = {"type": "charuco", **{key: value for key, value in content["target"].items() if key != "kind"}}
     base_from_board = pose.from_rotation_vector(np.deg2rad(content["board"]["rotation_deg"]), content["board"]["position"])
-    rig = replace(study.KOALA, board=Board.from_json(target, where=TRAJECTORY), base_from_board=base_from_board)
+    rig = replace(variants.KOALA, board=Board.model_validate(content["target"]), base_from_board=base_from_board)
     views = np.stack([view.base_from_camera for view in load_trajectory(TRAJECTORY).viewpoints()])
     assert len(views) == 25
-    sigmas, errors = refine.Sigmas(study.SIGMA_PX, study.ARM.translation_m, study.ARM.rotation_rad), []
+    sigmas, errors = refine.Sigmas(variants.SIGMA_PX, variants.ARM.translation_m, variants.ARM.rotation_rad), []
     for seed in range(60):
         rng = np.random.default_rng([11, seed])
-        drawn = simulate(rng, rig, views, sigma_px=study.SIGMA_PX, arm=study.ARM, free=bench.ESTIMATED)
+        drawn = simulate(rng, rig, views, sigma_px=variants.SIGMA_PX, arm=variants.ARM, free=bench.ESTIMATED)
         errors.append(pose.difference(bench.efficient(drawn, sigmas), rig.flange_from_camera))
     # expected 0.021 mm and 0.0101 deg; the median of sixty scatters by 7 %
-    assert (np.median(errors, axis=0) * [1e3, np.rad2deg(1)] < study.AIM).all()
+    assert (np.median(errors, axis=0) * [1e3, np.rad2deg(1)] < variants.AIM).all()
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("variant", [study.VARIANTS[6], *study.VARIANTS[-2:]], ids=["A3 board", "near and tilted", "planned"])
+@pytest.mark.parametrize(
+    "variant", [variants.VARIANTS[6], *variants.VARIANTS[-2:]], ids=["A3 board", "near and tilted", "planned"]
+)
 def test_koala_rig_reaches_its_aims(variant):
     """0.03 mm / 0.005 deg repeatability, 0.1 px corners, 25 views, intrinsics estimated along."""
-    (outcome,) = study.run(60, 0, variants=[variant])
+    (outcome,) = variants.run(60, 0, variants=[variant])
     refined, _, _ = outcome.medians()
     assert variant.views == 25 and not variant.separate
-    assert outcome.failures == 0 and (refined <= study.AIM).all(), refined
+    assert outcome.failures == 0 and (refined <= variants.AIM).all(), refined

@@ -1,6 +1,6 @@
 """What makes a calibration session good: the simulated Koala rig, with one thing changed at a time.
 
-Every session goes the whole way of `calib handeye`: intrinsics from the corners, closed form, refinement.
+Every session is processed as by `calib handeye`: intrinsics from the corners, closed form, refinement.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -14,11 +14,11 @@ from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate
-from calib.session import TargetSession
-from calib.study import advice
+from calib.sessions.session import TargetSession
+from calib.study import next_views
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
@@ -40,9 +40,9 @@ class Variant:
     pattern: Pattern = USUAL
     views: int = 25
     separate: int = 0
-    """Views of a session of its own for the intrinsics, taken without the arm; 0: estimated along."""
+    """Views of a separate session for the intrinsics, taken without the arm; 0: estimated with the rest."""
     planned: int = 0
-    """Of the views, how many are taken where `calib plan` says after the others."""
+    """Number of views, among all, that `calib plan` chooses after the others."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Outcome:
 
 
 def _with_board(x: int, y: int, square_m: float) -> Rig:
-    return replace(KOALA, board=Board("charuco", x, y, square_m, 0.73 * square_m, "DICT_5X5_250"))
+    return replace(KOALA, board=Board.of("charuco", x, y, square_m, 0.73 * square_m, "DICT_5X5_250"))
 
 
 A3, DENSE = _with_board(12, 9, 0.03), _with_board(18, 13, 0.02)
@@ -106,10 +106,16 @@ def run(
 
 
 def target_session(simulated: Simulated, name: str = "simulated") -> TargetSession:
-    """A simulated session as if its pictures had been searched."""
+    """A simulated session in the form of a detected one."""
     camera = simulated.rig.camera
-    return TargetSession(simulated.rig.board, camera.width, camera.height, tuple(simulated.observations()),
-                         simulated.session.base_from_flange, provenance={"frames_sha256": name})  # fmt: skip
+    return TargetSession(
+        simulated.rig.board,
+        camera.width,
+        camera.height,
+        tuple(simulated.observations()),
+        simulated.session.base_from_flange,
+        provenance={"frames_sha256": name},
+    )
 
 
 def _once(variant: Variant, rng: np.random.Generator) -> Array:
@@ -125,10 +131,15 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     assert found.flange_from_camera is not None  # the camera is on the flange
     camera = _plain_camera(session, given)
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
-    truth = simulated.truth.flange_from_camera
+    truth = simulated.truth.mount_from_camera
     stated = found.flange_from_camera
-    return np.array([_error(truth, stated.matrix), _error(truth, park.flange_from_camera),
-                     [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)]])  # fmt: skip
+    return np.array(
+        [
+            _error(truth, stated.matrix),
+            _error(truth, park.mount_from_camera),
+            [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)],
+        ]
+    )
 
 
 def _flown(variant: Variant, rng: np.random.Generator) -> Array:
@@ -137,7 +148,7 @@ def _flown(variant: Variant, rng: np.random.Generator) -> Array:
     if not variant.planned:
         return drawn
     solution = calibrate.solve(target_session(_simulated(variant, rng, drawn)), accuracy=ARM)
-    return np.concatenate([drawn, advice.advise(solution, variant.planned).base_from_camera])
+    return np.concatenate([drawn, next_views.plan(solution, variant.planned).base_from_camera])
 
 
 def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Array) -> Simulated:
@@ -145,7 +156,7 @@ def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Arr
 
 
 def _plain_camera(session: TargetSession, given: Calibration | None) -> Camera:
-    """The camera that a closed form has to be content with."""
+    """The camera that the closed form uses."""
     return given.camera if given else estimate.calibrate(session.observations, session.width, session.height).camera
 
 
@@ -163,6 +174,8 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
             continue
         refined, park, stated = outcome.medians()
         below = "yes" if (refined <= AIM).all() else "no"
-        lines.append(f"| {outcome.variant.name} | {refined[0]:.3f} mm, {refined[1]:.4f}° | {park[0]:.3f} mm, {park[1]:.4f}° "
-                     f"| {stated[0]:.3f} mm, {stated[1]:.4f}° | {below} |")  # fmt: skip
+        lines.append(
+            f"| {outcome.variant.name} | {refined[0]:.3f} mm, {refined[1]:.4f}° | {park[0]:.3f} mm, {park[1]:.4f}° "
+            f"| {stated[0]:.3f} mm, {stated[1]:.4f}° | {below} |"
+        )
     return "\n".join(lines)

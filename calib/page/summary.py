@@ -1,29 +1,25 @@
-"""A calibration in words, for the person who made it."""
+"""A calibration as text for a terminal."""
 
 import numpy as np
 
-from calib.verify import Verification
+from calib.handeye.verify import Verification
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 
+POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
 _DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
 
 
 def describe_calibration(calibration: Calibration) -> str:
-    """Several lines: hand-eye and board with standard deviations, intrinsics, what the fit left."""
+    """Several lines: poses with standard deviations, intrinsics, residuals, notes."""
     lines = []
-    for title, value in (
-        ("flange_from_camera", calibration.flange_from_camera),
-        ("base_from_board", calibration.base_from_board),
-        ("base_from_camera", calibration.base_from_camera),
-        ("flange_from_board", calibration.flange_from_board),
-    ):
-        if value is not None:
+    for title in POSES:
+        if (value := getattr(calibration, title)) is not None:
             lines += _pose_lines(title, value)
     camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
     if offsets is not None:
         numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:5]
-        lines.append(f"joints 2 to 5       stand further by {', '.join(numbers)} deg")
+        lines.append(f"joints 2 to 5       offset by {', '.join(numbers)} deg")
     lines.append(f"camera              {camera.width}x{camera.height}")
     for name, std in calibration.camera_std.items():
         digits = _DIGITS.get(name, 5)
@@ -43,7 +39,7 @@ def describe_calibration(calibration: Calibration) -> str:
 
 
 def notes(calibration: Calibration) -> list[str]:
-    """What the person should know before using the calibration, a sentence each."""
+    """What a user should know before using the calibration, one sentence each."""
     residuals, found = calibration.residuals, []
     if residuals.get("views_unseen"):
         found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
@@ -51,38 +47,41 @@ def notes(calibration: Calibration) -> list[str]:
     for name in residuals.get("views_left_out", ()):
         found.append(f"view {name} is left out: {reasons.get(name, 'arm and picture disagree')}")
     if not residuals.get("settled", True):
-        found.append("the refinement had not settled; look for views that do not fit")
+        found.append("the refinement did not converge; look for views that do not fit")
     if residuals.get("coverage", 1.0) < 0.4:
-        found.append("corners cover little of the image; distortion is a guess elsewhere")
+        found.append("corners cover little of the image; distortion is not known elsewhere")
     if residuals.get("joints_not_shown"):
-        found.append(f"the views say nothing of the offset of joint {', '.join(map(str, residuals['joints_not_shown']))}")
+        found.append(f"the views do not determine the offset of joint {', '.join(map(str, residuals['joints_not_shown']))}")
     without = residuals.get("held_out_px_without_joint_offsets")
     if without is not None and residuals.get("held_out_px") is not None and not residuals["held_out_px"] < 0.98 * without:
-        found.append(f"joint offsets do not help on unseen views ({without:.3f} px without them): leave --joint-deg away")
+        found.append(f"joint offsets do not help on unseen views ({without:.3f} px without them): omit --joint-deg")
     stated = calibration.provenance.get("arm_accuracy_stated")
     if stated and residuals["arm_translation_mm"] > 3 * stated["translation_mm"]:
-        found.append(f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "
-                     f"({stated['translation_mm']:g} mm): check settling, time stamps and the arm's own calibration")  # fmt: skip
+        found.append(
+            f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "
+            f"({stated['translation_mm']:g} mm): check settling, time stamps and the arm's own calibration"
+        )
     return found
 
 
 def describe_verification(verification: Verification) -> str:
     """Two lines: the error, and the worst view."""
     worst = max(verification.view_rms_px, key=lambda name: verification.view_rms_px[name])
+    v = verification
     return (
-        f"predicted corners   {verification.rms_px:.3f} px = {verification.rms_mm:.3f} mm rms over {verification.corners} corners "
-        f"in {len(verification.view_rms_px)} views\nworst view          {worst}: {verification.view_rms_px[worst]:.3f} px"
+        f"predicted corners   {v.rms_px:.3f} px = {v.rms_mm:.3f} mm rms over {v.corners} corners in {len(v.view_rms_px)} views\n"
+        f"worst view          {worst}: {v.view_rms_px[worst]:.3f} px"
     )
 
 
 def _pose_lines(title: str, value: UncertainPose) -> list[str]:
     position = 1e3 * value.matrix[:3, 3]
     rotation = np.rad2deg(pose.rotation_vector(value.matrix))
+    translations = ", ".join(f"{p:.3f} ± {s:.3f}" for p, s in zip(position, value.translation_std_mm, strict=True))
+    deviations = ", ".join(f"± {s:.4f}" for s in value.rotation_std_deg)
     return [
-        f"{title}",
-        "  translation       "
-        + ", ".join(f"{p:.3f} ± {s:.3f}" for p, s in zip(position, value.translation_std_mm, strict=True))
-        + " mm",
-        "  rotation vector   " + ", ".join(f"{r:.4f}" for r in rotation) + " deg",
-        "  turned by         " + ", ".join(f"± {s:.4f}" for s in value.rotation_std_deg) + " deg about the first frame's x, y, z",
+        title,
+        f"  translation       {translations} mm",
+        f"  rotation vector   {', '.join(f'{r:.4f}' for r in rotation)} deg",
+        f"  uncertain by      {deviations} deg about the first frame's x, y, z",
     ]

@@ -2,6 +2,7 @@
 
 import base64
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
 
@@ -10,8 +11,9 @@ import pytest
 from PIL import Image
 
 from calib import calibrate
-from calib.page import report_page
-from calib.study import study
+from calib.page import report
+from calib.page.evidence import gather
+from calib.study import variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 from datasets.calibration import Calibration
@@ -19,20 +21,25 @@ from datasets.core.errors import UsageError
 from datasets.reports.html import Number
 
 
-def solved(given=None):
+def evidence_of(given=None):
+    """Of a session in which view 005 is 10 mm off and view 012 shows no target."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=study.ARM)
-    session = study.target_session(simulated)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=variants.ARM)
+    session = variants.target_session(simulated)
     reported = session.base_from_flange.copy()
     reported[5] = reported[5] @ pose.from_rotation_vector([0, 0, 0], [0.01, 0, 0])
-    session = study.TargetSession(session.board, 1920, 1080, session.observations, reported, unseen=("<b>012",))
-    solution = calibrate.solve(session, given, study.ARM)
-    return calibrate.finished(solution, study.ARM, given is not None), solution
+    session = replace(session, base_from_flange=reported, unseen=("<b>012",))
+    return gather(calibrate.calibrate_handeye(session, given, variants.ARM), session)
 
 
 @pytest.fixture(scope="module")
-def text():
-    return report_page.page(*solved(), made_by="calib report REC --out page.html").render()
+def evidence():
+    return evidence_of()
+
+
+@pytest.fixture(scope="module")
+def text(evidence):
+    return report.page(evidence, made_by="calib report FILE --out page.html").render()
 
 
 def pictures(text):
@@ -43,11 +50,11 @@ def test_page_needs_nothing_else(text):
     assert not re.search(r"<script[^>]*src|https?://|src=\"(?!data:)", text)
     HTMLParser().feed(text)
     assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 10
-    assert "calib report REC --out page.html" in text
+    assert "calib report FILE --out page.html" in text
 
 
-def test_numbers_have_their_uncertainty(text):
-    calibration, _ = solved()
+def test_numbers_have_their_uncertainty(text, evidence):
+    calibration = evidence.calibration
     value = calibration.flange_from_camera
     assert Number(1e3 * value.matrix[0, 3], "mm", value.translation_std_mm[0]).text in text
     assert f"± {calibration.camera_std['fx']:.2g}"[:4] in text
@@ -68,11 +75,17 @@ def test_words_and_names_are_there_and_escaped(text):
 
 
 def test_a_given_camera_is_not_cross_validated():
-    text = report_page.page(*solved(Calibration(KOALA.camera, {}))).render()
+    text = report.page(evidence_of(Calibration(KOALA.camera, {}))).render()
     assert "The camera was given" in text and len(pictures(text)) == 6
 
 
-def test_nothing_is_overwritten(tmp_path):
+def test_a_camera_alone_has_no_figures_of_an_arm(evidence):
+    calibration = replace(evidence.calibration, flange_from_camera=None, base_from_board=None)
+    text = report.page(gather(calibration, evidence.everything)).render()
+    assert "Rotations" not in text and "Uncertainty of" not in text and len(pictures(text)) == 4
+
+
+def test_nothing_is_overwritten(tmp_path, evidence):
     (tmp_path / "page.html").write_text("mine")
     with pytest.raises(UsageError, match="already exists"):
-        report_page.write(tmp_path / "page.html", *solved())
+        report.write(tmp_path / "page.html", evidence)

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from calib.errors import TargetError
-from calib.session import describe, grey, observe, observe_recording
+from calib.handeye import model
+from calib.handeye.model import Accuracy
+from calib.sessions.session import describe, grey, observe, observe_recording
 from datasets.core.errors import UsageError
 from datasets.imaging import images
 
@@ -25,7 +27,7 @@ def test_corners_are_laid_out_by_view(recorded):
     session = observe_recording(recorded[0])
     chosen = session.chosen(np.arange(11) % 2 == 0)
     assert [o.name for o in chosen.observations] == ["000", "002", "004", "006", "008", "010"]
-    measured = chosen.measured(("fx",), {}, accuracy=None)
+    measured = model.measured(chosen, ("fx",), None, Accuracy())
     counts = [len(o.ids) for o in chosen.observations]
     assert np.bincount(measured.view).tolist() == counts
     np.testing.assert_array_equal(measured.pixels[measured.view == 3], chosen.observations[3].pixels)

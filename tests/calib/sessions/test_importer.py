@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from calib import importer
 from calib.calibrate import calibrate_handeye
 from calib.errors import CalibrationError
+from calib.sessions import importer
 from datasets import pose
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 
@@ -145,11 +145,15 @@ def test_what_is_missing_is_named(folder):
 
 
 def test_descriptions_are_checked(tmp_path):
-    (tmp_path / "import.yaml").write_text("images: a.png\nposes: b.csv\nlayout: matrix\nboard: {}\n")
+    board = f"board: {json.dumps(BOARD)}\n"
+    (tmp_path / "import.yaml").write_text("images: a.png\nposes: b.csv\nlayout: matrix\n" + board)
     with pytest.raises(UsageError, match="exactly one"):
         importer.load_description(tmp_path)
-    (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrx\nboard: {}\n")
+    (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrx\n" + board)
     with pytest.raises(UsageError, match="layout"):
+        importer.load_description(tmp_path)
+    (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrix\nboard: {type: charuco, squares_x: 9}\n")
+    with pytest.raises(UsageError, match=r"line 4: key 'board\.squares_y' is missing"):
         importer.load_description(tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""How well a calibration predicts pictures that it was not made from. A small residual of the fit proves nothing of the kind."""
+"""How well a calibration predicts pictures that it was not made from. A small residual of the fit does not show that."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,23 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms
+from calib.handeye import closed_forms, model
 from calib.handeye.model import Accuracy, Session, State, camera_points, predict
 from calib.handeye.refine import Refined, fit_board, refine
 from calib.intrinsics import estimate, projection
-from calib.session import TargetSession
+from calib.sessions.session import TargetSession
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 
 Array = NDArray[np.float64]
 FOLDS = 5
-"""Parts into which a session is divided to be predicted by the rest."""
+"""Parts into which a session is divided; each is predicted from the rest."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """How well a calibration predicts a session whose arm poses are taken as reported; the board's place alone is fitted."""
+    """Errors of a calibration on a session, with arm poses as reported. Only the pose of the board is fitted."""
 
     rms_px: float
     """Between seen and predicted corner [px]."""
@@ -33,12 +33,15 @@ class Verification:
     """By name of the view [px]."""
     corners: int
     """Corners compared."""
-    base_from_board: Array
+    stand: str
+    """What carries the board: "base" or "flange"."""
+    stand_from_board: Array
     """(4, 4) as fitted."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary."""
-        return {**vars(self), "views": len(self.view_rms_px), "base_from_board": self.base_from_board.tolist()}
+        numbers = {k: v for k, v in vars(self).items() if not k.startswith("stand")}
+        return {**numbers, f"{self.stand}_from_board": self.stand_from_board.tolist(), "views": len(self.view_rms_px)}
 
 
 def verify(session: TargetSession, calibration: Calibration) -> Verification:
@@ -52,18 +55,18 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
         raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     check_size(session, calibration.camera)
     session = _with_joints_corrected(session, calibration)
-    camera, flange_from_camera = calibration.camera, mount.matrix
+    camera, stand = calibration.camera, "flange" if session.eye_to_hand else "base"
     boards = estimate.camera_from_boards(camera, session.observations)
-    board = closed_forms.assess(session.mount_poses, boards, flange_from_camera, "given").base_from_board
-    measured = session.measured(projection.NAMES, None, Accuracy(), camera.fisheye)
-    state = fit_board(measured, State(projection.vector(camera), flange_from_camera, board, np.zeros((len(boards), 6))))
+    board = closed_forms.assess(session.stand_from_mount, boards, mount.matrix, "given").stand_from_board
+    measured = model.measured(session, projection.NAMES, None, Accuracy(), camera.fisheye)
+    state = fit_board(measured, State(projection.vector(camera), mount.matrix, board, np.zeros((len(boards), 6))))
     residuals, millimetres = errors(measured, state)
     by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}
-    return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), state.base_from_board)
+    return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), stand, state.stand_from_board)
 
 
 def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> TargetSession:
-    """The session with the flange where the calibration's joint offsets say that it was."""
+    """The session with flange poses corrected by the joint offsets of the calibration."""
     if calibration.joint_offsets is None:
         return session
     if session.joints is None:
@@ -72,10 +75,10 @@ def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> 
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
-    """Error on views that the refinement has not seen, in up to five folds: `held_out_px`, `held_out_mm`.
+    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`.
 
-    The arm's poses are taken as reported, so that the figures hold what the arm adds: they are what a reconstruction
-    will meet. None where a fold could not be fitted.
+    The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction. They
+    are None if a fold could not be fitted.
     """
     views = len(session.base_from_flange)
     folds = min(FOLDS, views)
@@ -101,9 +104,12 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
 def check_size(session: TargetSession, camera: Camera) -> None:
     """Raise UsageError where `camera` is for images of another size than those of `session`."""
     if (camera.width, camera.height) != (session.width, session.height):
-        raise UsageError("calibration is for images of another size", where=session.provenance.get("recording", ""),
-                     why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
-                     remedy="calibrate with the camera setting of the recording")  # fmt: skip
+        raise UsageError(
+            "calibration is for images of another size",
+            where=session.provenance.get("recording", ""),
+            why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
+            remedy="calibrate with the camera setting of the recording",
+        )
 
 
 def rms(vectors: Array) -> float:

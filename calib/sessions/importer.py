@@ -1,17 +1,17 @@
-"""Sessions that other programs recorded: a folder of images and the arm's poses in CSV, YAML or JSON.
+"""Sessions that other programs recorded: a folder of images with the arm's poses in CSV, YAML or JSON.
 
-A description says how they are written; by default it is `import.yaml` in the folder itself:
+A description states the conventions. By default it is `import.yaml` in the folder:
 
     format: koala-import
     version: 1
-    images: "image-*.png"            # what * stands for names the view
+    images: "image-*.png"            # the part matched by * is the name of the view
     poses: "pose-*.yaml"             # a file for each image, or one file for all
     key: data                        # where in a YAML or JSON file; a.b for b inside a
     layout: x y z rx ry rz           # or: x y z qw qx qy qz; x y z qx qy qz qw; matrix; matrix by columns
     board: {type: chessboard, squares_x: 10, squares_y: 7, square_length_m: 0.0236}
 
-One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), or a YAML
-or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
+One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), a
+YAML or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
 """
 
 import csv
@@ -24,21 +24,22 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+import configs
 from calib.errors import CalibrationError
-from calib.session import TargetSession, observe
-from calib.targets.target import Board
+from calib.sessions.session import TargetSession, observe, observe_recording
+from calib.targets.detection import check_markers
 from datasets import conventions, pose
+from datasets.board import Board
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.core.schema import Schema, load_yaml
+from datasets.recording import MANIFEST, Recording
 
 Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-LAYOUTS = {
-    "x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16,
-}  # fmt: skip
+LAYOUTS = {"x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16}
 """How many numbers each layout has; a matrix may also be given by its upper three rows."""
 
 
@@ -86,7 +87,7 @@ class Description(Schema):
     angle: Literal["rad", "deg"] = Field(default="rad", description="unit of rotation vectors")
     inverse: bool = Field(default=False, description="true where the poses are flange_from_base; else base_from_flange")
     eye_to_hand: bool = Field(default=False, description="true where the camera stands beside the arm and holds still")
-    board: dict[str, Any] = Field(description="the target: type, squares_x, squares_y, square_length_m, ...")
+    board: Board = Field(description="the target: type, squares_x, squares_y, square_length_m, ...")
     camera: CameraNumbers | None = Field(default=None, description="a camera calibrated elsewhere; null: estimated along")
 
     @model_validator(mode="after")
@@ -103,7 +104,39 @@ def describes(folder: Path, description: Path | None) -> bool:
 
 def load_description(folder: Path, description: Path | None = None) -> Description:
     """The description in `description`, or in the folder itself. Raises UsageError where it is missing or wrong."""
-    return load_yaml(description or Path(folder) / DESCRIPTION, Description)
+    return load_yaml(Path(folder) / DESCRIPTION if description is None else configs.find("imports", description), Description)
+
+
+def observe_folder(
+    folder: Path, description: Path | None = None, *, seen: Callable[[str], None] = lambda words: None
+) -> tuple[TargetSession, Camera | None]:
+    """Find the target in a recording or in a folder to import, and the camera that the import brings.
+
+    Raises:
+        UsageError: the folder is neither.
+        KoalaError: what `observe_recording` and `import_session` raise.
+    """
+    imported = _imported(folder, description)
+    if imported is None:
+        return observe_recording(folder, seen=seen), None
+    return import_session(folder, imported, seen=seen), imported.camera.camera() if imported.camera else None
+
+
+def count_views(folder: Path, description: Path | None = None) -> int:
+    """Number of images that `observe_folder` searches."""
+    imported = _imported(folder, description)
+    return len(Recording.open(folder).frames) if imported is None else len(matching(folder, imported.images))
+
+
+def _imported(folder: Path, description: Path | None) -> Description | None:
+    """How to read a folder to import; None for a recording."""
+    if describes(folder, description):
+        return load_description(folder, description)
+    if folder.is_dir() and not (folder / MANIFEST).is_file():
+        why = f"it has neither {MANIFEST} nor {DESCRIPTION}"
+        remedy = "describe images and poses in a file, see docs/calibration.md, and give it as --import"
+        raise UsageError("is neither a recording nor a folder to import", where=folder, why=why, remedy=remedy)
+    return None
 
 
 def import_session(folder: Path, description: Description, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
@@ -115,7 +148,7 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
         TargetError: the target is in no image.
     """
     folder = Path(folder)
-    board = Board.from_json(description.board, where="description, board")
+    board = check_markers(description.board, where="description, board")
     images = matching(folder, description.images)
     if not images:
         raise UsageError(
@@ -125,8 +158,11 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
     views = [
         (name, path, as_pose(numbers[name], description, where=f"{folder}, pose of view {name}")) for name, path in images.items()
     ]
-    provenance = {"folder": str(folder.resolve()), "board": board.to_json(),
-                  "frames_sha256": "+".join(files.sha256(path)[:12] for path in images.values())}  # fmt: skip
+    provenance = {
+        "folder": str(folder.resolve()),
+        "board": board.to_json(),
+        "frames_sha256": "+".join(files.sha256(path)[:12] for path in images.values()),
+    }
     return observe(board, views, provenance=provenance, seen=seen, eye_to_hand=description.eye_to_hand)
 
 
@@ -156,8 +192,12 @@ def _numbers(folder: Path, description: Description, images: dict[str, Path]) ->
         found = {by_file.get(Path(name).name, name): values for name, values in found.items()}
     missing = [name for name in images if name not in found]
     if missing:
-        raise UsageError("images without a pose", where=folder, why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
-                     remedy=f"correct 'poses' ({description.poses})")  # fmt: skip
+        raise UsageError(
+            "images without a pose",
+            where=folder,
+            why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
+            remedy=f"correct 'poses' ({description.poses})",
+        )
     result = {}
     for name in images:
         try:
@@ -195,8 +235,12 @@ def _table(content: Any, path: Path) -> dict[str, Any]:
     try:
         return {str(entry["image"]): entry["pose"] for entry in content}
     except (TypeError, KeyError) as error:
-        raise DatasetError("is no list of poses", where=path, why=f"{type(error).__name__} {error}",
-                           remedy="write entries {image: NAME, pose: [...]}") from None  # fmt: skip
+        raise DatasetError(
+            "is no list of poses",
+            where=path,
+            why=f"{type(error).__name__} {error}",
+            remedy="write entries {image: NAME, pose: [...]}",
+        ) from None
 
 
 def _csv(path: Path, description: Description) -> dict[str, list[str]]:
@@ -233,8 +277,12 @@ def as_pose(numbers: Sequence[float], description: Description, *, where: object
     matrix = matrix.copy()
     matrix[:3, 3] *= unit
     if np.abs(matrix[:3, 3]).max() > 20:
-        raise CalibrationError("arm's position is not credible", where=where, why=f"{np.abs(matrix[:3, 3]).max():.4g} m from its base",
-                               remedy="millimetres? then say length: mm")  # fmt: skip
+        raise CalibrationError(
+            "arm's position is not credible",
+            where=where,
+            why=f"{np.abs(matrix[:3, 3]).max():.4g} m from its base",
+            remedy="millimetres? then say length: mm",
+        )
     return pose.inverse(matrix) if description.inverse else matrix
 
 
@@ -242,13 +290,21 @@ def _from_vector(values: Array, description: Description, where: object) -> Arra
     if description.layout == "x y z rx ry rz":
         turn = np.deg2rad(values[3:]) if description.angle == "deg" else values[3:]
         if np.linalg.norm(turn) > 2 * np.pi + 1e-6:
-            raise CalibrationError("rotation vector is longer than a full turn", where=where, why=f"{np.linalg.norm(turn):.4g} rad",
-                                   remedy="degrees? then say angle: deg")  # fmt: skip
+            raise CalibrationError(
+                "rotation vector is longer than a full turn",
+                where=where,
+                why=f"{np.linalg.norm(turn):.4g} rad",
+                remedy="degrees? then say angle: deg",
+            )
         return pose.from_rotation_vector(turn, values[:3])
     quaternion = values[3:] if description.layout.endswith("qz") else np.roll(values[3:], 1)
     if abs(np.linalg.norm(quaternion) - 1) > 1e-2:
-        raise CalibrationError("quaternion is not of unit length", where=where, why=f"its length is {np.linalg.norm(quaternion):.4g}",
-                               remedy="check layout and file")  # fmt: skip
+        raise CalibrationError(
+            "quaternion is not of unit length",
+            where=where,
+            why=f"its length is {np.linalg.norm(quaternion):.4g}",
+            remedy="check layout and file",
+        )
     return pose.from_quaternion(quaternion, values[:3])
 
 

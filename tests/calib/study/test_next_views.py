@@ -5,38 +5,39 @@ import pytest
 
 from calib import calibrate
 from calib.errors import CalibrationError
-from calib.study import advice, study
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from calib.targets.target import Board
 from datasets import pose
+from datasets.board import Board
 
-RIG = replace(KOALA, board=Board("charuco", 12, 9, 0.03, 0.022))
+RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 
 
 @pytest.fixture(scope="module")
 def solved():
     """(simulated, solution) of a session with weak tilts."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, RIG, viewpoints(rng, RIG, 10, Pattern((5.0, 18.0))), sigma_px=0.1, arm=study.ARM)
-    return simulated, calibrate.solve(study.target_session(simulated), accuracy=study.ARM)
+    simulated = simulate(rng, RIG, viewpoints(rng, RIG, 10, Pattern((5.0, 18.0))), sigma_px=0.1, arm=variants.ARM)
+    return simulated, calibrate.solve(variants.target_session(simulated), accuracy=variants.ARM)
 
 
 def test_advised_views_bring_what_they_promise(solved):
     simulated, solution = solved
-    found = advice.advise(solution, 5, grow_m=0.2)
+    found = next_views.plan(solution, 5, grow_m=0.2)
     spread = [a[0] for a in found.after]
     assert spread == sorted(spread, reverse=True) and found.after[-1][0] < 0.75 * found.before[0]
     # taken for real they leave the uncertainty that was promised: the estimated arm accuracy changes a little
     rng = np.random.default_rng(1)
     both = np.concatenate([simulated.base_from_camera, found.base_from_camera])
-    again = calibrate.solve(study.target_session(simulate(rng, RIG, both, sigma_px=0.1, arm=study.ARM)), accuracy=study.ARM)
-    now = advice._deviations(again.fit.refined.information, again.fit.refined.state)
+    again = calibrate.solve(
+        variants.target_session(simulate(rng, RIG, both, sigma_px=0.1, arm=variants.ARM)), accuracy=variants.ARM
+    )
+    now = next_views._deviations(again.fit.refined.information, again.fit.refined.state)
     assert now[0] == pytest.approx(found.after[-1][0], rel=0.3)
 
 
 def test_advised_views_beat_as_many_at_random(solved):
     _, solution = solved
-    found = advice.advise(solution, 3, grow_m=0.2)
+    found = next_views.plan(solution, 3, grow_m=0.2)
     fit = solution.fit
     camera = solution.first.camera
     rig = replace(RIG, camera=camera)
@@ -44,15 +45,15 @@ def test_advised_views_beat_as_many_at_random(solved):
     drawn = []
     for _ in range(20):
         views = viewpoints(rng, rig, 3, Pattern((0.0, 50.0)))
-        informations = [advice._information(view, rig, fit.measured, fit.refined) for view in views]
+        informations = [next_views._information(view, rig, fit.measured, fit.refined) for view in views]
         total = fit.refined.information + sum(i for i in informations if i is not None)
-        drawn.append(advice._deviations(total, fit.refined.state)[0])
+        drawn.append(next_views._deviations(total, fit.refined.state)[0])
     assert found.after[-1][0] <= min(drawn)
 
 
 def test_advised_views_are_within_reach_and_show_the_board(solved):
     simulated, solution = solved
-    found = advice.advise(solution, 4, grow_m=0.1)
+    found = next_views.plan(solution, 4, grow_m=0.1)
     flown = simulated.base_from_camera[:, :3, 3]
     places = found.base_from_camera[:, :3, 3]
     assert (places >= flown.min(0) - 0.1 - 1e-3).all() and (places <= flown.max(0) + 0.1 + 1e-3).all()
@@ -66,19 +67,24 @@ def test_advised_views_are_within_reach_and_show_the_board(solved):
 
 def test_nowhere_to_go_is_said(solved):
     _, solution = solved
-    nowhere = advice.Reach(np.array([5.0, 5.0, 5.0]), np.array([5.1, 5.1, 5.1]))
+    nowhere = next_views.Reach(np.array([5.0, 5.0, 5.0]), np.array([5.1, 5.1, 5.1]))
     with pytest.raises(CalibrationError, match="no view within reach"):
-        advice.advise(solution, 2, reach=nowhere)
+        next_views.plan(solution, 2, reach=nowhere)
 
 
 def test_trajectory_is_one_that_capture_reads(solved, tmp_path):
     from capture.trajectory import load_trajectory
 
     _, solution = solved
-    found = advice.advise(solution, 3, grow_m=0.1)
-    manifest = {"trajectory": {"name": "session", "target": {"kind": "charuco", "squares_x": 12, "squares_y": 9, "square_length_m": 0.03,
-                "marker_length_m": 0.022}, "camera": {"exposure_us": 9000.0}}}  # fmt: skip
-    advice.write_trajectory(tmp_path / "next.yaml", found, manifest)
+    found = next_views.plan(solution, 3, grow_m=0.1)
+    manifest = {
+        "trajectory": {
+            "name": "session",
+            "target": {"kind": "charuco", "squares_x": 12, "squares_y": 9, "square_length_m": 0.03, "marker_length_m": 0.022},
+            "camera": {"exposure_us": 9000.0},
+        }
+    }
+    next_views.write_trajectory(tmp_path / "next.yaml", found, manifest)
     trajectory = load_trajectory(tmp_path / "next.yaml")
     assert trajectory.camera.exposure_us == 9000
     views = trajectory.viewpoints()

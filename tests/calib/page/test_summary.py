@@ -2,25 +2,35 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.page import words
-from calib.verify import Verification
+from calib.handeye.verify import Verification
+from calib.page import summary
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
 
 RESIDUALS = {
-    "rms_px": 0.1, "held_out_px": 0.2, "held_out_mm": 0.15, "corners": 900, "views_used": 20, "coverage": 0.5,
-    "views_unseen": [], "views_left_out": [], "arm_translation_mm": 0.05, "arm_rotation_deg": 0.01,
-}  # fmt: skip
+    "rms_px": 0.1,
+    "held_out_px": 0.2,
+    "held_out_mm": 0.15,
+    "corners": 900,
+    "views_used": 20,
+    "coverage": 0.5,
+    "views_unseen": [],
+    "views_left_out": [],
+    "arm_translation_mm": 0.05,
+    "arm_rotation_deg": 0.01,
+}
 CALIBRATION = Calibration(
-    Camera(640, 480, 600.0, 601.0, 320.0, 240.0, -0.1), {"fx": 0.5, "fy": 0.5, "cx": 0.2, "cy": 0.2, "k1": 0.001},
+    Camera(640, 480, 600.0, 601.0, 320.0, 240.0, -0.1),
+    {"fx": 0.5, "fy": 0.5, "cx": 0.2, "cy": 0.2, "k1": 0.001},
     UncertainPose(pose.from_rotation_vector([0, 0, np.pi / 2], [0.01, 0, 0]), np.diag([1e-10] * 3 + [0.0] * 3)),
-    residuals=RESIDUALS, provenance={"arm_accuracy_stated": {"translation_mm": 0.05, "rotation_deg": 0.01}},
-)  # fmt: skip
+    residuals=RESIDUALS,
+    provenance={"arm_accuracy_stated": {"translation_mm": 0.05, "rotation_deg": 0.01}},
+)
 
 
 def test_summary_has_values_with_deviations_and_units():
-    text = words.describe_calibration(CALIBRATION)
+    text = summary.describe_calibration(CALIBRATION)
     assert "10.000 ± 0.010, 0.000 ± 0.010, 0.000 ± 0.010 mm" in text
     assert "0.0000, 0.0000, 90.0000 deg" in text
     assert "600.00 ± 0.50 px" in text and "-0.10000 ± 0.00100" in text
@@ -29,7 +39,7 @@ def test_summary_has_values_with_deviations_and_units():
 
 def test_intrinsics_alone_need_no_arm():
     residuals = {k: v for k, v in RESIDUALS.items() if not k.startswith("arm") and k != "held_out_mm"}
-    text = words.describe_calibration(replace(CALIBRATION, flange_from_camera=None, residuals=residuals, provenance={}))
+    text = summary.describe_calibration(replace(CALIBRATION, flange_from_camera=None, residuals=residuals, provenance={}))
     assert "arm errors" not in text and "0.200 px" in text
 
 
@@ -42,11 +52,11 @@ def test_notes_name_what_a_person_should_look_at():
         "arm_translation_mm": 1.0,
         "settled": False,
     }
-    text = "\n".join(words.notes(replace(CALIBRATION, residuals=residuals)))
+    text = "\n".join(summary.notes(replace(CALIBRATION, residuals=residuals)))
     assert "view 003" in text and "view 007" in text and "little of the image" in text and "20 times less accurate" in text
-    assert "had not settled" in text
+    assert "did not converge" in text
 
 
 def test_verification_names_the_worst_view():
-    text = words.describe_verification(Verification(0.3, 0.2, {"000": 0.1, "001": 0.5}, 80, np.eye(4)))
+    text = summary.describe_verification(Verification(0.3, 0.2, {"000": 0.1, "001": 0.5}, 80, "base", np.eye(4)))
     assert "0.300 px = 0.200 mm" in text and "001: 0.500 px" in text

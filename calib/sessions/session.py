@@ -1,4 +1,4 @@
-"""From a recording to what calibration works on: corners per view, the arm's word per view, and where they came from."""
+"""Target sessions: the corners of each view, the pose that the arm reported, and the provenance of both."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import TargetError
-from calib.handeye.model import Accuracy, Known, Session
-from calib.targets.target import Board, Observation
+from calib.targets.detection import Observation, detect, read_board
 from datasets import pose
+from datasets.board import Board
 from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import FRAMES, MANIFEST, Recording
@@ -36,10 +36,12 @@ class TargetSession:
     """Whether the camera stands beside the arm and the target is on the flange."""
     joints: NDArray[np.float64] | None = None
     """(views, 6) joint angles as reported [rad], where the session holds them."""
+    images: dict[str, Path] = field(default_factory=dict)
+    """By name of the view, where there are any."""
 
     @property
-    def mount_poses(self) -> NDArray[np.float64]:
-        """(views, 4, 4) of what carries the camera, from what carries the board: base_from_flange or, beside the arm, its inverse."""
+    def stand_from_mount(self) -> NDArray[np.float64]:
+        """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; see `calib.handeye.model`."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
     def chosen(self, keep: NDArray[np.bool_]) -> Self:
@@ -52,14 +54,6 @@ class TargetSession:
         rows = [names.index(o.name) for o in observations]
         joints = None if self.joints is None else self.joints[rows]
         return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows], joints=joints)
-
-    def measured(self, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False) -> Session:
-        """All corners in one list, for the refinement."""
-        counts = [len(o.ids) for o in self.observations]
-        return Session(
-            self.base_from_flange, np.repeat(np.arange(len(counts)), counts), np.concatenate([o.pixels for o in self.observations]),
-            np.concatenate([o.points for o in self.observations]), tuple(free), known, accuracy, fisheye, self.eye_to_hand, self.joints,
-        )  # fmt: skip
 
 
 def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -92,10 +86,13 @@ def observe(
         picture = grey(images.read(image))
         size = size or picture.shape
         if picture.shape != size:
-            raise TargetError("image has another size than the first", where=image,
-                              why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
-                              remedy="record a session with one camera setting")  # fmt: skip
-        observation = board.detect(picture, name)
+            raise TargetError(
+                "image has another size than the first",
+                where=image,
+                why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
+                remedy="record a session with one camera setting",
+            )
+        observation = detect(board, picture, name)
         if observation is None:
             unseen.append(name)
         else:
@@ -103,17 +100,16 @@ def observe(
             poses.append(base_from_flange)
         seen(f"view {name}: {0 if observation is None else len(observation.ids)} corners")
     if size is None or not observations:
-        raise TargetError("calibration target is not in any view", why=f"{len(views)} views searched for {describe(board)}",
-                          remedy="check the board's description and the exposure")  # fmt: skip
-    return TargetSession(
-        board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {}, eye_to_hand
-    )
+        why, remedy = f"{len(views)} views searched for {describe(board)}", "check the board's description and the exposure"
+        raise TargetError("calibration target is not in any view", why=why, remedy=remedy)
+    found = TargetSession(board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {})
+    return replace(found, eye_to_hand=eye_to_hand, images={name: image for name, image, _ in views})
 
 
 def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
     """Find the target of a recording in its frames. Nothing under its truth folder is read."""
     recording = Recording.open(path)
-    board = Board.from_json(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
+    board = read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
     views = [
         (f.name, files.inside(recording.path, f.image, where=f"{path}, frame {f.name}"), f.base_from_flange)
         for f in recording.frames
@@ -121,9 +117,11 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
     provenance = {
-        "recording": str(Path(path).resolve()), "frames_sha256": files.sha256(Path(path) / FRAMES), "board": board.to_json(),
+        "recording": str(Path(path).resolve()),
+        "frames_sha256": files.sha256(Path(path) / FRAMES),
+        "board": board.to_json(),
         "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},
-    }  # fmt: skip
+    }
     session = observe(board, views, provenance=provenance, seen=seen)
     joints = {frame.name: frame.joints for frame in recording.frames}
     return replace(session, joints=np.stack([joints[o.name] for o in session.observations]))
@@ -131,4 +129,4 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
 
 def describe(board: Board) -> str:
     """A few words on a board."""
-    return f"a {board.squares_x}x{board.squares_y} {board.type} board with squares of {1e3 * board.square_length_m:g} mm"
+    return f"a {board.squares_x}x{board.squares_y} {board.kind} board with squares of {1e3 * board.square_length_m:g} mm"

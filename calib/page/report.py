@@ -1,0 +1,117 @@
+"""A stored calibration as one HTML page that needs nothing else: numbers with their uncertainty, figures, views left out."""
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors import CalibrationError
+from calib.intrinsics import crossval, estimate
+from calib.page import figures
+from calib.page.evidence import Evidence
+from calib.page.summary import POSES, notes
+from datasets import pose
+from datasets.calibration import Calibration, UncertainPose
+from datasets.reports.html import Number, ReportPage
+
+CENTRE = {"fx": "focal length", "fy": "focal length", "cx": "principal point", "cy": "principal point"}
+MEANINGS = {
+    "rms_px": "root mean square of the residuals of the views that the calibration was made from",
+    "held_out_px": "the same for views predicted from the others: the error to expect in a reconstruction",
+    "held_out_mm": "the same at the target, across the line of sight",
+    "arm_translation_mm": "estimated error of the arm's reports, per axis",
+    "arm_rotation_deg": "the same for rotation",
+}
+"""Of the numbers at the head of the page."""
+
+
+def write(path: Path, evidence: Evidence, *, made_by: str = "") -> None:
+    """Write the page to `path`; `made_by` is the command. Raises UsageError where something is there already."""
+    page(evidence, made_by=made_by).write(path)
+
+
+def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
+    """The page."""
+    calibration, residuals = evidence.calibration, evidence.calibration.residuals
+    report = ReportPage("Calibration", made_by=[made_by] if made_by else [])
+    units = {name: "px" if name.endswith("_px") else "mm" if name.endswith("_mm") else "°" for name in MEANINGS}
+    known = {name: Number(residuals[name], units[name]) for name in MEANINGS if residuals.get(name) is not None}
+    headings = {"held_out_px": "on unseen views", "held_out_mm": "the same at the target", "rms_px": "residual"}
+    views = f"{residuals['views_used']} views, {residuals['corners']} corners in {residuals['coverage']:.0%} of the image"
+    report.headline([(words, known[name]) for name, words in headings.items() if name in known], views)
+    report.section("Result")
+    poses = {name: value for name in POSES if (value := getattr(calibration, name)) is not None}
+    for name, value in poses.items():
+        _pose(report, name, value)
+    _camera(report, calibration)
+    report.heading("residuals")
+    report.numbers((name.rsplit("_", 1)[0].replace("_", " "), value, MEANINGS[name]) for name, value in known.items())
+    if found := [*notes(calibration), *evidence.notes]:
+        report.items(f"warning: {note}" for note in found)
+    report.section("Views left out")
+    if evidence.left_out:
+        report.table(("view", "why"), list(evidence.left_out.items()))
+    else:
+        report.paragraph("None.")
+    _figures(report, evidence)
+    for name, value in poses.items():
+        report.section(f"Uncertainty of {name}")
+        report.picture(figures.ellipses(name, value), f"Uncertainty of {name}")
+    _cross_validation(report, evidence)
+    return report
+
+
+def _pose(report: ReportPage, name: str, value: UncertainPose) -> None:
+    """Position and rotation vector, each with its standard deviation per axis."""
+    position, turn = 1e3 * value.matrix[:3, 3], np.rad2deg(pose.rotation_vector(value.matrix))
+    meaning = "rotation vector; standard deviation about the first frame's axis"
+    positions = zip("xyz", position, value.translation_std_mm, strict=True)
+    turns = zip("xyz", turn, value.rotation_std_deg, strict=True)
+    rows = [(axis, Number(float(p), "mm", float(std)), "position") for axis, p, std in positions]
+    rows += [(f"rotation about {axis}", Number(float(r), "°", float(std)), meaning) for axis, r, std in turns]
+    report.heading(name)
+    report.numbers(rows)
+
+
+def _camera(report: ReportPage, calibration: Calibration) -> None:
+    camera, offsets = calibration.camera, calibration.joint_offsets
+    report.heading(f"camera, {camera.width}×{camera.height} px")
+    report.numbers(
+        (name, Number(getattr(camera, name), "px" if name in CENTRE else "", std), CENTRE.get(name, "distortion"))
+        for name, std in calibration.camera_std.items()
+    )
+    if offsets is not None:
+        found = [Number(float(o), "°", float(s)) for o, s in zip(*np.rad2deg([offsets.offsets, offsets.std]), strict=True)]
+        report.heading("joint offsets: true angle minus reported angle")
+        report.numbers((f"joint {i + 1}", found[i], "") for i in range(1, 5))
+
+
+def _figures(report: ReportPage, evidence: Evidence) -> None:
+    def add(title: str, words: str, png: bytes) -> None:
+        report.section(title, words)
+        report.picture(png, title)
+
+    words = "Arrows that point the same way in one region show that the lens model does not fit there."
+    add("Residuals over the image", words, figures.residual_vectors(evidence, evidence.kind))
+    words = "A view that stands out was blurred, taken in motion, or mixes two exposures."
+    add("Views", words, figures.view_errors(evidence))
+    words = "Distortion is known where corners were seen; the principal point needs tilts in all directions."
+    add("Coverage", words, figures.coverage(evidence))
+    if evidence.corrections is not None:
+        words = "Rotations about at least two axes are needed; the wider the points spread, the better."
+        add("Rotations", words, figures.rotations(evidence))
+
+
+def _cross_validation(report: ReportPage, evidence: Evidence) -> None:
+    """The map of differences between two halves of the views; a sentence where a half is not enough."""
+    title, calibration = "Two halves of the views", evidence.calibration
+    report.section(title, "Do not trust the calibration where cameras from two halves of the views disagree.")
+    if not calibration.camera_std:
+        return report.paragraph("The camera was given; nothing of it was estimated.")
+    lens = estimate.Lens(tuple(name for name in calibration.camera_std if name not in CENTRE), calibration.camera.fisheye)
+    observations = evidence.session.observations
+    boards = estimate.camera_from_boards(calibration.camera, observations)
+    try:
+        difference = crossval.cross_validate(calibration.camera, lens, observations, boards)
+    except CalibrationError as error:
+        return report.paragraph(str(error))
+    report.picture(figures.difference_map(difference, evidence), title)

@@ -1,0 +1,166 @@
+"""Finds a calibration target's corners in a picture: of ChArUco boards, chessboards and grids of tags, through OpenCV."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import TargetError
+from calib.targets import corners
+from datasets import conventions
+from datasets.board import Board
+from datasets.core.errors import UsageError, nearest
+from datasets.core.schema import validate
+
+MIN_CORNERS = 8
+"""A view of a checkered target with fewer corners is left out; of tags, one whole tag will do."""
+_SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+Found = tuple[NDArray[np.int64], NDArray[np.float32]] | None
+"""(n,) corner numbers and (n, 2) places in OpenCV's pixel coordinates; None: no target."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Corners of a target in one view."""
+
+    name: str
+    """Name of the view."""
+    ids: NDArray[np.int64]
+    """(n,) corner numbers."""
+    pixels: NDArray[np.float64]
+    """(n, 2) where they are seen, first pixel's centre at (0.5, 0.5) [px]."""
+    points: NDArray[np.float64]
+    """(n, 3) where they are on the board, board frame [m]."""
+
+
+def read_board(content: Any, *, where: object) -> Board:
+    """The board that a recording's manifest describes under `board`. Unknown keys are ignored. Raises TargetError."""
+    if not isinstance(content, dict):
+        remedy = "record a target session, for instance with --scene charuco_board"
+        raise TargetError("recording describes no calibration target", where=where, remedy=remedy)
+    known = {k: v for k, v in content.items() if k in (*Board.model_fields, "type") and v is not None}
+    try:
+        board = validate(known, Board, where=where)
+    except UsageError as error:
+        raise TargetError(error.what, where=error.where, why=error.why, remedy=error.remedy) from None
+    return check_markers(board, where=where)
+
+
+def check_markers(board: Board, *, where: object) -> Board:
+    """`board` as given. Raises TargetError if OpenCV lacks its marker dictionary, or the dictionary has too few markers."""
+    if board.kind == "chessboard":
+        return board
+    names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+    if board.dictionary not in names:
+        remedy = nearest(board.dictionary, names)
+        raise TargetError("unknown marker dictionary", where=where, why=repr(board.dictionary), remedy=remedy)
+    squares, available = board.squares_x * board.squares_y, len(dictionary_of(board).bytesList)
+    needed = board.first_id + squares if board.kind == "tags" else squares // 2
+    if needed > available:
+        why = f"{needed} markers are needed, {board.dictionary} has {available}"
+        raise TargetError("marker dictionary is too small", where=where, why=why, remedy="choose a larger dictionary")
+    return board
+
+
+def dictionary_of(board: Board) -> cv2.aruco.Dictionary:
+    """OpenCV's marker dictionary of a board."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+
+
+def detect(board: Board, grey: NDArray[np.float32], name: str) -> Observation | None:
+    """Find the target in a picture.
+
+    Args:
+        board: the target.
+        grey: (height, width) brightness, sRGB 0..1.
+        name: of the view.
+
+    Returns:
+        The corners, or None where fewer than `MIN_CORNERS` are seen or all of them lie on one line.
+    """
+    picture = np.ascontiguousarray(np.rint(np.clip(grey, 0, 1) * 255), np.uint8)
+    search = {"charuco": _charuco_corners, "chessboard": _chessboard_corners, "tags": _tag_corners}
+    found = search[board.kind](board, picture)
+    if found is None or len(found[0]) < (4 if board.kind == "tags" else MIN_CORNERS):
+        return None
+    ids, places = found
+    points = board.points[ids]
+    if np.linalg.matrix_rank(points - points.mean(0), tol=1e-9) < 2:
+        return None
+    if board.kind == "tags":
+        places = places.astype(np.float64)
+    else:
+        places = _refined(board, np.ascontiguousarray(grey, np.float32), ids, places)
+    return Observation(name, ids, conventions.pixels_from_opencv(places), points)
+
+
+def _tag_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    quads, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(board), parameters).detectMarkers(picture)
+    if ids is None:
+        return None
+    numbers = ids.ravel() - board.first_id
+    chosen = [i for i, n in enumerate(numbers) if 0 <= n < board.squares_x * board.squares_y]
+    if not chosen or len(set(numbers[chosen])) < len(chosen):
+        return None
+    chosen.sort(key=lambda i: numbers[i])
+    corner = (4 * numbers[chosen][:, None] + np.arange(4)).ravel().astype(np.int64)
+    return corner, np.concatenate([quads[i].reshape(4, 2) for i in chosen]).astype(np.float32)
+
+
+def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    size, lengths = (board.squares_x, board.squares_y), (board.square_length_m, board.marker_length_m)
+    pattern = cv2.aruco.CharucoBoard(size, *lengths, dictionary_of(board))
+    pattern.setLegacyPattern(board.legacy_pattern)
+    detector = cv2.aruco.CharucoDetector(pattern, cv2.aruco.CharucoParameters(), parameters)
+    places, ids, _, _ = detector.detectBoard(picture)
+    if ids is None or len(ids) == 0:
+        return None
+    return ids.reshape(-1).astype(np.int64), places.reshape(-1, 2).astype(np.float32)
+
+
+def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
+    columns, rows = board.squares_x - 1, board.squares_y - 1
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, places = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
+    if not found:
+        return None
+    places = places.reshape(rows, columns, 2).astype(np.float32)
+    if not board.is_ambiguous and not _first_square_is_dark(picture, places):
+        places = places[::-1, ::-1]
+    return np.arange(rows * columns, dtype=np.int64), np.ascontiguousarray(places.reshape(-1, 2))
+
+
+def _refined(board: Board, grey: NDArray[np.float32], ids: NDArray[np.int64], found: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(n, 2) corners to a few hundredths of a pixel: `cornerSubPix` brings them near, a fit of the picture there."""
+    points = board.points[ids, :2]
+    metres, pixels = np.linalg.norm(points[:, None] - points, axis=-1), np.linalg.norm(found[:, None] - found, axis=-1)
+    neighbours = (metres > 0) & (metres < 1.01 * board.square_length_m)
+    scale = np.percentile(pixels[neighbours] / metres[neighbours], 10) if neighbours.any() else 0.0
+    half = int(np.clip(0.8 * scale * _clear_m(board) / np.sqrt(2), 2, 10))
+    near = cv2.cornerSubPix(grey, found.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), _SUBPIXEL).reshape(-1, 2)
+    return corners.fit(grey, near.astype(np.float64), points, 0.9 * _clear_m(board))
+
+
+def _clear_m(board: Board) -> float:
+    """Radius around a corner in which only its own two edges are seen: to the nearest marker, or half a square [m]."""
+    margin = board.square_length_m - board.marker_length_m
+    return margin / np.sqrt(2) if board.kind == "charuco" else board.square_length_m / 2
+
+
+def _first_square_is_dark(picture: NDArray[np.uint8], places: NDArray[np.float32]) -> bool:
+    """Whether the square between the corners (0, 0) and (1, 1) is darker than its right neighbour.
+
+    That square touches the board's first one, which is dark, at a corner.
+    """
+
+    def brightness(row: int, column: int) -> float:
+        x, y = places[row : row + 2, column : column + 2].reshape(-1, 2).mean(0)
+        return float(cv2.getRectSubPix(picture, (3, 3), (float(x), float(y))).mean())
+
+    return brightness(0, 0) < brightness(0, 1)

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from datasets.board import Board
+from datasets.core.errors import UsageError
+from datasets.core.schema import validate
+
+CHARUCO = Board.of("charuco", 9, 6, 0.03, 0.022)
+
+
+def test_a_board_survives_its_description() -> None:
+    for board in (CHARUCO, Board.of("chessboard", 10, 7, 0.025), Board.of("tags", 4, 3, 0.04, 0.04, first_id=5)):
+        assert Board.model_validate(board.to_json()) == Board.model_validate(board.model_dump()) == board
+        assert board.to_json()["type"] == board.kind
+
+
+def test_inner_corners_are_numbered_row_by_row() -> None:
+    assert CHARUCO.points.shape == (8 * 5, 3)
+    np.testing.assert_allclose(CHARUCO.points[[0, 1, 8]], [[0.03, 0.03, 0], [0.06, 0.03, 0], [0.03, 0.06, 0]])
+
+
+def test_corners_of_a_tag_go_clockwise_from_the_upper_left_one() -> None:
+    tags = Board.of("tags", 2, 1, 0.05, 0.03)
+    np.testing.assert_allclose(tags.points[:4, :2], [[0.01, 0.01], [0.04, 0.01], [0.04, 0.04], [0.01, 0.04]])
+    np.testing.assert_allclose(tags.points[4], [0.06, 0.01, 0])
+
+
+def test_chessboards_with_both_numbers_even_or_odd_are_ambiguous() -> None:
+    found = [Board.of("chessboard", x, y, 0.03).is_ambiguous for x, y in ((9, 7), (8, 6), (9, 6))]
+    assert found == [True, True, False] and not Board.of("charuco", 9, 7, 0.03, 0.02).is_ambiguous
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "charucco"}, "'charuco', 'chessboard' or 'tags'"),
+        ({"squares_x": 2}, "2x6 squares are too few"),
+        ({"squares_x": "many"}, "squares_x.*'many'"),
+        ({"square_length_m": float("nan")}, "square_length_m"),
+        ({"marker_length_m": 0.03}, "marker_length_m 0.03 must be above 0 and smaller"),
+        ({"squares_z": 1}, "unknown key 'squares_z'.*did you mean 'squares_"),
+    ],
+)
+def test_impossible_boards_are_refused_in_one_line(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message) as error:
+        validate({**CHARUCO.model_dump(), **change}, Board, where="board.yaml")
+    assert "\n" not in str(error.value)
