@@ -25,7 +25,7 @@ Import = Annotated[
     Path | None,
     typer.Option(
         "--import",
-        help="How to read a folder of images and poses: a shipped description by name, or a YAML file. Default: import.yaml in it.",
+        help="Description of a folder of images and poses: a shipped name or a YAML file. Default: import.yaml in it.",
     ),
 ]
 Lens = Annotated[str, typer.Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
