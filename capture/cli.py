@@ -1,4 +1,4 @@
-"""The `capture` command: takes a robot and a camera along a trajectory, real or simulated."""
+"""The `capture` command: moves a robot and a camera along a trajectory, real or simulated."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,32 +14,59 @@ if TYPE_CHECKING:
     from capture.planning import PlannedView
     from capture.trajectory import Trajectory as Session
 
-app = console.make_app("capture", "Take a robot and a camera along a trajectory, real or simulated, and leave a recording.")
+app = console.make_app("capture", "Move a robot and a camera along a trajectory, real or simulated, and make a recording.")
 
-Trajectory = Annotated[Path, typer.Argument(metavar="TRAJECTORY.yaml", help="What to take; see configs/trajectories/.")]
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the trajectory: camera.binning=4.")
+Trajectory = Annotated[
+    Path, typer.Argument(metavar="TRAJECTORY", help="A trajectory: its name, as 'capture list' shows it, or a YAML file.")
 ]
-Recorded = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder that 'capture run' has left.")]
-Rig = Annotated[str, typer.Option(metavar="sim|RIG.yaml", help="The simulated rig, or the file that describes yours.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the trajectory: camera.binning=4.")
+]
+Recorded = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder that 'capture run' has written.")]
+Rig = Annotated[
+    str, typer.Option(metavar="RIG", help="'sim' for the simulated rig, the name of a rig ('capture list'), or a rig file.")
+]
+TimeScale = Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation only: speed of the arm relative to real time.")]
+
+
+@app.command("list")
+def list_command(as_json: console.Json = False) -> None:
+    """List the installed trajectories and rigs, and the scenes of the simulation."""
+    import configs
+    from capture.sim.laboratory.scenes import SCENES
+
+    found = {"trajectories": configs.shipped("trajectories"), "rigs": configs.shipped("rigs"), "scenes": SCENES}
+    width = max(len(name) for entries in found.values() for name in entries)
+    lines = []
+    for kind, entries in found.items():
+        lines += [f"{kind}:", *(f"  {name:{width}}  {description}" for name, description in entries.items())]
+    folder = str(Path(configs.__file__).parent)
+    console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
 
 
 @app.command("run")
 def run_command(
     trajectory: Trajectory,
-    out: Annotated[Path, typer.Option(metavar="RECORDING", help="Folder to write; new, or with --resume begun before.")],
+    out: Annotated[Path, typer.Option(metavar="RECORDING", help="New folder to write, or with --resume an existing one.")],
     rig: Rig = "sim",
-    scene: Annotated[str, typer.Option(help="Simulation: what to look at: gold_head, shiny_ball, lidar_guts, crystal_capture "
-                                            "or charuco_board. Default: what suits the trajectory.")] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Simulation: of everything random; the same seed is the same rig.")] = 0,
-    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation: arm faster than real time.")] = 20.0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a recording that was stopped.")] = False,
-    view: Annotated[bool, typer.Option("--view", help="Show it in the browser meanwhile: arm, newest frame, exposure, a stop button.")] = False,
+    scene: Annotated[
+        str,
+        typer.Option(
+            help="Simulation only: what to capture: gold_head, shiny_ball, lidar_guts, crystal_capture or charuco_board. "
+            "Default: a scene that fits the trajectory."
+        ),
+    ] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
+    time_scale: TimeScale = 20.0,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted recording.")] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show the session in the browser: arm, newest frame, exposure, a stop button.")
+    ] = False,
     port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
-) -> None:  # fmt: skip
-    """Record every view of a trajectory. Ctrl-C stops the arm and keeps what was taken; --resume goes on."""
+) -> None:
+    """Record every view of a trajectory. Ctrl-C stops the arm and keeps the frames; --resume continues."""
     import time
 
     from capture import trajectory as trajectories
@@ -47,13 +74,12 @@ def run_command(
     from capture.recording.recorder import record
     from capture.rig.opening import describe, open_rig, scene_for
     from datasets.core.errors import KoalaError
+    from datasets.core.files import refuse_existing
 
     session = trajectories.load_trajectory(trajectory, overrides=settings)
     scene = scene_for(rig, scene, session)
     mount = describe(rig).flange_from_camera.matrix()
     if not resume:
-        from datasets.core.files import refuse_existing
-
         refuse_existing(out)
     start = time.monotonic()
     planned = plan(session, mount)
@@ -73,10 +99,11 @@ def run_command(
                 taken = len(recording.frames)
     except KeyboardInterrupt:
         how = "by Ctrl-C or from the page" if view else "by Ctrl-C"
-        raise KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=_how_to_resume(out)) from None
+        remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
+        raise KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=remedy) from None
     seconds = time.monotonic() - start
-    console.report({"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": scene or None}, as_json=as_json,
-                   text=f"{out}: {taken} views in {seconds:.0f} s")  # fmt: skip
+    found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": scene or None}
+    console.report(found, as_json=as_json, text=f"{out}: {taken} views in {seconds:.0f} s")
 
 
 @app.command("plan")
@@ -84,78 +111,76 @@ def plan_command(
     trajectory: Trajectory,
     rig: Rig = "sim",
     plot: Annotated[
-        Path | None, typer.Option(metavar="PLAN.png", help="Draw it: views and ways from two sides, joint angles.")
+        Path | None, typer.Option(metavar="PLAN.png", help="Draw the plan: views and paths from two sides, joint angles.")
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="PLAN.html", help="Draw it in three dimensions, to turn with the mouse.")
+        Path | None, typer.Option(metavar="PLAN.html", help="Write a page that shows the plan in three dimensions.")
     ] = None,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
-    """Check that the arm can take every view, and say how long it would take. Moves nothing."""
+    """Check that the arm can take every view, and estimate how long that takes. Nothing moves."""
+    from collections import Counter
+
     from capture import trajectory as trajectories
     from capture.planning import Obstacles, draw, duration, plan
     from capture.rig.opening import describe
     from datasets.core.files import refuse_existing
 
-    for path in (plot, page):
+    drawings = [(draw.plot, plot), (draw.page, page)]
+    for _, path in drawings:
         if path is not None:
             refuse_existing(path)
     session = trajectories.load_trajectory(trajectory, overrides=settings)
     mount = describe(rig).flange_from_camera.matrix()
     planned = plan(session, mount)
     seconds = duration(session, planned)
-    obstacles = Obstacles.of(session, mount)
-    if plot is not None:
-        draw.plot(planned, obstacles, plot, title=f"{session.name}: {len(planned)} views, about {seconds:.0f} s")
-    if page is not None:
-        draw.page(planned, obstacles, page, title=f"{session.name}: {len(planned)} views, about {seconds:.0f} s")
-    counts: dict[str, Any] = {}
-    for view in planned:
-        counts[view.viewpoint.split] = counts.get(view.viewpoint.split, 0) + 1
-    parts = ", ".join(f"{count} {split}" for split, count in counts.items())
-    drawn = "".join(f"; drawn in {path}" for path in (plot, page) if path is not None)
-    found = {
-        "name": session.name,
-        "views": len(planned),
-        "splits": counts,
-        "seconds": round(seconds, 1),
-        "plot": plot,
-        "page": page,
-    }
-    console.report(found, as_json=as_json,
-                   text=f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{drawn}")  # fmt: skip
+    drawn = ""
+    for write, path in drawings:
+        if path is not None:
+            title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
+            write(planned, Obstacles.of(session, mount), path, title=title)
+            drawn += f"; drawn in {path}"
+    splits = Counter(view.viewpoint.split for view in planned)
+    parts = ", ".join(f"{count} {split}" for split, count in splits.items())
+    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{drawn}"
+    found = {"name": session.name, "views": len(planned), "splits": splits, "seconds": round(seconds, 1)}
+    console.report({**found, "plot": plot, "page": page}, as_json=as_json, text=text)
 
 
 @app.command("view")
 def view_command(
-    path: Annotated[Path, typer.Argument(metavar="TRAJECTORY.yaml|RECORDING", help="What to look at: a file or a folder.")],
+    path: Annotated[
+        Path, typer.Argument(metavar="TRAJECTORY|RECORDING", help="Name or file of a trajectory, or folder of a recording.")
+    ],
     rig: Rig = "sim",
     port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
-    """Look at a trajectory or a recording in the browser: arm, views, what is in the way, and the session over time."""
+    """Show a trajectory or a recording in the browser: arm, views, obstacles, and the session over time."""
     from capture.page.view import show
     from capture.rig.opening import describe
     from datasets.page import open_page
 
     with open_page(path.stem, port) as page:
         shown = show(page, path, describe(rig), overrides=settings)
-        stuck = f", {shown['blocked']} cannot be taken" if shown["blocked"] else ""
-        console.report({"url": page.url, **shown}, as_json=as_json,
-                       text=f"{page.url} shows {shown['name']}, {shown['views']} views{stuck}; Ctrl-C ends it")  # fmt: skip
+        blocked = f", {shown['blocked']} cannot be taken" if shown["blocked"] else ""
+        text = f"{page.url} shows {shown['name']}, {shown['views']} views{blocked}; Ctrl-C ends it"
+        console.report({"url": page.url, **shown}, as_json=as_json, text=text)
         page.serve()
 
 
 @app.command("check")
 def check_command(
     recording: Recorded,
-    discard: Annotated[bool, typer.Option("--discard", help="Take what is to be taken again out of the recording, so that "
-                                                            "'capture run --resume' takes it again.")] = False,
+    discard: Annotated[
+        bool,
+        typer.Option("--discard", help="Remove the bad views from the recording, so that 'capture run --resume' retakes them."),
+    ] = False,
     as_json: console.Json = False,
-) -> None:  # fmt: skip
-    """Verify a recording: hashes, counts, clocks, exposure, sharpness. Says what to take again; exit code 1 with findings."""
+) -> None:
+    """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
     from capture.recording import check
     from datasets.recording import Recording
 
@@ -164,27 +189,28 @@ def check_command(
         findings = check.check(recording, done=lambda count, total: shown.advance())
     again = check.to_take_again(findings)
     gone = check.discard(recording, again) if discard else []
+    good = all(finding.note for finding in findings)
     lines = [finding.line for finding in findings]
-    if all(finding.note for finding in findings):
+    if good:
         lines.append(f"{recording}: {frames} views, nothing is wrong")
     if again:
-        lines.append(f"take again: {', '.join(again)}")
-        lines.append(f"taken out: {', '.join(gone)}; the command that made the recording takes them again with --resume"
-                     if discard else "'capture check --discard' takes them out, then 'capture run --resume' takes them again")  # fmt: skip
-    found = {"recording": str(recording), "frames": frames, "findings": [vars(finding) for finding in findings],
-             "take_again": again, "discarded": gone}  # fmt: skip
+        lines.append(f"retake: {', '.join(again)}")
+        removed = f"removed: {', '.join(gone)}; the command that made the recording retakes them with --resume"
+        lines.append(removed if discard else "'capture check --discard' removes them, and 'capture run --resume' retakes them")
+    found: dict[str, Any] = {"recording": str(recording), "frames": frames}
+    found |= {"findings": [vars(finding) for finding in findings], "take_again": again, "discarded": gone}
     console.report(found, as_json=as_json, text="\n".join(lines))
-    if not all(finding.note for finding in findings):
+    if not good:
         raise typer.Exit(1)
 
 
 @app.command("report")
 def report_command(
     recording: Recorded,
-    out: Annotated[Path, typer.Option(metavar="PAGE.html", help="Page to write; must be new.")],
+    out: Annotated[Path, typer.Option(metavar="PAGE.html", help="New page to write.")],
     as_json: console.Json = False,
 ) -> None:
-    """Write a page on a recording: findings, exposure, sharpness and joints over time, every view."""
+    """Write an HTML report of a recording: findings, exposure, sharpness and joints over time, every picture."""
     from capture.page import report
 
     with console.progress("reading", 1, "pictures") as shown:
@@ -202,13 +228,19 @@ def report_command(
 def replay_command(
     recording: Recorded,
     rig: Rig = "sim",
-    seed: Annotated[int | None, typer.Option(min=0, help="Simulation: of the arm's errors. Default: one more than that of the "
-                                                         "recording, the same arm on another day.")] = None,
-    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Simulation: arm faster than real time.")] = 20.0,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Simulation only: random seed of the positioning errors. Default: the recording's seed plus one, which is the "
+            "same arm on another day.",
+        ),
+    ] = None,
+    time_scale: TimeScale = 20.0,
     out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
     as_json: console.Json = False,
-) -> None:  # fmt: skip
-    """Drive the joint path of a recording again, without the camera, and report how far each frame's pose is from it."""
+) -> None:
+    """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
     from capture.recording.replay import replay, summary
     from capture.rig.opening import open_arm
     from capture.trajectory import Trajectory
@@ -228,21 +260,25 @@ def replay_command(
     content = {"recording": str(recording), **summary(deviations), "frames": [one.to_json() for one in deviations]}
     if out is not None:
         files.write_json(out, {"format": "koala-replay", "version": 1, **content})
-    lines = [f"view {one.frame}: {one.line}" for one in deviations]
-    console.report(content, as_json=as_json, text="\n".join([*lines, f"worst: {content['worst']}"]))
+    lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}"]
+    console.report(content, as_json=as_json, text="\n".join(lines))
 
 
 @app.command("sim")
 def sim_command(
-    scene: Annotated[str, typer.Option(help="What stands before the simulated camera, for the rig file.")] = "gold_head",
-    out: Annotated[Path | None, typer.Option(metavar="RIG.yaml", help="Write a rig file: 'capture run --rig RIG.yaml' uses it.")] = None,
+    scene: Annotated[str, typer.Option(help="Scene in front of the simulated camera, for the rig file.")] = "gold_head",
+    out: Annotated[
+        Path | None, typer.Option(metavar="RIG.yaml", help="Write a rig file, for 'capture run --rig RIG.yaml'.")
+    ] = None,
     host: Annotated[str, typer.Option(help="Loopback address to listen on.")] = "127.0.0.1",
-    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
-    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Arm faster than real time.")] = 1.0,
-    hangs: Annotated[bool, typer.Option("--hangs", help="It waits as an arm that hangs, for trajectories with 'up: -z'.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
+    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Speed of the arm relative to real time.")] = 1.0,
+    hangs: Annotated[
+        bool, typer.Option("--hangs", help="Start in the pose of a hanging arm, for trajectories with 'up: -z'.")
+    ] = False,
     as_json: console.Json = False,
-) -> None:  # fmt: skip
-    """Start a simulated UR5e controller by itself, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
+) -> None:
+    """Start only a simulated UR5e controller, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
     import time
 
     from capture.rig.opening import write_simulated_rig
@@ -269,11 +305,11 @@ def sim_command(
 @app.command("bench")
 def bench_command(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for bench.json and settling.png.")],
-    frames: Annotated[int, typer.Option(min=3, help="For the loop's overhead.")] = 12,
-    exposure_us: Annotated[float, typer.Option(min=100, help="For the sharpness [us].")] = 20_000.0,
+    frames: Annotated[int, typer.Option(min=3, help="Number of frames to measure the overhead of the loop with.")] = 12,
+    exposure_us: Annotated[float, typer.Option(min=100, help="Exposure time to measure the sharpness with [us].")] = 20_000.0,
     as_json: console.Json = False,
 ) -> None:
-    """Measure on the simulated rig: sharpness against settling time, overhead of the loop, rate of states."""
+    """Benchmark the simulated rig: sharpness against settling time, overhead of the capture loop, rate of robot states."""
     from capture.recording import bench
     from datasets.core import files
 
@@ -287,15 +323,12 @@ def bench_command(
     with files.atomic_folder(out) as folder:
         files.write_json(folder / "bench.json", {"format": "koala-capture-bench", "version": 1, **found})
         bench.plot_settling(points, folder / "settling.png")
-    rows = [f"  {1e3 * p.delay_s:5.0f} ms: sharpness {100 * p.sharpness:5.1f} %, camera {p.off_mm:.3f} mm off" for p in points]
-    console.report(found, as_json=as_json, text="\n".join([
-        f"states: {rate:.0f} Hz", f"overhead: median {found['overhead_ms']['median']:.1f} ms, worst {found['overhead_ms']['worst']:.1f} ms",
-        "exposed after the end of the motion:", *rows, f"{out}: bench.json, settling.png"]))  # fmt: skip
+    console.report(found, as_json=as_json, text="\n".join([*bench.lines(found), f"{out}: bench.json, settling.png"]))
 
 
 @contextmanager
 def _watched(out: Path, session: "Session", mount: Any, planned: "list[PlannedView]", port: int) -> Iterator[None]:
-    """A page on a recording that is about to be made, for as long as it takes. Its button does what Ctrl-C does."""
+    """A page that shows a recording while it is made. Its stop button does what Ctrl-C does."""
     import os
     import signal
 
@@ -304,12 +337,8 @@ def _watched(out: Path, session: "Session", mount: Any, planned: "list[PlannedVi
 
     with open_page(session.name, port) as page:
         watch(page, out, session, mount, planned, stop=lambda: os.kill(os.getpid(), signal.SIGINT))
-        console.hint(f"{page.url} shows what is being taken")
+        console.hint(f"{page.url} shows the session")
         yield
-
-
-def _how_to_resume(out: Path) -> str:
-    return f"the same command with --resume goes on in {out}" if out.exists() else "nothing was written"
 
 
 def main() -> None:

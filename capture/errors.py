@@ -1,4 +1,4 @@
-"""What can go wrong with a rig: each error says what happened, in what state the rig was left, and what to do."""
+"""Errors of a rig. Each says what happened, in which state the rig was left, and what to do."""
 
 from datasets.core.errors import KoalaError
 
@@ -12,29 +12,29 @@ class RigConnectionError(CaptureError):
 
 
 class NotReady(CaptureError):
-    """The robot is reachable but not in a state to move: powered off, stopped for safety, not in remote control."""
+    """The robot is reachable but cannot move: powered off, in a safety stop, or not in remote control."""
 
 
 class ProtectiveStop(CaptureError):
-    """The controller stopped the arm for safety. It needs a person; it is never cleared from here."""
+    """The controller stopped the arm for safety. A person must clear it; Koala never does."""
 
 
 class MotionError(CaptureError):
-    """A motion did not end where and when it should have. The arm has been stopped."""
+    """A motion did not end at the expected place or time. The arm has been stopped."""
 
 
 class UnreachableError(CaptureError):
-    """Viewpoints that the arm cannot take. Names each, and the limit that it meets."""
+    """The arm cannot take some viewpoints. Names each with its reason."""
 
     exit_code = 2
 
 
 class SafetyError(CaptureError):
-    """A target outside the limits of speed, joints or space. Nothing has moved."""
+    """A target is outside the limits of speed, joints or space. Nothing has moved."""
 
 
 class PlanningError(CaptureError):
-    """No motion was found between two reachable views."""
+    """No path was found between two reachable views."""
 
 
 class SimulationError(CaptureError):

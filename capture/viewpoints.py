@@ -1,7 +1,7 @@
-"""Patterns of camera poses: what the `views` of a trajectory can be. Every pattern is the same on every call.
+"""Patterns of camera poses for the `views` of a trajectory. A pattern gives the same poses on every call.
 
-Each group says how many views it gives (`number`) and generates them in an order with short ways from one to the next.
-`up` is 1 where the base's z axis points up, and -1 where it points down, as that of an arm that hangs.
+Each group knows the number of its views (`number`) and generates them in an order with short paths between them.
+`up` is 1 where the base's z axis points up, and -1 where it points down (a hanging arm).
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from capture.rig.description import Vector
+from capture import kinematics
+from capture.geometry import Vector
 from datasets import pose
 from datasets.core.schema import Schema
 
@@ -20,39 +21,56 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """One view that is asked for."""
+    """One desired view."""
 
-    name: str
-    """Sorts in trajectory order."""
-    split: str
-    """"train", "test" or "calibration"."""
-    base_from_camera: NDArray[np.float64] | None
-    """(4, 4) desired camera pose [m]; None where joint angles are given instead."""
+    base_from_camera: NDArray[np.float64] | None = None
+    """(4, 4) desired camera pose [m]; None if joint angles are given instead."""
     rolls: tuple[float, ...] = (0.0,)
-    """Turns about the optical axis that are as good [rad]; the planner picks one."""
+    """Equally good turns about the optical axis [rad]; the planner chooses one."""
     joints: NDArray[np.float64] | None = None
-    """(6,) angles [rad], where these were asked for."""
+    """(6,) angles [rad] of a view that is given by these."""
+    name: str = ""
+    """Names sort in the order of the trajectory."""
+    split: str = ""
+    """"train", "test" or "calibration"."""
 
-
-def _plain(
-    base_from_camera: NDArray[np.float64] | None, rolls: tuple[float, ...] = (0.0,), joints: NDArray[np.float64] | None = None
-) -> Viewpoint:
-    return Viewpoint("", "", base_from_camera, rolls, joints)
+    def camera_pose(self, flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(4, 4) desired camera pose [m], before any roll; that of given joint angles follows from the nominal mount."""
+        if self.base_from_camera is not None:
+            return self.base_from_camera
+        assert self.joints is not None  # a viewpoint has either
+        return kinematics.forward(self.joints) @ flange_from_camera
 
 
 def spread(count: int, chosen: int) -> frozenset[int]:
-    """`chosen` of `count` indices, evenly spaced, the ends left to the others."""
+    """`chosen` of `count` indices, evenly spaced, without the two ends."""
     return frozenset(int((index + 0.5) * count / chosen) for index in range(chosen))
 
 
-class _Looking(Schema):
-    target: Vector = Field(description="point that the camera looks at [m]")
+class _Rolled(Schema):
     roll_deg: list[float] = Field(
-        default=[0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
+        default=[0.0], min_length=1, description="equally good turns about the view axis; the planner chooses [degrees]"
     )
 
+    @property
+    def _rolls(self) -> tuple[float, ...]:
+        return tuple(np.radians(self.roll_deg))
+
+
+class _Looking(_Rolled):
+    target: Vector = Field(description="point that the camera looks at [m]")
+
     def _look(self, position: NDArray[np.float64], up: int) -> Viewpoint:
-        return _plain(pose.look_at(position, self.target, (0, 0, up)), tuple(np.radians(self.roll_deg)))
+        return Viewpoint(pose.look_at(position, self.target, (0, 0, up)), self._rolls)
+
+
+class _Counted(_Looking):
+    count: int = Field(ge=1, le=10_000, description="number of views")
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return self.count
 
 
 def _on_sphere(target: Vector, distance: float, azimuth_deg: float, elevation_deg: float, up: int) -> NDArray[np.float64]:
@@ -66,13 +84,14 @@ def _azimuths(interval: Interval, count: int) -> NDArray[np.float64]:
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
-class HemisphereViews(_Looking):
-    """Rings around the target, as dense on each as its circumference asks, walked to and fro."""
+class HemisphereViews(_Counted):
+    """Rings around the target with an even density of views, in alternating directions."""
 
     kind: Literal["hemisphere"] = Field(description="pattern of the views")
-    count: int = Field(ge=1, le=10_000, description="number of views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
-    elevation_deg: Interval = Field(default=(15.0, 70.0), description="lowest and highest ring above the horizon [degrees]")
+    elevation_deg: Interval = Field(
+        default=(15.0, 70.0), description="elevation of the lowest and the highest ring above the horizon [degrees]"
+    )
     azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
     rings: int = Field(default=4, ge=1, le=100, description="number of rings")
 
@@ -83,11 +102,6 @@ class HemisphereViews(_Looking):
         if not -90 < self.elevation_deg[0] <= self.elevation_deg[1] < 90:
             raise ValueError(f"elevation_deg must rise inside -90..90, got {list(self.elevation_deg)}")
         return self
-
-    @property
-    def number(self) -> int:
-        """Number of views."""
-        return self.count
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views, ring by ring from below."""
@@ -102,19 +116,13 @@ class HemisphereViews(_Looking):
         return views
 
 
-class OrbitViews(_Looking):
+class OrbitViews(_Counted):
     """One ring around the target."""
 
     kind: Literal["orbit"] = Field(description="pattern of the views")
-    count: int = Field(ge=1, le=10_000, description="number of views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
-    elevation_deg: float = Field(default=30.0, gt=-90, lt=90, description="of the ring above the horizon [degrees]")
+    elevation_deg: float = Field(default=30.0, gt=-90, lt=90, description="elevation of the ring above the horizon [degrees]")
     azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
-
-    @property
-    def number(self) -> int:
-        """Number of views."""
-        return self.count
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views in order of azimuth."""
@@ -122,8 +130,12 @@ class OrbitViews(_Looking):
         return [self._look(_on_sphere(self.target, self.distance, azimuth, self.elevation_deg, up), up) for azimuth in azimuths]
 
 
+def _steps(count: int, extent: float) -> NDArray[np.float64]:
+    return np.linspace(-0.5, 0.5, count) * extent if count > 1 else np.zeros(1)
+
+
 class GridViews(_Looking):
-    """Camera positions on a level grid, all looking at the target."""
+    """Camera positions on a horizontal grid, all looking at the target."""
 
     kind: Literal["grid"] = Field(description="pattern of the views")
     centre: Vector = Field(description="middle of the grid [m]")
@@ -137,27 +149,22 @@ class GridViews(_Looking):
         return self.columns * self.rows
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
-        """The views, row by row, to and fro."""
-        xs, ys = (np.linspace(-0.5, 0.5, n) * s if n > 1 else np.zeros(1)
-                  for n, s in zip((self.columns, self.rows), self.size, strict=True))  # fmt: skip
+        """The views, row by row, in alternating directions."""
+        xs, ys = _steps(self.columns, self.size[0]), _steps(self.rows, self.size[1])
         return [self._look(np.add(self.centre, (x, y, 0.0)), up) for row, y in enumerate(ys) for x in xs[:: -1 if row % 2 else 1]]
 
 
-class TiltedViews(_Looking):
-    """Calibration views of a level board: tilts, turns about the view axis, distances and shifts, evenly mixed."""
+class TiltedViews(_Counted):
+    """Calibration views of a horizontal board: an even mixture of tilts, turns about the view axis, distances and shifts."""
 
     kind: Literal["tilted"] = Field(description="pattern of the views")
-    count: int = Field(ge=1, le=10_000, description="number of views")
     distance: Interval = Field(default=(0.3, 0.5), description="shortest and longest distance to the target [m]")
     tilt_deg: Interval = Field(default=(0.0, 40.0), description="smallest and largest angle between view and vertical [degrees]")
     turn_deg: Interval = Field(default=(-180.0, 180.0), description="range of the turn about the view axis [degrees]")
-    azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range of the side that the camera looks from [degrees]")
-    shift: Interval = Field(default=(0.0, 0.0), description="the point looked at moves up to this far along x and y [m]")
-
-    @property
-    def number(self) -> int:
-        """Number of views."""
-        return self.count
+    azimuth_deg: Interval = Field(
+        default=(-180.0, 180.0), description="range of the direction from which the camera looks [degrees]"
+    )
+    shift: Interval = Field(default=(0.0, 0.0), description="largest shift of the target along x and y [m]")
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views in order of azimuth; the other quantities follow a low-discrepancy sequence (Roberts 2018, R_5)."""
@@ -170,14 +177,14 @@ class TiltedViews(_Looking):
             target = np.asarray(self.target) + np.append((2 * u[3:5] - 1) * self.shift, 0.0)
             position = _on_sphere(tuple(target), np.interp(u[1], (0, 1), self.distance), side, 90 - max(tilt, 0.1), up)
             turn = pose.from_rotation_vector([0, 0, np.radians(np.interp(u[2], (0, 1), self.turn_deg))])
-            views.append(_plain(pose.look_at(position, target, (0, 0, up)) @ turn, tuple(np.radians(self.roll_deg))))
+            views.append(Viewpoint(pose.look_at(position, target, (0, 0, up)) @ turn, self._rolls))
         return views
 
 
 class CameraPose(Schema):
-    """One camera pose: either looking at a point, or with a quaternion."""
+    """One camera pose, oriented by a point to look at or by a quaternion."""
 
-    position: Vector = Field(description="of the camera [m]")
+    position: Vector = Field(description="camera position [m]")
     look_at: Vector | None = Field(default=None, description="point in the middle of the image [m]")
     quaternion_wxyz: tuple[float, float, float, float] | None = Field(
         default=None, description="orientation of base_from_camera, w x y z"
@@ -197,18 +204,15 @@ class CameraPose(Schema):
         """(4, 4) `base_from_camera` [m]."""
         if self.quaternion_wxyz is not None:
             return pose.from_quaternion(self.quaternion_wxyz, self.position)
-        assert self.look_at is not None  # `_one_orientation` saw to it
+        assert self.look_at is not None  # by `_one_orientation`
         return pose.look_at(self.position, self.look_at, (0, 0, up))
 
 
-class PoseViews(Schema):
-    """Camera poses one by one."""
+class PoseViews(_Rolled):
+    """A list of camera poses."""
 
     kind: Literal["poses"] = Field(description="pattern of the views")
     poses: list[CameraPose] = Field(min_length=1, description="the camera poses")
-    roll_deg: list[float] = Field(
-        default=[0.0], min_length=1, description="turns about the view axis that are as good; the planner picks [degrees]"
-    )
 
     @property
     def number(self) -> int:
@@ -217,11 +221,11 @@ class PoseViews(Schema):
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
         """The views as listed."""
-        return [_plain(view.matrix(up), tuple(np.radians(self.roll_deg))) for view in self.poses]
+        return [Viewpoint(view.matrix(up), self._rolls) for view in self.poses]
 
 
 class JointViews(Schema):
-    """Joint angles one by one."""
+    """A list of joint angles."""
 
     kind: Literal["joints"] = Field(description="pattern of the views")
     joints_deg: list[tuple[float, float, float, float, float, float]] = Field(
@@ -234,5 +238,5 @@ class JointViews(Schema):
         return len(self.joints_deg)
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
-        """The views as listed, whatever is up; their camera poses follow from the rig."""
-        return [_plain(None, joints=np.radians(joints)) for joints in self.joints_deg]
+        """The views as listed, for either `up`; their camera poses follow from the rig."""
+        return [Viewpoint(joints=np.radians(joints)) for joints in self.joints_deg]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from capture.planning import plan
-from capture.planning.obstacles import segments
+from capture.planning.arm_shape import segments
 from capture.rig.description import RigDescription
 from capture.trajectory import load_trajectory
 from datasets.camera_model import Camera

@@ -1,4 +1,4 @@
-"""Every file in configs/ loads with the schema that reads it."""
+"""Every file in configs/ loads with the schema that reads it, and is found by its name."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+import configs
+from datasets.core.errors import UsageError
 from datasets.core.schema import read_yaml
 
 CONFIGS = Path(__file__).parent.parent / "configs"
@@ -51,3 +53,45 @@ def test_trajectories_have_views_and_a_split(path: Path) -> None:
     views = load_trajectory(path).viewpoints()
     assert len({view.name for view in views}) == len(views) > 1
     assert {view.split for view in views} in ({"train", "test"}, {"train"}, {"calibration"})
+
+
+@pytest.mark.parametrize("kind", sorted(configs.KINDS))
+def test_every_kind_is_found_by_name_and_described_in_one_line(kind: str) -> None:
+    shipped = configs.shipped(kind)
+    assert shipped and list(shipped) == sorted(path.stem for path in FILES if path.parent.name == kind)
+    for name, description in shipped.items():
+        assert configs.find(kind, name) == CONFIGS / kind / f"{name}.yaml"
+        assert description[0].isupper() and 20 < len(description) <= 130, name
+
+
+def test_the_folders_are_the_kinds() -> None:
+    assert {path.parent.name for path in FILES} == set(configs.KINDS)
+
+
+def test_a_path_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for path in ("koala.yaml", "mine/koala", tmp_path / "koala"):
+        assert configs.find("trajectories", path) == Path(path)
+    Path("koala").mkdir()  # a recording of that name does not hide the trajectory
+    assert configs.find("trajectories", "koala") == CONFIGS / "trajectories" / "koala.yaml"
+    Path("koala").rmdir()
+    Path("koala").touch()
+    assert configs.find("trajectories", "koala") == Path("koala")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "words"),
+    [
+        (
+            "trajectories",
+            "koala_dmo",
+            ["no trajectory 'koala_dmo'", "calibration, calibration_demo", "did you mean 'koala_demo'?"],
+        ),
+        ("rigs", "sim2", ["no rig 'sim2'", "known: ur5e_basler", "the path of a file"]),
+        ("imports", "franka_charco", ["no import description", "did you mean 'franka_charuco'?"]),
+    ],
+)
+def test_an_unknown_name_is_answered_by_the_nearest_and_the_list(kind: str, name: str, words: list[str]) -> None:
+    with pytest.raises(UsageError) as caught:
+        configs.find(kind, name)
+    assert [part for part in words if part not in str(caught.value)] == []

@@ -24,6 +24,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+import configs
 from calib.errors import CalibrationError
 from calib.sessions.session import TargetSession, observe, observe_recording
 from calib.targets.detection import check_markers
@@ -103,7 +104,7 @@ def describes(folder: Path, description: Path | None) -> bool:
 
 def load_description(folder: Path, description: Path | None = None) -> Description:
     """The description in `description`, or in the folder itself. Raises UsageError where it is missing or wrong."""
-    return load_yaml(description or Path(folder) / DESCRIPTION, Description)
+    return load_yaml(Path(folder) / DESCRIPTION if description is None else configs.find("imports", description), Description)
 
 
 def observe_folder(

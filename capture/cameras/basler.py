@@ -1,6 +1,6 @@
 """Basler cameras through pylon. The only module that imports pypylon.
 
-With `emulated=True` the very same code drives pylon's own emulated camera, which shows the picture files it is fed.
+With `emulated=True` the same code drives the emulated camera of pylon, which shows picture files.
 """
 
 import os
@@ -10,35 +10,39 @@ from typing import Any, Self
 from capture.cameras.genicam_lock import release_abandoned
 from capture.cameras.pixels import choose_format, colours
 from capture.errors import CaptureError, RigConnectionError
-from capture.rig.protocols import Image
+from capture.measurements import Image
 from capture.trajectory import CameraSettings
 from datasets.imaging.region import Region
 
 TRIES = 4
-"""Exposures that may arrive damaged, one after the other, before the grab fails."""
+"""Attempts to get an undamaged image before the grab fails."""
 READY_MS = 2000
-"""How long the camera may take to accept a trigger [ms]."""
+"""Longest time until the camera accepts a trigger [ms]."""
 TRANSFER_MS = 3000
-"""How long an image may take beyond its exposure time [ms]."""
+"""Longest time for an image after its exposure [ms]."""
 BUFFERS = 2
-"""One exposure is under way at a time. Pylon's ten would each be touched for the first time in the first ten frames, milliseconds each."""
+"""Image buffers: only one exposure is in flight. With the default of ten, the first use of each would cost milliseconds."""
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
-"""What must not change by itself from picture to picture; set to Off where it exists."""
+"""Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
 SRGB = (("BslColorSpace", "sRgb"), ("BslColorSpaceMode", "sRGB"), ("GammaSelector", "sRGB"))
-"""How cameras that make colours themselves are told to encode them as sRGB: setting and value, by model."""
+"""Settings, by model, that make a camera encode its colours as sRGB."""
+
+EMULATED_SENSOR = {"Width": 1920, "Height": 1080}
+"""Sensor of the simulated rig [px]: that of an acA1920-25uc."""
+CHANGE = "change the camera settings of the trajectory"
 
 
 class Basler:
     """One Basler camera with constant exposure and gain, triggered by software.
 
-    Lifecycle: the constructor touches nothing. Entering opens the camera, writes every setting, reads each back and
-    compares; on any failure the camera is closed again. Use as a context manager.
+    Lifecycle: the constructor does no I/O. Entering opens the camera, writes every setting, reads each back and compares.
+    On any failure the camera is closed again. Use as a context manager.
 
-    Time: `device_ticks` are the camera's own: 1 ns each on USB, 8 ns on GigE without PTP; the emulation has none (0).
+    Time: `device_ticks` come from the camera: 1 ns each on USB, 8 ns on GigE without PTP. The emulation has none (0).
 
     Raises:
-        RigConnectionError: no camera, several without a serial number to choose by, busy, or unplugged.
-        CaptureError: a setting was not taken (requested against actual), or no whole image came within the deadline.
+        RigConnectionError: there is no camera, or several and no serial number, or it is busy or unplugged.
+        CaptureError: a setting was rejected (requested and actual value), or no complete image arrived in time.
     """
 
     def __init__(self, settings: CameraSettings, *, serial: str = "", emulated: bool = False) -> None:
@@ -61,8 +65,10 @@ class Basler:
             self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
         except pylon.GenericException as error:
             self._close()
-            raise RigConnectionError("camera could not be set up", where=self._name(), why=_first_line(error),
-                                     remedy="close other programs that use it, or plug it in again") from None  # fmt: skip
+            remedy = "close other programs that use it, or plug it in again"
+            raise RigConnectionError(
+                "camera could not be set up", where=self._name(), why=_first_line(error), remedy=remedy
+            ) from None
         except BaseException:
             self._close()
             raise
@@ -72,7 +78,7 @@ class Basler:
         self._close()
 
     def grab(self) -> Image:
-        """Trigger one exposure and wait for it; damaged images are taken again, at most `TRIES` times."""
+        """Trigger one exposure and wait for it; retries damaged images up to `TRIES` times."""
         reasons = []
         try:
             for _ in range(TRIES):
@@ -82,15 +88,14 @@ class Basler:
                 reasons.append(reason)
         except self._pylon.GenericException as error:
             if self._camera.IsCameraDeviceRemoved():
-                raise RigConnectionError("camera was unplugged", where=self._name(),
-                                         remedy="plug it in and go on with --resume") from None  # fmt: skip
-            raise CaptureError("camera gave no image", where=self._name(), why=_first_line(error),
-                               remedy="check its cable and go on with --resume") from None  # fmt: skip
-        raise CaptureError(f"camera gave {TRIES} damaged images in a row", where=self._name(), why=reasons[-1],
-                           remedy="check cable and bandwidth, then go on with --resume")  # fmt: skip
+                remedy = "plug it in and resume with --resume"
+                raise RigConnectionError("camera was unplugged", where=self._name(), remedy=remedy) from None
+            raise self._fault("camera gave no image", _first_line(error), "check its cable and resume with --resume") from None
+        remedy = "check cable and bandwidth, then resume with --resume"
+        raise self._fault(f"camera gave {TRIES} damaged images in a row", reasons[-1], remedy)
 
     def feed(self, picture: str) -> None:
-        """Emulation only: the file that the next exposures show."""
+        """Emulation only: show a picture file in the next exposures."""
         self._camera.StopGrabbing()
         self._camera.TestImageSelector.Value = "Off"
         self._camera.ImageFileMode.Value = "On"
@@ -98,46 +103,50 @@ class Basler:
         self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def break_next(self, count: int) -> None:
-        """Emulation only: the next `count` images arrive incomplete."""
+        """Emulation only: make the next `count` images incomplete."""
         self._camera.ForceFailedBufferCount.Value = count
         self._camera.ForceFailedBuffer.Execute()
 
     @property
     def region(self) -> Region:
-        """The part of the sensor that images show, as read back."""
+        """The region of the sensor in the images, as read back."""
         camera = self._camera
-        return Region(camera.Width.Value, camera.Height.Value, camera.OffsetX.Value, camera.OffsetY.Value,
-                      _value(camera, "BinningHorizontal", default=1))  # fmt: skip
+        binning = _value(camera, "BinningHorizontal", default=1)
+        return Region(camera.Width.Value, camera.Height.Value, camera.OffsetX.Value, camera.OffsetY.Value, binning)
 
     def description(self) -> dict[str, Any]:
-        """Model, serial number, region, exposure, and the camera's whole state as it saves it itself."""
+        """Model, serial number, region, exposure, and the complete state as pylon saves it."""
         info, binning = self._camera.GetDeviceInfo(), self.region.binning
         state = self._pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
         pairs = (line.rsplit("\t", 1) for line in state.splitlines() if "\t" in line and not line.startswith("#"))
         return {
-            "driver": "basler", "model": info.GetModelName(), "serial": info.GetSerialNumber(), "emulated": self.emulated,
+            "driver": "basler",
+            "model": info.GetModelName(),
+            "serial": info.GetSerialNumber(),
+            "emulated": self.emulated,
             "pylon": ".".join(str(part) for part in self._pylon.GetPylonVersion()),
-            "firmware": _value(self._camera, "DeviceFirmwareVersion", default=""), "region": self.region.to_json(),
+            "firmware": _value(self._camera, "DeviceFirmwareVersion", default=""),
+            "region": self.region.to_json(),
             "sensor": {"width": self._sensor_edge("Width") * binning, "height": self._sensor_edge("Height") * binning},
-            "exposure_us": self._exposure.Value, "gain_db": self._gain_db(),
-            "pixel_format": self._camera.PixelFormat.Value, "state": dict(pairs),
-        }  # fmt: skip
+            "exposure_us": self._exposure.Value,
+            "gain_db": self._gain_db(),
+            "pixel_format": self._camera.PixelFormat.Value,
+            "state": dict(pairs),
+        }
 
     def _find(self) -> Any:
-        devices = self._pylon.TlFactory.GetInstance().EnumerateDevices()
-        if self.emulated:
-            devices = [device for device in devices if device.GetDeviceClass() == "BaslerCamEmu"]
-        else:
-            devices = [device for device in devices if device.GetDeviceClass() != "BaslerCamEmu"]
+        every = self._pylon.TlFactory.GetInstance().EnumerateDevices()
+        devices = [device for device in every if (device.GetDeviceClass() == "BaslerCamEmu") == self.emulated]
         serials = [device.GetSerialNumber() for device in devices]
         if self.serial:
             devices = [device for device in devices if device.GetSerialNumber() == self.serial]
         if not devices:
-            raise RigConnectionError("no Basler camera was found", where=self._name(), why=f"connected: {', '.join(serials) or 'none'}",
-                                     remedy="check cable and power, and camera.serial in the rig file")  # fmt: skip
+            connected = f"connected: {', '.join(serials) or 'none'}"
+            remedy = "check cable and power, and camera.serial in the rig file"
+            raise RigConnectionError("no Basler camera was found", where=self._name(), why=connected, remedy=remedy)
         if len(devices) > 1 and not self.emulated:
-            raise RigConnectionError("several Basler cameras are connected", why=", ".join(serials),
-                                     remedy="write the serial number into the rig file")  # fmt: skip
+            remedy = "write the serial number into the rig file"
+            raise RigConnectionError("several Basler cameras are connected", why=", ".join(serials), remedy=remedy)
         return devices[0]
 
     def _configure(self) -> None:
@@ -146,7 +155,7 @@ class Basler:
             if _has(camera, automatic):
                 self._set(automatic, "Off")
         self._set("PixelFormat", choose_format(wanted.pixel_format, camera.PixelFormat.Symbolics, where=self._name()))
-        for name, value in SRGB if wanted.pixel_format == "rgb8" else ():  # raw formats stay linear and are encoded here
+        for name, value in SRGB if wanted.pixel_format == "rgb8" else ():  # raw formats are linear and encoded by `colours`
             if _has(camera, name) and value in getattr(camera, name).Symbolics:
                 self._set(name, value)
                 break
@@ -166,7 +175,7 @@ class Basler:
         self._set("TriggerSource", "Software")
 
     def _sensor_edge(self, name: str) -> int:
-        """Binned width or height of the sensor [px]. The emulation's sensor is any size: ours is the rig's."""
+        """Binned width or height of the sensor [px]. The emulation has no fixed sensor size; we use that of the simulated rig."""
         if self.emulated:
             return EMULATED_SENSOR[name] // self.settings.binning
         return int(getattr(self._camera, f"{name}Max").Value)
@@ -185,19 +194,17 @@ class Basler:
     def _set(self, name: str, value: Any, *, tolerance: float = 0.0) -> None:
         """Write one setting and read it back."""
         if not _has(self._camera, name):
-            raise CaptureError(f"camera has no setting {name}", where=self._name(), why=f"{value} was requested")
+            raise self._fault(f"camera has no setting {name}", f"{value} was requested")
         node = getattr(self._camera, name)
         try:
             node.Value = value
         except self._pylon.GenericException:
             limits = f", possible: {node.Min} to {node.Max}" if hasattr(node, "Min") else ""
-            raise CaptureError(f"camera did not take {name}", where=self._name(),
-                               why=f"requested {value}, it stays at {node.Value}{limits}",
-                               remedy="change the camera settings of the trajectory") from None  # fmt: skip
+            why = f"requested {value}, it stays at {node.Value}{limits}"
+            raise self._fault(f"camera rejected {name}", why, CHANGE) from None
         actual = node.Value
         if actual != value and not (tolerance and abs(actual - value) <= tolerance):
-            raise CaptureError(f"camera changed {name}", where=self._name(), why=f"requested {value}, actual {actual}",
-                               remedy="change the camera settings of the trajectory")  # fmt: skip
+            raise self._fault(f"camera changed {name}", f"requested {value}, actual {actual}", CHANGE)
 
     def _try(self) -> tuple[Image | None, str]:
         camera, raise_late = self._camera, self._pylon.TimeoutHandling_ThrowException
@@ -213,21 +220,20 @@ class Basler:
         finally:
             result.Release()
 
+    def _fault(self, what: str, why: str, remedy: str = "") -> CaptureError:
+        return CaptureError(what, where=self._name(), why=why, remedy=remedy)
+
     def _name(self) -> str:
         return f"camera {self.serial}" if self.serial else "emulated camera" if self.emulated else "camera"
 
     def _close(self) -> None:
         camera, self._camera = self._camera, None
         if camera is not None:
-            camera.Close()  # stops grabbing; harmless where it was not open
-
-
-EMULATED_SENSOR = {"Width": 1920, "Height": 1080}
-"""Sensor of the simulated rig [px]: that of an acA1920-25uc."""
+            camera.Close()  # also stops grabbing; may be called when not open
 
 
 def _has(camera: Any, name: str) -> bool:
-    """True where the camera has a setting and lets it be written or read now."""
+    """Whether the camera has a setting that can be read now."""
     from pypylon import genicam
 
     node = camera.GetNodeMap().GetNode(name)
@@ -239,7 +245,7 @@ def _value(camera: Any, name: str, *, default: Any) -> Any:
 
 
 def _centred(offset: int | None, available: int, wanted: int, increment: int) -> int:
-    """The offset asked for, or the one that centres the region, on the camera's grid [binned px]."""
+    """The requested offset, or the one that centres the region on the grid of the camera [binned px]."""
     return offset if offset is not None else max(available - wanted, 0) // 2 // increment * increment
 
 

@@ -1,8 +1,8 @@
-"""Frees what a killed program leaves behind in the vendor's library, and every later one would wait for without end.
+"""Removes locks that a killed program left in the vendor's library, for which every later program would wait forever.
 
-pylon guards its cache of camera descriptions with named semaphores (/dev/shm/sem.*GenICam_XML) that it holds for
-milliseconds while a camera is looked for or opened. A process that is killed in just these leaves one at zero for good:
-from then on `import pypylon` polls it for ever, in every program on the computer. Seen with pylon 26.9 and kill -9.
+pylon protects its cache of camera descriptions with named semaphores (/dev/shm/sem.*GenICam_XML). It holds them for
+milliseconds while it enumerates or opens cameras. A process that is killed at that moment leaves a semaphore at zero, and
+from then on `import pypylon` polls it forever in every program on the computer. Seen with pylon 26.9 and kill -9.
 """
 
 import logging
@@ -15,9 +15,9 @@ PATIENCE_S, PERIOD_S = 2.0, 0.02
 
 
 def release_abandoned(folder: Path = FOLDER, *, patience_s: float = PATIENCE_S) -> list[str]:
-    """Remove each semaphore that stays at zero for `patience_s`; returns their names. Takes no time where none is at zero.
+    """Remove each semaphore that stays at zero for `patience_s`; returns their names. Takes no time if none is at zero.
 
-    The library makes a new one at its next use. Somebody who does hold the old one, in spite of the time, goes on with it.
+    The library creates a new one at its next use. A program that still holds the old one continues with it.
     """
     held = {path for path in folder.glob(PATTERN) if _value(path) == 0}
     deadline = time.monotonic() + patience_s
@@ -28,14 +28,14 @@ def release_abandoned(folder: Path = FOLDER, *, patience_s: float = PATIENCE_S) 
         try:
             path.unlink(missing_ok=True)
         except PermissionError:
-            log.warning("%s is held by a program that was killed, and belongs to somebody else: pylon will wait for it", path)
+            log.warning("%s was left by a killed program and belongs to another user: pylon will wait for it", path)
         else:
-            log.warning("%s was left by a program that was killed: removed, pylon would have waited for it", path)
+            log.warning("%s was left by a killed program and has been removed", path)
     return sorted(path.name for path in held)
 
 
 def _value(path: Path) -> int:
-    """Value of a named semaphore of glibc, from its file; -1 where it is gone or cannot be read."""
+    """Value of a named glibc semaphore, read from its file; -1 if it does not exist or cannot be read."""
     try:
         return int.from_bytes(path.read_bytes()[:4], "little")
     except OSError:

@@ -1,4 +1,4 @@
-"""A recording while it is being made: the newest frame, how it is exposed, how sharp it is, what is left, and a button that stops."""
+"""A recording while it is made: the newest frame, its exposure and sharpness, the remaining time, and a stop button."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,15 +15,15 @@ from datasets.page.panel import WIDTH, bytes_of
 from datasets.recording import MANIFEST, Frame, Recording
 
 POLL_S = 0.5
-"""Between two looks at the folder."""
+"""Period of the checks of the folder."""
 BINS, TALL = 128, 160
 """Bars of the histogram, and its height [px]."""
 CLIPPED = 250
-"""From this value of 255 on a pixel may have been brighter than the camera can tell."""
+"""A pixel counts as clipped from this value of 255."""
 
 
 class LiveView:
-    """Fills a session's page in as its frames come."""
+    """Adds the frames of a recording to the page of its session as they arrive."""
 
     def __init__(self, session: CaptureView, path: Path, flange_from_camera: NDArray[np.float64]) -> None:
         self.session, self.path, self.flange_from_camera = session, path, flange_from_camera
@@ -42,13 +42,13 @@ class LiveView:
         button.on_click(lambda event: stop())
 
     def follow(self) -> None:
-        """Look at the recording until the page ends."""
+        """Check the recording for new frames until the page ends."""
         while not self.session.page.stopping.is_set():
-            self.look()
+            self.update()
             self.session.page.stopping.wait(POLL_S)
 
-    def look(self) -> None:
-        """Take what has come since the last look."""
+    def update(self) -> None:
+        """Show the frames that are new since the last call."""
         if not (self.path / MANIFEST).is_file():
             return
         recording = Recording.open(self.path)
@@ -68,7 +68,7 @@ class LiveView:
         if planned is not None:
             session.slider.value = planned
         remaining = session.timeline.end - (planned or 0.0)
-        words = f"view {frame.name}, {len(self.seen)} of {len(session.stops)} taken; about {remaining:.0f} s of the plan are left"
+        words = f"view {frame.name}, {len(self.seen)} of {len(session.stops)} taken; about {remaining:.0f} s remain"
         try:
             pixels = images.read_stored(recording.image_path(frame))
         except KoalaError as error:
@@ -76,15 +76,15 @@ class LiveView:
             return
         card, clipped = with_histogram(bytes_of(pixels if pixels.dtype == np.uint8 else pixels / np.float32(65535), WIDTH))
         self._card.image, self._card.visible = card, True
-        self._words.content = (f"{words}  \nexposed for {1e-3 * frame.exposure_us:g} ms, {100 * clipped:.1f} % of the pixels are clipped  \n"
-                               f"sharpness {sharpness(pixels[..., :3]):.2f}")  # fmt: skip
+        exposed = f"exposed for {1e-3 * frame.exposure_us:g} ms, {100 * clipped:.1f} % of the pixels are clipped"
+        self._words.content = f"{words}  \n{exposed}  \nsharpness {sharpness(pixels[..., :3]):.2f}"
 
 
 def with_histogram(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
-    """(height + TALL, width, 3) a picture with the histograms of its channels beneath, and the share of clipped pixels.
+    """(height + TALL, width, 3) picture with the histograms of its channels below it, and the share of clipped pixels.
 
     Args:
-        picture: (height, width, 3) sRGB bytes. The right end of the histogram is white.
+        picture: (height, width, 3) sRGB bytes. White is at the right end of the histogram.
     """
     drawn = np.full((TALL, picture.shape[1], 3), 255, np.uint8)
     columns = (np.arange(picture.shape[1]) * BINS) // picture.shape[1]

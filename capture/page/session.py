@@ -1,6 +1,6 @@
-"""A session on a page: the arm with its kinematics, table, object and safety volume, every view, and a time slider.
+"""A session on a page: arm, table, object, safety volume, views, and a time slider.
 
-A trajectory is planned anew, so that each view shows whether the arm can take it; a recording shows the joint angles that the
+A trajectory is planned, so that each view shows whether the arm can take it. A recording shows the joint angles that the
 controller reported. The arm is drawn with the nominal links of its model.
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from capture import kinematics
 from capture.page.timeline import Stop, Timeline
 from capture.planning import Obstacles
-from capture.planning.obstacles import PARTS, RADII, segments
+from capture.planning.arm_shape import PARTS, segments
 from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.camera_model import Camera
@@ -24,18 +24,18 @@ from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import bytes_of
 
 ARM, CAMERA, TABLE, SAFETY = (170, 178, 190), (50, 50, 60), (205, 185, 160), (60, 160, 90)
-"""sRGB of what is drawn."""
+"""Colours of what is drawn, sRGB."""
 FRUSTUM_M, THUMBNAIL = 0.05, 96
 """Length of the pyramids [m], and width of the pictures on them [px]."""
 HALF_FIELD = 0.35
-"""Tangent of half the field of view that the pyramids are drawn with: neither a trajectory nor a recording knows the lens."""
+"""Tangent of half the field of view of the drawn pyramids: trajectory and recording do not know the lens."""
 TICK_S = 0.05
-"""Between two steps of the playback."""
+"""Period of the playback."""
 TABLE_M = 1.6
 
 
 class CaptureView:
-    """What is on the page of one session."""
+    """The contents of the page of one session."""
 
     def __init__(self, page: Page, trajectory: Trajectory, flange_from_camera: NDArray[np.float64], timeline: Timeline) -> None:
         self.page, self.trajectory, self.timeline = page, trajectory, timeline
@@ -57,7 +57,7 @@ class CaptureView:
         self.page.look(np.add(centre, [0.9, -1.3, 0.8 * up]), centre * [0.6, 0.6, 1.0], up=(0, 0, up), size=1.0)
 
     def _surroundings(self) -> None:
-        """Table, ceiling, object volume, safety volume, and the way of the camera."""
+        """Table, ceiling, object volume, safety volume, and the path of the camera."""
         page, obstacles = self.page, self.obstacles
         for name, z, side in (("/table", obstacles.table_z, -obstacles.up), ("/ceiling", obstacles.ceiling_z, obstacles.up)):
             if z is not None:
@@ -74,7 +74,7 @@ class CaptureView:
             times = np.linspace(0, self.timeline.end, 12 * len(self.timeline.stops))
             joints = np.stack([self.timeline.at(when) for when in times])
             track = (kinematics.forward(joints) @ obstacles.flange_from_camera)[:, :3, 3]
-            shapes.add_lines(page, "/way", np.stack([track[:-1], track[1:]], axis=1), colour=(150, 150, 150), thickness=1.0)
+            shapes.add_lines(page, "/path", np.stack([track[:-1], track[1:]], axis=1), colour=(150, 150, 150), thickness=1.0)
 
     def _views(self) -> None:
         settings = self.trajectory.camera
@@ -82,8 +82,8 @@ class CaptureView:
         camera = Camera(settings.width, settings.height, focal, focal, settings.width / 2, settings.height / 2)
         for stop in self.timeline.stops:
             meaning = stop.split if stop.seconds is not None else "blocked"
-            handle = shapes.add_camera(self.page, f"/views/{meaning}/{stop.name}", stop.base_from_camera, camera,
-                                       colour=shapes.colour_of(meaning), length=FRUSTUM_M)  # fmt: skip
+            name, colour = f"/views/{meaning}/{stop.name}", shapes.colour_of(meaning)
+            handle = shapes.add_camera(self.page, name, stop.base_from_camera, camera, colour=colour, length=FRUSTUM_M)
             handle.on_click(lambda event, name=stop.name: self._chosen(event.client, self.stops[name]))
             self.frusta[stop.name] = handle
 
@@ -102,22 +102,22 @@ class CaptureView:
                 self.slider = gui.add_slider("time [s]", 0.0, end, min(0.1, end), 0.0)
                 self.slider.on_update(lambda event: self.go(event.target.value))
                 self.play = gui.add_checkbox("play", False)
-                self.speed = gui.add_slider("times faster", 0.25, 20.0, 0.25, 4.0)
+                self.speed = gui.add_slider("speed", 0.25, 20.0, 0.25, 4.0)
                 self._angles = gui.add_markdown("")
             self.page.in_background(self._run)
         self.panel = PicturePanel(self.page, "View", "click a camera")
 
     def _arm(self) -> None:
-        """One capsule for each part of the arm, along z; `go` puts it in place."""
+        """Add one capsule along z for each part of the arm; `go` moves it into place."""
         ends = segments(self.timeline.joints[0], self.obstacles.flange_from_camera)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-        for part, radius, length in zip(PARTS, RADII, lengths, strict=True):
-            vertices, faces = shapes.capsule([[0, 0, 0], [0, 0, length]], float(radius))
-            colour = CAMERA if part in ("camera", "bracket") else ARM
-            self._parts.append(self.page.scene.add_mesh_simple(f"/arm/{part}", vertices, faces, color=colour))
+        for part, length in zip(PARTS, lengths, strict=True):
+            vertices, faces = shapes.capsule([[0, 0, 0], [0, 0, length]], part.radius)
+            colour = ARM if part.can_hide else CAMERA
+            self._parts.append(self.page.scene.add_mesh_simple(f"/arm/{part.name}", vertices, faces, color=colour))
 
     def go(self, seconds: float) -> None:
-        """Put the arm where it is at a time [s], and say so."""
+        """Show the arm at a time [s], and its state as text."""
         joints = self.timeline.at(seconds)
         ends = segments(joints, self.obstacles.flange_from_camera)
         with self.page.server.atomic():
@@ -128,18 +128,18 @@ class CaptureView:
         rows = "\n".join(f"| {number} | {angle:.1f} |" for number, angle in enumerate(np.degrees(joints), 1))
         self._angles.content = (
             f"{seconds:.1f} of {self.timeline.end:.1f} s, view {following.name if following else 'none'}  \n"
-            f"nearest: {pair}, {1e3 * (room + self.obstacles.clearance_m):.0f} mm\n\n| joint | degrees |\n|:---|:---|\n{rows}"
+            f"closest: {pair}, {1e3 * (room + self.obstacles.clearance_m):.0f} mm\n\n| joint | degrees |\n|:---|:---|\n{rows}"
         )
 
     def _run(self) -> None:
-        """Move the slider on while the playback runs, until the page ends."""
+        """Advance the slider while the playback runs, until the page ends."""
         while not self.page.stopping.wait(TICK_S):
             if self.play.value:
                 later = self.slider.value + TICK_S * self.speed.value
                 self.slider.value = later if later < self.timeline.end else 0.0
 
     def _chosen(self, client: viser.ClientHandle | None, stop: Stop) -> None:
-        """Take the arm to a view, and show the view in one browser."""
+        """Move the arm to a view, and show the view in one browser."""
         if stop.seconds is not None:
             self.slider.value = stop.seconds
         if client is None:
@@ -153,7 +153,7 @@ class CaptureView:
             self.panel.show(client, f"{words}\n\n{error}", None)
 
     def taken(self, stop: Stop) -> None:
-        """Show what a recording has of a view: its picture on the camera, and its words when it is clicked."""
+        """Show the recorded data of a view: the picture on the camera, and the text on a click."""
         planned = self.stops[stop.name]
         self.stops[stop.name] = replace(stop, seconds=planned.seconds)
         if stop.image is not None:
@@ -163,14 +163,14 @@ class CaptureView:
                 self.frusta[stop.name].color = shapes.COLOURS["error"]
 
     def add_thumbnails(self) -> None:
-        """Put the pictures of a recording on its views, one after the other."""
+        """Show the pictures of a recording on its views, one after the other."""
         for stop in self.timeline.stops:
             if not self.page.stopping.is_set():
                 self.taken(stop)
 
 
 def along_z(direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4, 4) rotation that takes z into a (3,) direction; identity where that has no length."""
+    """(4, 4) rotation that turns z into a (3,) direction; the identity for a zero direction."""
     if np.linalg.norm(direction) < 1e-9:
         return np.eye(4)
     return pose.look_at((0, 0, 0), direction)

@@ -1,7 +1,7 @@
-"""The page of a trajectory, of a recording, or of one that is being made.
+"""The page of a trajectory, a finished recording, or a recording in progress.
 
-A trajectory is planned anew, so that each view shows whether the arm can take it; a complete recording is played by the controller's
-clock; of one that is not complete, the plan is shown and filled in as frames come.
+A trajectory is planned, so that each view shows whether the arm can take it. A complete recording is played by the clock of the
+controller. For an incomplete recording the plan is shown, and frames are added as they arrive.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from capture.page.live import LiveView
 from capture.page.session import CaptureView
 from capture.page.timeline import of_planned, of_recording, of_trajectory
 from capture.planning import PlannedView
-from capture.rig.description import RigDescription
+from capture.rig.description import RigDescription, recorded_rig
 from capture.trajectory import Trajectory, load_trajectory
 from datasets.page import Page
 from datasets.recording import Recording
@@ -24,22 +24,22 @@ Array = NDArray[np.float64]
 
 
 def show(page: Page, path: Path, description: RigDescription, *, overrides: list[str] | None = None) -> dict[str, Any]:
-    """Put a trajectory file, or the recording in a folder, on a page; returns what the command says of it.
+    """Show a trajectory or a recording on a page; returns a summary for the command.
 
     Args:
-        page: to draw on.
-        path: file or folder.
-        description: of the rig whose camera mount a trajectory is planned with; a recording brings its own.
-        overrides: changes of the trajectory, "camera.binning=4".
+        page: the page to draw on.
+        path: folder of a recording, or file or name of a trajectory.
+        description: rig whose camera mount a trajectory is planned with. A recording has its own.
+        overrides: changes to the trajectory, such as "camera.binning=4".
 
     Raises:
-        UsageError: neither a trajectory nor a recording.
-        PlanningError: no way between two views was found.
+        UsageError: `path` is neither a trajectory nor a recording.
+        PlanningError: no path between two views was found.
     """
     if Path(path).is_dir():
         recording = Recording.open(path)
         trajectory = Trajectory.model_validate(recording.trajectory)
-        mount = RigDescription.model_validate(own_rig(recording)).flange_from_camera.matrix()
+        mount = recorded_rig(recording.manifest).flange_from_camera.matrix()
         complete = len(recording.frames) == len(trajectory.viewpoints())
         timeline = of_recording(recording, mount) if complete else of_trajectory(trajectory, mount)
     else:
@@ -61,22 +61,17 @@ def watch(
     *,
     stop: Callable[[], None],
 ) -> None:
-    """Put a recording that is about to be made on a page.
+    """Show a recording on a page while it is made.
 
     Args:
-        page: to draw on.
-        path: where the recording will be.
-        trajectory: what is taken.
+        page: the page to draw on.
+        path: folder of the future recording.
+        trajectory: what is captured.
         flange_from_camera: (4, 4) nominal mount [m].
         planned: its plan.
-        stop: called by the button that stops the arm.
+        stop: called by the stop button.
     """
     shown = CaptureView(page, trajectory, flange_from_camera, of_planned(trajectory, planned, flange_from_camera))
     live = LiveView(shown, path, flange_from_camera)
     live.offer_stop(stop)
     page.in_background(live.follow)
-
-
-def own_rig(recording: Recording) -> dict[str, Any]:
-    """The rig that a recording was made with, as its file described it; the nominal one where nothing is said."""
-    return {key: value for key, value in recording.manifest.get("rig", {}).items() if key in RigDescription.model_fields}

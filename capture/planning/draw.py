@@ -1,4 +1,4 @@
-"""Drawings of a plan: a picture for a report, and a page to turn around with the mouse that needs nothing but a browser."""
+"""Drawings of a plan: a picture for a report, and a self-contained page that shows it in three dimensions."""
 
 import json
 from importlib.resources import files as package_files
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.planning.obstacles import RADII, Obstacles, segments
+from capture.kinematics import forward
+from capture.planning.arm_shape import RADII, segments
+from capture.planning.obstacles import Obstacles
 from capture.planning.plan import PlannedView
 from datasets.core import files
 
@@ -17,69 +19,67 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = {"train": "#1f77b4", "test": "#d62728", "calibration": "#2ca02c"}
-"""Of the views by split."""
+"""Colour of the views of each split."""
 FRUSTUM_M = 0.05
-"""Length of the pyramid that stands for a camera."""
+"""Length of the pyramid that represents a camera."""
 STEPS = 24
-"""Points of the camera's way from each view to the next."""
+"""Points on the path of the camera from each view to the next."""
 
 
 def _cameras(planned: list[PlannedView], flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, 4, 4) camera poses at the planned joint angles [m]."""
-    from capture.kinematics import forward
-
     return np.stack([forward(view.joints) @ flange_from_camera for view in planned])
 
 
-def _ways(planned: list[PlannedView]) -> list[NDArray[np.float64]]:
-    """(STEPS, 6) joint angles from each view to the next, all corners included."""
-    ways, before = [], planned[0].joints
+def _paths(planned: list[PlannedView]) -> list[NDArray[np.float64]]:
+    """(STEPS, 6) joint angles from each view to the next, through all corners."""
+    paths, before = [], planned[0].joints
     for view in planned[1:]:
-        corners = np.array([before, *view.way])
+        corners = np.array([before, *view.path])
         length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1))])
         share = np.linspace(0.0, max(length[-1], 1e-9), STEPS)
-        ways.append(np.stack([np.interp(share, length, corners[:, joint]) for joint in range(6)], axis=-1))
+        paths.append(np.stack([np.interp(share, length, corners[:, joint]) for joint in range(6)], axis=-1))
         before = view.joints
-    return ways
+    return paths
 
 
 def _pyramid(base_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(8, 2, 3) edges of a small viewing pyramid [m]."""
+    """(8, 2, 3) edges of a small view frustum [m]."""
     half = 0.6 * FRUSTUM_M
-    corners = np.array([[-half, -half * 0.6, FRUSTUM_M], [half, -half * 0.6, FRUSTUM_M],
-                        [half, half * 0.6, FRUSTUM_M], [-half, half * 0.6, FRUSTUM_M]])  # fmt: skip
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    corners = np.column_stack([signs * [half, half * 0.6], np.full(4, FRUSTUM_M)])
     tip = np.zeros(3)
     edges = [(tip, corner) for corner in corners] + [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
     return np.array(edges) @ base_from_camera[:3, :3].T + base_from_camera[:3, 3]
 
 
 def _box_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(12, 2, 3) edges of the upright box between (2, 3) corners [m]."""
+    """(12, 2, 3) edges of the axis-aligned box between (2, 3) corners [m]."""
     places = np.array([[corners[a, 0], corners[b, 1], corners[c, 2]] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
     pairs = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
     return np.array([(places[a], places[b]) for a, b in pairs])
 
 
 def plot(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
-    """Write a PNG: views and ways from the side and from above, and the joint angles along the session."""
+    """Write a PNG: views and paths from the side and from above, and the joint angles along the session."""
     figure = figure_of(planned, obstacles, title=title)
     with files.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=100)
 
 
 def figure_of(planned: list[PlannedView], obstacles: Obstacles, *, title: str) -> "Figure":
-    """What `plot` writes, with what each colour stands for beneath."""
+    """The figure that `plot` writes, with a legend below."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 5.6), layout="constrained")
     panels = figure.subplots(1, 3)
     _side(panels[0], planned, obstacles, (0, 2))
     _side(panels[1], planned, obstacles, (0, 1))
-    panels[0].set(xlabel="seen from the side: x [m]", ylabel="z [m]")
-    panels[1].set(xlabel="seen from above: x [m]", ylabel="y [m]")
+    panels[0].set(xlabel="side view: x [m]", ylabel="z [m]")
+    panels[1].set(xlabel="top view: x [m]", ylabel="y [m]")
     angles = np.degrees(np.stack([view.joints for view in planned]))
     panels[2].plot(angles, marker=".", label=[f"joint {joint}" for joint in range(1, 7)])
-    panels[2].set(xlabel="view, in the order of the session", ylabel="joint angle [degrees]")
+    panels[2].set(xlabel="view, in the order of capture", ylabel="joint angle [degrees]")
     panels[2].legend(ncols=2, fontsize="small")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower left", ncols=len(names), fontsize="small", frameon=False)
@@ -88,62 +88,69 @@ def figure_of(planned: list[PlannedView], obstacles: Obstacles, *, title: str) -
 
 
 def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes: tuple[int, int]) -> None:
-    """Cameras, their ways, the arm, box, table and ceiling, flat on two axes of the base; the first of each kind is named."""
+    """Cameras, paths, arm, box, table and ceiling, projected on two axes of the base. The first of each kind is labelled."""
     across, up = axes
-    for index, way in enumerate(_ways(planned)):
-        track = _camera_track(way, obstacles)
-        panel.plot(
-            track[:, across], track[:, up], color="0.8", linewidth=0.8, zorder=1, label="" if index else "the camera's way"
-        )
+    for index, path in enumerate(_paths(planned)):
+        track = _camera_track(path, obstacles)
+        label = "" if index else "path of the camera"
+        panel.plot(track[:, across], track[:, up], color="0.8", linewidth=0.8, zorder=1, label=label)
+    arm = {"color": "0.4", "alpha": 0.35, "solid_capstyle": "round"}
     for index, (ends, radius) in enumerate(zip(segments(planned[0].joints, obstacles.flange_from_camera), RADII, strict=True)):
-        panel.plot(ends[:, across], ends[:, up], color="0.4", linewidth=60 * radius, alpha=0.35, solid_capstyle="round",
-                   label="" if index else "the arm at the first view")  # fmt: skip
+        label = "" if index else "arm at the first view"
+        panel.plot(ends[:, across], ends[:, up], linewidth=60 * radius, label=label, **arm)
     if obstacles.object_corners is not None:
         for index, edge in enumerate(_box_edges(obstacles.object_corners)):
-            panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1, label="" if index else "the object's box")
-    planes = {"the table": (obstacles.table_z, "sienna"), "the ceiling": (obstacles.ceiling_z, "slategray")}
+            panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1, label="" if index else "box of the object")
+    planes = {"table": (obstacles.table_z, "sienna"), "ceiling": (obstacles.ceiling_z, "slategray")}
     for name, (z, colour) in planes.items() if up == 2 else ():
         if z is not None:
             panel.axhline(z, color=colour, label=name)
     splits = [view.viewpoint.split for view in planned]
     for index, (split, pose) in enumerate(zip(splits, _cameras(planned, obstacles.flange_from_camera), strict=True)):
-        ahead = pose[:3, 3] + FRUSTUM_M * pose[:3, 2]
-        label = f"{splits.count(split)} cameras ({split}) and where they look" if split not in splits[:index] else ""
-        panel.plot([pose[across, 3], ahead[across]], [pose[up, 3], ahead[up]], color=COLOURS.get(split, "black"),
-                   linewidth=1.5, marker=".", markevery=[0], label=label)  # fmt: skip
+        ends = np.stack([pose[:3, 3], pose[:3, 3] + FRUSTUM_M * pose[:3, 2]])
+        label = f"{splits.count(split)} cameras ({split}) and their view directions" if split not in splits[:index] else ""
+        colour = COLOURS.get(split, "black")
+        panel.plot(ends[:, across], ends[:, up], color=colour, linewidth=1.5, marker=".", markevery=[0], label=label)
     panel.set(aspect="equal")
     if up == 2 and obstacles.up < 0:
         panel.invert_yaxis()  # the picture is upright, the base hangs
 
 
-def _camera_track(way: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:
-    from capture.kinematics import forward
-
-    return (forward(way) @ obstacles.flange_from_camera)[:, :3, 3]
+def _camera_track(path: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:
+    return (forward(path) @ obstacles.flange_from_camera)[:, :3, 3]
 
 
 def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
-    """Write one HTML file that shows arm, views and ways in three dimensions; it loads nothing from anywhere."""
+    """Write one HTML file that shows arm, views and paths in three dimensions and loads nothing."""
     template = (package_files("capture") / "planning" / "plan.html").read_text(encoding="utf-8")
     content = json.dumps(_scene(planned, obstacles, title), separators=(",", ":")).replace("</", "<\\/")
     files.write_text(path, template.replace("/*SCENE*/null", content))
 
 
 def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict[str, Any]:
-    """What the page draws, lengths in metres to a tenth of a millimetre."""
+    """What the page draws, lengths in metres rounded to 0.1 mm."""
     cameras = _cameras(planned, obstacles.flange_from_camera)
     start = np.repeat(planned[0].joints[None], STEPS, axis=0)
-    views = []
-    for view, way, pose in zip(planned, [start, *_ways(planned)], cameras, strict=True):
-        views.append({
-            "name": view.viewpoint.name, "split": view.viewpoint.split, "colour": COLOURS.get(view.viewpoint.split, "#000000"),
-            "joints_deg": np.degrees(view.joints).round(1).tolist(), "edges": _pyramid(pose).round(4).tolist(),
-            "arm": segments(way, obstacles.flange_from_camera).round(4).tolist(), "track": _camera_track(way, obstacles).round(4).tolist(),
-            "room_mm": round(1e3 * float(obstacles.margin(way).min()), 1),
-        })  # fmt: skip
+    views = [
+        {
+            "name": view.viewpoint.name,
+            "split": view.viewpoint.split,
+            "colour": COLOURS.get(view.viewpoint.split, "#000000"),
+            "joints_deg": np.degrees(view.joints).round(1).tolist(),
+            "edges": _pyramid(pose).round(4).tolist(),
+            "arm": segments(path, obstacles.flange_from_camera).round(4).tolist(),
+            "track": _camera_track(path, obstacles).round(4).tolist(),
+            "room_mm": round(1e3 * float(obstacles.margin(path).min()), 1),
+        }
+        for view, path, pose in zip(planned, [start, *_paths(planned)], cameras, strict=True)
+    ]
     box = obstacles.object_corners
     return {
-        "title": title, "radii": RADII.tolist(), "views": views, "table_z": obstacles.table_z,
-        "ceiling_z": obstacles.ceiling_z, "up": obstacles.up,
+        "title": title,
+        "radii": RADII.tolist(),
+        "views": views,
+        "table_z": obstacles.table_z,
+        "ceiling_z": obstacles.ceiling_z,
+        "up": obstacles.up,
         "box": [] if box is None else _box_edges(box).round(4).tolist(),
-    }  # fmt: skip
+    }

@@ -1,16 +1,16 @@
-"""In which order to take views, so that the ways between them are short."""
+"""An order of the views with short paths between them."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 TURN_M = 0.4
-"""A turn of the view axis by a radian costs as much as a way of this length [m]."""
+"""A turn of the view axis by one radian costs as much as a path of this length [m]."""
 
 
 def short_order(base_from_camera: NDArray[np.float64]) -> list[int]:
-    """Indices of (n, 4, 4) camera poses [m] in an order with a short way through all of them, the first staying first.
+    """Indices of (n, 4, 4) camera poses [m] in an order with a short path through all of them. The first stays first.
 
-    Nearest neighbours, then two-opt (Croes 1958): turn a stretch round wherever that makes the way shorter.
+    Nearest neighbours, then 2-opt (Croes 1958): a section is reversed wherever that shortens the path.
     """
     places, axes = base_from_camera[:, :3, 3], base_from_camera[:, :3, 2]
     turn = np.arccos(np.clip(axes @ axes.T, -1, 1))

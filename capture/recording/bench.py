@@ -1,12 +1,11 @@
-"""What the capture itself costs and gains on the simulated rig: sharpness against settling, loop overhead, rate of states.
+"""Benchmarks of the capture loop on the simulated rig: sharpness against settling time, loop overhead, rate of robot states.
 
-All of it with the vendors' own clients, against a simulated controller in real time.
+They use the vendors' clients against a simulated controller in real time.
 """
 
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.resources import files as package_files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -25,35 +24,31 @@ from capture.robots.ur import UR5e
 from capture.sim.camera import SimulatedCamera
 from capture.sim.controller.process import SimulatedController
 from capture.sim.truth import RigTruth
-from capture.trajectory import Trajectory, load_trajectory
+from capture.trajectory import load_trajectory
 from datasets import pose
 from datasets.recording import Frame
 
 DELAYS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5)
 """Waits between the end of a motion and the exposure."""
 PATIENT = Deadlines(stale_s=1.0, watchdog_hz=1.0)
-"""A busy computer is no fault of the rig's."""
+"""Long deadlines: a busy computer must not count as a fault of the rig."""
 Advance = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class SettlePoint:
-    """What one wait after a motion gives, the mean over several motions."""
+    """Mean result of one waiting time after a motion, over several motions."""
 
     delay_s: float
     """From the end of the motion to the exposure, as measured."""
     sharpness: float
-    """Of the picture, as a share of that of the arm at rest."""
+    """Of the picture, relative to a picture of the arm at rest."""
     off_mm: float
-    """How far the camera is from where it comes to rest."""
-
-
-def _trajectory(name: str, *overrides: str) -> Trajectory:
-    return load_trajectory(Path(str(package_files("configs") / "trajectories" / f"{name}.yaml")), overrides=list(overrides))
+    """Distance of the camera from its resting place."""
 
 
 def state_rate(seconds: float = 2.0, *, frequency: float = 500.0) -> float:
-    """States a second, each with a time stamp of its own, that reach the driver from an arm in motion [Hz]."""
+    """Rate of distinct states that the driver receives from a moving arm [Hz]."""
     with SimulatedController.start(time_scale=1.0) as controller:
         with UR5e(controller.host, deadlines=PATIENT, frequency=frequency, settling=Settling(time_s=0.0)) as robot:
             start = robot.state().joints
@@ -65,8 +60,8 @@ def state_rate(seconds: float = 2.0, *, frequency: float = 500.0) -> float:
 
 
 def loop_overhead(count: int = 12, *, advance: Advance = lambda name: None) -> NDArray[np.float64]:
-    """(count - 1,) seconds from frame to frame beyond motion, swing, settling and exposure, at the sensor's full resolution."""
-    trajectory = _trajectory("koala", "motion.settle_time_s=0.2")
+    """(count - 1,) time between frames beyond motion, swing, settling and exposure, at the sensor's full resolution [s]."""
+    trajectory = load_trajectory("koala", overrides=["motion.settle_time_s=0.2"])
     description = RigDescription()
     planned = plan(trajectory, description.flange_from_camera.matrix())[:count]
     motion = trajectory.motion
@@ -97,9 +92,9 @@ def settle_curve(
     repeats: int = 2,
     advance: Advance = lambda name: None,
 ) -> list[SettlePoint]:
-    """Sharpness of a board's picture, and error of the camera's place, against the wait after a motion."""
-    small = ("camera.binning=1", "camera.width=320", "camera.height=240", f"camera.exposure_us={exposure_us}")
-    trajectory = _trajectory("calibration_demo", *small)
+    """Sharpness of a picture of the board, and position error of the camera, against the wait after a motion."""
+    small = ["camera.binning=1", "camera.width=320", "camera.height=240", f"camera.exposure_us={exposure_us}"]
+    trajectory = load_trajectory("calibration_demo", overrides=small)
     description = RigDescription()
     mount = description.flange_from_camera.matrix()
     target, motion = plan(trajectory, mount)[0].joints, trajectory.motion
@@ -153,7 +148,7 @@ def plot_settling(points: list[SettlePoint], path: Path) -> None:
 
 
 def summary(points: list[SettlePoint], overheads: NDArray[np.float64], rate_hz: float) -> dict[str, Any]:
-    """Everything measured, as one plain dictionary."""
+    """All results as one plain dictionary."""
     return {
         "state_rate_hz": round(rate_hz, 1),
         "overhead_ms": {
@@ -163,3 +158,17 @@ def summary(points: list[SettlePoint], overheads: NDArray[np.float64], rate_hz: 
         },
         "settling": [vars(point) for point in points],
     }
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """`summary` as text, line by line."""
+    overhead, points = found["overhead_ms"], found["settling"]
+    return [
+        f"states: {found['state_rate_hz']:.0f} Hz",
+        f"overhead: median {overhead['median']:.1f} ms, worst {overhead['worst']:.1f} ms",
+        "delay of the exposure after the motion:",
+        *(
+            f"  {1e3 * one['delay_s']:5.0f} ms: sharpness {100 * one['sharpness']:5.1f} %, camera off by {one['off_mm']:.3f} mm"
+            for one in points
+        ),
+    ]

@@ -1,4 +1,4 @@
-"""How sharp a picture is, in a way that what it shows matters little for."""
+"""A measure of sharpness that hardly depends on what a picture shows."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from datasets.imaging.images import linear_from_srgb
 
 COARSE_PX = 1.5
-"""Standard deviation of the blur that takes the fine structure away [px]."""
+"""Standard deviation of the blur that removes the fine structure [px]."""
 
 
 def luminance(pixels: NDArray[Any]) -> NDArray[np.float32]:
@@ -17,20 +17,20 @@ def luminance(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def sharpness(pixels: NDArray[Any]) -> float:
-    """Slope of a picture over that of the same picture blurred, along the direction where that is the least.
+    """Ratio of the slopes of a picture and of its blurred copy, in the direction where the ratio is smallest.
 
-    The larger the finer the picture's structure; a blur along any direction brings it towards 1. Each slope is the root
-    mean square difference of neighbours along rows, columns or a diagonal, the fine one less what sensor noise adds. The
-    noise is estimated from the median absolute diagonal second difference (after Immerkaer 1996), which edges hardly touch.
+    Fine structure gives a large value; a blur in any direction brings it towards 1. A slope is the root mean square
+    difference of neighbours along rows, columns or a diagonal. Sensor noise is subtracted from the slope of the picture; it
+    is estimated from the median absolute diagonal second difference (after Immerkaer 1996), which edges hardly change.
     """
     from scipy.ndimage import gaussian_filter
 
-    light = np.sqrt(luminance(pixels))  # noise of counting is about even on this scale
+    light = np.sqrt(luminance(pixels))  # makes shot noise nearly uniform
     fine = np.maximum(_slopes(light) - 2 * _noise_variance(light), 1e-9)
     return float(np.sqrt(fine / np.maximum(_slopes(np.asarray(gaussian_filter(light, COARSE_PX), np.float32)), 1e-9)).min())
 
 
-def _slopes(light: NDArray[np.float32]) -> NDArray[np.float64]:
+def _slopes(light: NDArray[np.float32]) -> NDArray[np.floating]:
     """(4,) mean squared difference of neighbours: along rows, columns, and both diagonals."""
     pairs = (
         (light[:, 1:], light[:, :-1]),

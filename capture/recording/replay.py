@@ -1,4 +1,4 @@
-"""Drives the joint path of a recording again and says how far each frame's pose is from the one recorded."""
+"""Repeats the joint path of a recording and measures how far each pose is from the recorded one."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -9,7 +9,7 @@ import numpy as np
 
 from capture.errors import CaptureError
 from capture.planning import Obstacles, connect
-from capture.rig.description import RigDescription
+from capture.rig.description import recorded_rig
 from capture.rig.protocols import Robot
 from capture.trajectory import Trajectory
 from datasets import pose
@@ -19,21 +19,21 @@ from datasets.recording import TRUTH, Recording
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far the arm came from one frame's recorded state."""
+    """Deviation of the arm from the recorded state of one frame."""
 
     frame: str
     joints_deg: float
-    """Largest difference of a measured joint angle."""
+    """Largest difference of the measured joint angles."""
     translation_mm: float
-    """Of the flange as the controller reports it."""
+    """Of the flange position that the controller reports."""
     rotation_deg: float
-    """The same of its orientation."""
+    """Of the flange orientation that the controller reports."""
     true_mm: float | None = None
-    """Simulation: of where the flange really was; the arm's repeatability shows only here."""
+    """Simulation only: of the true flange position. Only this shows the repeatability of the arm."""
 
     @property
     def line(self) -> str:
-        """For a person."""
+        """The deviation in one line of text."""
         true = "" if self.true_mm is None else f", truly {self.true_mm:.3f} mm"
         return f"{self.translation_mm:.3f} mm, {self.rotation_deg:.4f} degrees, joints {self.joints_deg:.4f} degrees{true}"
 
@@ -49,22 +49,21 @@ def replay(
     truth: Callable[[], Any] | None = None,
     advance: Callable[[Deviation], None] = lambda one: None,
 ) -> list[Deviation]:
-    """Go to the recorded joint angles of every frame, in the order taken, by ways clear of all obstacles.
+    """Move to the recorded joint angles of every frame, in recorded order, on collision-free paths.
 
     Args:
-        recording: of any rig; its trajectory says speed, settling and obstacles.
-        robot: connected.
-        truth: simulation: (4, 4) where the flange really is now [m].
-        advance: called with each frame's deviation.
+        recording: of any rig. Its trajectory defines speed, settling and obstacles.
+        robot: a connected arm.
+        truth: simulation only: returns the true flange pose, (4, 4) [m].
+        advance: called with each deviation.
 
     Raises:
-        CaptureError: the recording has no frames, or an error of the arm, which stands still then.
+        CaptureError: the recording has no frames, or the arm failed and stands still.
     """
     if not recording.frames:
-        raise CaptureError("the recording holds no frames", where=recording.path, remedy="record something first")
+        raise CaptureError("the recording has no frames", where=recording.path, remedy="record something first")
     trajectory = Trajectory.model_validate(recording.trajectory)
-    described = RigDescription.model_validate({key: value for key, value in recording.manifest["rig"].items() if key != "name"})
-    obstacles = Obstacles.of(trajectory, described.flange_from_camera.matrix())
+    obstacles = Obstacles.of(trajectory, recorded_rig(recording.manifest).flange_from_camera.matrix())
     true_poses = _true_poses(recording) if truth is not None else {}
     motion, deviations = trajectory.motion, []
     for frame in recording.frames:
@@ -82,7 +81,7 @@ def replay(
 
 
 def _true_poses(recording: Recording) -> dict[str, Any]:
-    """Name to (4, 4) `base_from_flange` as it truly was; empty for a recording of a real rig."""
+    """True (4, 4) `base_from_flange` by name; empty for a recording of a real rig."""
     path: Path = recording.path / TRUTH / "poses.json"
     if not path.exists():
         return {}
@@ -92,7 +91,7 @@ def _true_poses(recording: Recording) -> dict[str, Any]:
 
 
 def summary(deviations: list[Deviation]) -> dict[str, Any]:
-    """Worst and root mean square of all frames; `worst` in words."""
+    """Worst and root mean square deviation over all frames; `worst` as text."""
 
     def over(values: list[float]) -> dict[str, float]:
         return {"worst": max(values), "rms": float(np.sqrt(np.mean(np.square(values))))}

@@ -1,4 +1,4 @@
-"""Puts frames on the disk while the arm moves on to the next view: encoding a picture takes longer than taking it."""
+"""Writes frames to disk while the arm moves to the next view: encoding a picture takes longer than taking it."""
 
 import queue
 import threading
@@ -7,24 +7,21 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from capture.measurements import Pixels
 from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
 
 Advance = Callable[[str], None]
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 WAITING = 2
-"""Frames that may wait for the disk: where it is slower than the arm, the arm waits."""
+"""Frames that may be queued for the disk. If the disk is slower than the arm, the arm waits."""
 
 
 class Writer:
-    """One thread that writes image, then line, frame by frame in the order given. Use as a context manager.
+    """A thread that writes each frame, first the image, then the line, in the given order. Use as a context manager.
 
-    Leaving waits until everything is on the disk, also where an exception is on its way: a picture that was taken is kept.
-    What went wrong in the thread (a full disk) is raised by the next `put`, or on leaving.
+    Leaving waits until everything is on the disk, also after an exception: a picture that was taken is kept. An error in
+    the thread (a full disk) is raised by the next `put`, or on leaving.
     """
 
     def __init__(self, recording: Recording, advance: Advance) -> None:
@@ -44,7 +41,7 @@ class Writer:
             raise self._failure
 
     def put(self, frame: Frame, pixels: Pixels) -> None:
-        """Hand over a frame (its hash is filled in here) and its picture; waits where too many wait already."""
+        """Hand over a frame, whose hash is filled in here, and its picture; blocks while the queue is full."""
         if self._failure is not None:
             raise self._failure
         self._queue.put((frame, pixels))
@@ -52,10 +49,10 @@ class Writer:
     def _work(self) -> None:
         while (item := self._queue.get()) is not None:
             if self._failure is not None:
-                continue  # the queue must go on moving, or `put` would wait for ever
+                continue  # keep emptying the queue, or `put` would block for ever
             try:
                 self._write(*item)
-            except Exception as error:  # raised in the thread that waits for it
+            except Exception as error:  # raised in the thread that calls `put`
                 self._failure = error
 
     def _write(self, frame: Frame, pixels: Pixels) -> None:

@@ -1,16 +1,17 @@
-"""Opens a rig: the real one that a file describes, or the simulated one of a seed."""
+"""Opens a rig: a real one that a file describes, or a simulated one that a seed defines."""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import configs
 from capture.rig.description import RigDescription, load_rig
-from capture.rig.protocols import Camera, Robot
+from capture.rig.protocols import Camera, GroundTruth, Robot
 from capture.trajectory import Trajectory
 from datasets.core.errors import UsageError
 
@@ -18,16 +19,7 @@ if TYPE_CHECKING:
     from capture.sim.controller.handle import ControllerHandle
 
 SIMULATED = "sim"
-
-
-class Witness(Protocol):
-    """Knows the truth behind each picture: only a simulation has one."""
-
-    def prepare(self, frame: int) -> None:
-        """Say which frame comes next."""
-
-    def keep_truth(self, folder: Path, name: str, split: str) -> None:
-        """Write what is true of the newest picture."""
+"""Name of the simulated rig."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +30,11 @@ class Rig:
     camera: Camera
     description: RigDescription
     name: str
-    """"sim", or the path of the rig file."""
-    witness: Witness | None = None
+    """"sim", or the name or path of the rig file."""
+    ground_truth: GroundTruth | None = None
+    """Only in a simulation."""
     extra: dict[str, Any] = field(default_factory=dict)
-    """What a recording keeps beyond that: of a simulation its scene and seed."""
+    """More entries for the manifest: the scene and seed of a simulation."""
 
     @property
     def flange_from_camera(self) -> NDArray[np.float64]:
@@ -50,24 +43,26 @@ class Rig:
 
 
 def describe(name: str) -> RigDescription:
-    """The description of a rig by name; raises UsageError where its file is missing or wrong."""
-    if name != SIMULATED and not Path(name).exists():
-        raise UsageError(
-            "no such file", where=name, remedy=f"--rig takes {SIMULATED} or the file of a rig, as configs/rigs/ur5e_basler.yaml"
-        )
-    return RigDescription() if name == SIMULATED else load_rig(name)
+    """The description of a rig: "sim", a shipped rig by name, or a rig file. Raises UsageError where it is missing or wrong."""
+    if name == SIMULATED:
+        return RigDescription()
+    path = configs.find("rigs", name, others=(SIMULATED,))
+    if not path.exists():
+        remedy = f"--rig takes {SIMULATED}, a name that 'capture list' shows, or a rig file"
+        raise UsageError("no such file", where=name, remedy=remedy)
+    return load_rig(path)
 
 
 @contextmanager
 def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_scale: float) -> Iterator[Rig]:
-    """Connect arm and camera, and close both again.
+    """Connect arm and camera; leaving the context closes both.
 
     Args:
-        name: "sim", or the path of a rig file.
+        name: "sim", or the name or path of a rig file.
         trajectory: camera settings and motion.
-        scene: what stands in front of the simulated camera.
-        seed: of everything random in the simulation that is started here; one that runs already has its own.
-        time_scale: how much faster than real time the simulated arm is, where it is started here.
+        scene: what the simulated camera looks at.
+        seed: of everything random in a simulation that is started here. A running simulation has its own seed.
+        time_scale: speed of a simulated arm that is started here, relative to real time.
     """
     description = describe(name)
     with _controller(name, description, trajectory, seed, time_scale) as controller:
@@ -92,9 +87,10 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
 def open_arm(
     name: str, trajectory: Trajectory, *, seed: int, links_seed: int, time_scale: float
 ) -> Iterator[tuple[Robot, "ControllerHandle | None"]]:
-    """Connect the arm alone; the second is the simulated controller, None for a real arm.
+    """Connect only the arm. The second value is the simulated controller, or None for a real arm.
 
-    Arguments as of `open_rig`; an arm that is started here has the links of `links_seed` and stops with the errors of `seed`.
+    Arguments as in `open_rig`. A simulated arm that is started here has the links of `links_seed` and the positioning errors
+    of `seed`.
     """
     description = describe(name)
     with _controller(name, description, trajectory, seed, time_scale, links_seed) as controller:
@@ -106,7 +102,7 @@ def open_arm(
 def _controller(
     name: str, description: RigDescription, trajectory: Trajectory, seed: int, time_scale: float, links_seed: int | None = None
 ) -> "Iterator[ControllerHandle | None]":
-    """The simulated controller of a rig, started here or found running; None for a real one."""
+    """The simulated controller of a rig, started here or already running; None for a real rig."""
     if name == SIMULATED:
         from capture.sim.controller.process import SimulatedController
 
@@ -132,12 +128,12 @@ def _arm(description: RigDescription, trajectory: Trajectory, controller: "Contr
     settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
     if controller is None:
         return UR5e(robot.host, limits=limits, settling=settling)
-    patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering takes all of the computer
+    patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
     return UR5e(controller.host, limits=limits, settling=settling, deadlines=patient, frequency=125.0)
 
 
 def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, seed: int) -> None:
-    """A rig file for a simulated controller that runs already; raises UsageError where the file exists."""
+    """Write the rig file of a running simulated controller; raises UsageError where the file exists."""
     import yaml
 
     from datasets.core import files
@@ -151,15 +147,15 @@ def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, 
 
 
 def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
-    """The simulated scene for a trajectory: the one named, else the one that suits it; "" for a real rig.
+    """The simulated scene for a trajectory: the named one, or else one that fits the trajectory; "" for a real rig.
 
     Raises:
-        UsageError: no such scene (naming the nearest), one that the trajectory does not suit, or a real rig is asked for one.
+        UsageError: there is no such scene, the trajectory does not fit it, or the rig is real.
     """
     simulation = None if rig == SIMULATED else describe(rig).simulation
     if rig != SIMULATED and simulation is None:
         if scene:
-            raise UsageError("--scene belongs to the simulation", where=rig, remedy="leave it out, or use --rig sim")
+            raise UsageError("--scene is only for simulated rigs", where=rig, remedy="leave it out, or use --rig sim")
         return ""
     from capture.sim.laboratory.views import check_scene
 

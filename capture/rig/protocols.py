@@ -1,73 +1,45 @@
-"""What a robot and a camera must do. Drivers in `robots/` and `cameras/` do it for real hardware.
+"""What a robot and a camera must do. The drivers in `robots/` and `cameras/` implement it for real hardware.
 
 Both are context managers: entering connects completely or leaves nothing open, leaving closes.
 """
 
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.measurements import Image, RobotState
 
-@dataclass(frozen=True)
-class RobotState:
-    """Where the arm is, at one time stamp of its controller."""
-
-    base_from_flange: NDArray[np.float64]
-    """(4, 4) flange pose [m]; the active tool centre point has been removed."""
-    joints: NDArray[np.float64]
-    """(6,) measured angles [rad]."""
-    joint_speeds: NDArray[np.float64]
-    """(6,) measured [rad/s]."""
-    robot_time_s: float
-    """The controller's time stamp [s]."""
-    host_time_ns: int
-    """Monotonic host clock on arrival [ns]."""
-
-
-@dataclass(frozen=True)
-class Image:
-    """One exposure as the camera delivered it."""
-
-    pixels: NDArray[np.uint8] | NDArray[np.uint16]
-    """(height, width, 3) RGB."""
-    exposure_us: float
-    """As read back from the camera."""
-    gain_db: float
-    """As read back from the camera."""
-    device_ticks: int
-    """The camera's own time stamp at exposure."""
-    host_time_ns: int
-    """Monotonic host clock when the exposure was triggered [ns]."""
+__all__ = ["Camera", "GroundTruth", "Image", "Robot", "RobotState"]
 
 
 class Robot(Protocol):
-    """An arm that goes to joint angles and says where it is."""
+    """An arm that moves to joint angles and reports its state."""
 
     def __enter__(self) -> Self: ...
     def __exit__(self, *exception: object) -> None: ...
 
     def move_to(self, joints: NDArray[np.float64], *, speed: float, acceleration: float) -> None:
-        """Move to (6,) joint angles [rad] at most at `speed` [rad/s] and `acceleration` [rad/s^2]; return when settled.
+        """Move to (6,) joint angles [rad] with at most `speed` [rad/s] and `acceleration` [rad/s^2]; return when settled.
 
-        Raises a CaptureError that says what happened and in what state the arm was left: stopped, always.
+        Raises a CaptureError that says what happened. The arm is always stopped then.
         """
 
     def state(self) -> RobotState:
-        """The newest state; raises where it is older than 0.2 s."""
+        """The newest state; raises where it is too old."""
         ...
 
     def stop(self) -> None:
-        """Bring the arm to rest now. May be called from another thread, and twice."""
+        """Stop the arm now. May be called twice and from another thread."""
 
     def description(self) -> dict[str, Any]:
-        """What the recording keeps of the arm: model, serial, software version, tool offset."""
+        """What the manifest stores about the arm: client, model, serial, software version, tool offset."""
         ...
 
 
 class Camera(Protocol):
-    """A camera with constant exposure and gain that takes a picture when told."""
+    """A camera with constant exposure and gain that takes a picture on request."""
 
     def __enter__(self) -> Self: ...
     def __exit__(self, *exception: object) -> None: ...
@@ -77,5 +49,15 @@ class Camera(Protocol):
         ...
 
     def description(self) -> dict[str, Any]:
-        """What the recording keeps of the camera: model, serial, full state as read back."""
+        """What the manifest stores about the camera: model, serial, full state as read back."""
         ...
+
+
+class GroundTruth(Protocol):
+    """Saves what is true of each picture. Only a simulation knows it."""
+
+    def prepare(self, frame: int) -> None:
+        """Announce the number of the next frame."""
+
+    def save_truth(self, folder: Path, name: str, split: str) -> None:
+        """Write the truth about the newest picture."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError
-from capture.rig.protocols import RobotState
+from capture.measurements import RobotState
 from capture.robots.dashboard import Dashboard
 from capture.robots.link import ChildLink, Sample
 from capture.robots.timing import Deadlines, Settling

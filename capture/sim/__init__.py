@@ -1,1 +1,1 @@
-"""The simulated rig: controller, arm, lens, light and laboratory, and the truth about them."""
+"""The simulated rig: controller, camera, laboratory, and the truth about them."""

@@ -1,6 +1,6 @@
-"""The simulated camera: renders what the lens would see from where the arm truly is, and has pylon's emulation deliver it.
+"""The simulated camera: renders what the lens sees from the true pose of the arm, and delivers it through pylon's emulation.
 
-So the driver that grabs is the one for real cameras; only the light is computed.
+The driver is therefore the one for real cameras; only the light is computed.
 """
 
 import time
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from capture.cameras.basler import Basler
 from capture.errors import SimulationError
-from capture.rig.protocols import Image
+from capture.measurements import Image
 from capture.sim.laboratory.lens import Lens, Sensor
 from capture.sim.laboratory.views import make_view
 from capture.sim.truth import RigTruth
@@ -25,28 +25,30 @@ from datasets.core import files
 from datasets.imaging import images
 
 MOMENTS = 16
-"""At so many moments of an exposure the simulation asks where the arm is."""
+"""Number of moments of an exposure at which the pose of the arm is sampled."""
 SHARP_PX = 0.05
-"""Motion during an exposure below this is not rendered [px]."""
+"""Smaller motion during an exposure is not rendered [px]."""
 NEAR_M = 0.3
-"""Distance of what moves through the picture the fastest [m]."""
+"""Distance of the closest things, which move fastest through the picture [m]."""
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
 LIGHT = ("diffuse", "specular")
 RAW_BITS = {"rgb8": 0, "bayer8": 8, "bayer12": 12}
-"""What a photosite's number has where the camera sends these, by `camera.pixel_format`; 0: it sends colours."""
+"""Bits of a raw value, by `camera.pixel_format`; 0: the camera sends colours."""
 
 
 class TrueArm(Protocol):
-    """What the camera needs of the simulated arm."""
+    """What the camera needs from the simulated arm."""
 
     def exposed(self, exposure_s: float, count: int) -> NDArray[np.float64]:
-        """(count, 4, 4) where the flange really is during an exposure that begins now [m]."""
+        """(count, 4, 4) true flange poses during an exposure that starts now [m]."""
         ...
 
 
 def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Which of (n, 4, 4) camera poses during an exposure a picture must be the mean of: one for a camera at rest,
-    and enough for steps of half a pixel where it moves."""
+    """Indices of the (n, 4, 4) camera poses of an exposure whose pictures are averaged.
+
+    One for a camera at rest; for a moving camera enough for steps of half a pixel.
+    """
     edges = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height], [camera.cx, camera.cy]])
     points = camera.directions(edges.astype(np.float64)) * NEAR_M
     first_from_camera = pose.inverse(base_from_camera[0]) @ base_from_camera
@@ -60,24 +62,17 @@ def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArr
 
 
 class SimulatedCamera:
-    """A Basler whose light is computed; does what `capture.rig.protocols.Camera` says.
+    """A Basler camera whose light is computed; implements `capture.rig.protocols.Camera` and `GroundTruth`.
 
     Args:
-        trajectory: its camera settings, and what stands where.
-        scene: a name of `capture.sim.laboratory.scenes.SCENES`.
-        truth: the rig as it really is.
-        arm: says where the flange truly is during an exposure that begins now.
-        seed: of textures and noise. Noise also depends on the frame, not on what was taken before.
+        trajectory: camera settings, and positions of object, board and table.
+        scene: a name from `capture.sim.laboratory.scenes.SCENES`.
+        truth: the true camera and mount.
+        arm: gives the true flange poses.
+        seed: of textures and noise. Noise also depends on the frame number, but not on earlier pictures.
     """
 
-    def __init__(
-        self,
-        trajectory: Trajectory,
-        scene: str,
-        truth: RigTruth,
-        arm: TrueArm,
-        seed: int,
-    ) -> None:
+    def __init__(self, trajectory: Trajectory, scene: str, truth: RigTruth, arm: TrueArm, seed: int) -> None:
         self.view = make_view(scene, trajectory, seed)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed
         self._arm, self._frame = arm, 0
@@ -100,18 +95,24 @@ class SimulatedCamera:
         self._folder.cleanup()
 
     def prepare(self, frame: int) -> None:
-        """Say which frame the next exposure is: its noise depends on that number and on nothing before it."""
+        """Set the frame number of the next exposure, on which its noise depends."""
         self._frame = frame
 
     def grab(self) -> Image:
-        """See `capture.rig.protocols.Camera`; `device_ticks` are nanoseconds of the host's clock, as of a camera on USB."""
+        """See `capture.rig.protocols.Camera`. `device_ticks` are nanoseconds of the host clock, as for a USB camera."""
         settings, moment = self.trajectory.camera, time.monotonic_ns()
         poses = self._arm.exposed(settings.exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
         poses = poses[blur_moments(self.lens.camera, poses)]
         self._base_from_camera = poses[len(poses) // 2]
         light = self.view.radiance(self.lens, poses, self._seed)
-        pixels = Sensor().expose(light, exposure_us=settings.exposure_us, gain_db=settings.gain_db, binning=settings.binning,
-                                 rng=np.random.default_rng([self.seed, self._frame, 3]), raw_bits=RAW_BITS[settings.pixel_format])  # fmt: skip
+        pixels = Sensor().expose(
+            light,
+            exposure_us=settings.exposure_us,
+            gain_db=settings.gain_db,
+            binning=settings.binning,
+            rng=np.random.default_rng([self.seed, self._frame, 3]),
+            raw_bits=RAW_BITS[settings.pixel_format],
+        )
         picture = Path(self._folder.name) / f"{self._frame}.png"
         images.write(picture, pixels)
         self._driver.feed(str(picture))
@@ -125,11 +126,11 @@ class SimulatedCamera:
         """See `capture.rig.protocols.Camera`."""
         return {**self._driver.description(), "simulated": True}
 
-    def keep_truth(self, folder: Path, name: str, split: str) -> None:
-        """Write what is true of the newest picture: its pose; for test views also the maps of `SUFFIXES`.
+    def save_truth(self, folder: Path, name: str, split: str) -> None:
+        """Write the truth about the newest picture: its pose, and for test views the maps of `SUFFIXES`.
 
-        folder/CHANNEL/NAME.*: `normals` (unit, base frame), `depth` (along z [m], 0 beside the object), `alpha` (share of
-        the pixel that shows the object), `diffuse` and `specular` (linear light, 1 is the picture's white; they sum to it).
+        folder/CHANNEL/NAME.*: `normals` (unit, base frame), `depth` (along z [m], 0 outside the object), `alpha` (share of
+        the pixel that shows the object), `diffuse` and `specular` (linear light that sums to the picture; 1 is its white).
         """
         if split == "test":
             white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)
@@ -142,28 +143,32 @@ class SimulatedCamera:
         files.write_json(poses, content)
 
     def _session(self, folder: Path) -> dict[str, Any]:
-        """What is true of all pictures; writes the object's mesh."""
+        """The truth about all pictures; also writes the mesh of the object."""
         mesh = self.view.mesh()
         if mesh is not None:
             with files.atomic_path(folder / "object.ply") as temporary:
                 mesh.export(temporary, file_type="ply", vertex_normal=True)
         board = self.trajectory.board
         return {
-            "format": "koala-truth", "version": 1, "camera": self.lens.camera.to_json(),
-            "sensor_camera": self.truth.sensor_camera.to_json(), "flange_from_camera": self.truth.flange_from_camera.tolist(),
-            "base_from_board": board.matrix().tolist() if board is not None else None, "base_from_camera": {},
-        }  # fmt: skip
+            "format": "koala-truth",
+            "version": 1,
+            "camera": self.lens.camera.to_json(),
+            "sensor_camera": self.truth.sensor_camera.to_json(),
+            "flange_from_camera": self.truth.flange_from_camera.tolist(),
+            "base_from_board": board.matrix().tolist() if board is not None else None,
+            "base_from_camera": {},
+        }
 
     @property
     def lens(self) -> Lens:
-        """The lens in use, once the camera is open."""
+        """The lens; only while the camera is open."""
         if self._lens is None:
             raise SimulationError("the camera is not open")
         return self._lens
 
     @property
     def base_from_camera(self) -> NDArray[np.float64]:
-        """(4, 4) where the camera truly was in the middle of the newest exposure [m]."""
+        """(4, 4) true camera pose in the middle of the newest exposure [m]."""
         if self._base_from_camera is None:
             raise SimulationError("no picture has been taken yet")
         return self._base_from_camera

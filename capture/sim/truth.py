@@ -1,6 +1,6 @@
-"""What the simulated rig is really like, and what nobody but the evaluation may know.
+"""The true camera and mount of the simulated rig, which only the evaluation may know.
 
-Camera and bracket differ from the drawing by amounts drawn from the seed, as those of any real rig do.
+They differ from the nominal ones by random amounts, as in any real rig.
 """
 
 from dataclasses import dataclass
@@ -30,15 +30,22 @@ class RigTruth:
 
     @classmethod
     def draw(cls, nominal_flange_from_camera: NDArray[np.float64], seed: int) -> Self:
-        """The rig of a seed: the same seed is the same rig, whatever it looks at."""
+        """The rig of a seed, independent of the scene."""
         rng = np.random.default_rng([seed, 7])
         focal = FOCAL_PX * (1 + rng.normal(0, 0.004))
         camera = Camera(
-            SENSOR_WIDTH, SENSOR_HEIGHT, focal, focal * (1 + rng.normal(0, 2e-4)),
-            SENSOR_WIDTH / 2 + rng.normal(0, 10), SENSOR_HEIGHT / 2 + rng.normal(0, 10),
-            k1=-0.11 + rng.normal(0, 0.01), k2=0.06 + rng.normal(0, 0.005),
-            p1=rng.normal(0, 8e-4), p2=rng.normal(0, 8e-4), k3=-0.012,
-        )  # fmt: skip
+            SENSOR_WIDTH,
+            SENSOR_HEIGHT,
+            fx=focal,
+            fy=focal * (1 + rng.normal(0, 2e-4)),
+            cx=SENSOR_WIDTH / 2 + rng.normal(0, 10),
+            cy=SENSOR_HEIGHT / 2 + rng.normal(0, 10),
+            k1=-0.11 + rng.normal(0, 0.01),
+            k2=0.06 + rng.normal(0, 0.005),
+            p1=rng.normal(0, 8e-4),
+            p2=rng.normal(0, 8e-4),
+            k3=-0.012,
+        )
         error = pose.from_rotation_vector(HAND_EYE_TURN_RAD * _direction(rng), HAND_EYE_SHIFT_M * _direction(rng))
         return cls(camera, nominal_flange_from_camera @ error)
 

@@ -65,7 +65,8 @@ version: 1
 name: hanging
 up: -z
 views:
-  - {kind: orbit, target: [0.0, 0.0, 1.1], distance: 1.0, elevation_deg: 40, azimuth_deg: [60, 240], count: 3, roll_deg: [0, 90, 180, 270]}
+  - {kind: orbit, target: [0.0, 0.0, 1.1], distance: 1.0, elevation_deg: 40, azimuth_deg: [60, 240], count: 3,
+     roll_deg: [0, 90, 180, 270]}
 split: {train: 2, test: 1}
 safety: {table_z: 1.2, ceiling_z: 0.0}
 object: {centre: [0.0, 0.0, 1.1], size: [0.2, 0.2, 0.2]}
@@ -86,18 +87,20 @@ def test_an_arm_that_hangs_records_a_session(tmp_path):
     np.testing.assert_allclose(surface.bounds, [[-0.1, -0.1, 1.0], [0.1, 0.1, 1.2]], atol=1e-3)  # on the table below the base
 
 
-def test_sim_waits_as_an_arm_that_hangs(tmp_path):
+def test_sim_starts_as_a_hanging_arm(tmp_path):
     rig, host = tmp_path / "rig.yaml", f"127.78.{os.getpid() % 200 + 1}.1"
     command = [sys.executable, "-m", "capture.cli", "sim", "--hangs", "--out", str(rig), "--host", host]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
-        assert host in process.stdout.readline()
-        with closing(ControllerHandle(host, load_rig(rig).simulation.side_port)) as controller:
+        assert process.stdout is not None and host in process.stdout.readline()
+        simulation = load_rig(rig).simulation
+        assert simulation is not None
+        with closing(ControllerHandle(host, simulation.side_port)) as controller:
             place = controller.true_base_from_flange()
         process.kill()
     np.testing.assert_allclose(place[:3, 3], forward(HANGING_HOME)[:3, 3], atol=5e-3)  # links as built
 
 
-def test_ctrl_c_keeps_what_was_taken_and_says_how_to_go_on(tmp_path):
+def test_ctrl_c_keeps_the_frames_and_says_how_to_resume(tmp_path):
     path = tmp_path / "many.yaml"
     path.write_text(SESSION.replace("COUNT", "12").replace("TRAIN", "11"))
     out = tmp_path / "rec"
@@ -126,27 +129,27 @@ def test_ctrl_c_keeps_what_was_taken_and_says_how_to_go_on(tmp_path):
         (("binning", "binnning"), [], "line 9: unknown key 'camera.binnning'; did you mean 'binning'?"),
         (("", ""), ["--scene", "gold_hed"], "unknown scene 'gold_hed'; did you mean 'gold_head'?"),
         (("", ""), ["--scene", "charuco_board"], "needs a trajectory with 'target'"),
-        (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file; --rig takes sim or the file of a rig"),
+        (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file; --rig takes sim, a name"),
         (("distance: 0.4", "distance: 2.0"), [], "views cannot be taken"),
         (("width: 48", "width: wide"), [], "camera.width"),
     ],
 )
-def test_misuse_is_one_line_and_leaves_nothing(session, tmp_path, change, arguments, words):
+def test_a_usage_error_is_one_line_and_leaves_nothing(session, tmp_path, change, arguments, words):
     session.write_text(session.read_text().replace(*change))
     done = capture("run", session, "--out", tmp_path / "rec", *arguments)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and words in done.stderr, done.stderr
     assert not (tmp_path / "rec").exists()
 
 
-def test_camera_that_refuses_leaves_nothing(session, tmp_path):
+def test_a_camera_that_rejects_a_setting_leaves_nothing(session, tmp_path):
     session.write_text(session.read_text().replace("binning: 4", "binning: 5"))
     done = capture("run", session, "--scene", "shiny_ball", "--out", tmp_path / "rec")
     assert done.returncode == 1 and "BinningHorizontal (requested 5" in done.stderr
     assert not (tmp_path / "rec").exists()
 
 
-def test_camera_that_is_not_there_is_one_line_and_leaves_nothing(session, tmp_path, configs):
-    done = capture("run", session, "--rig", configs / "rigs" / "ur5e_basler.yaml", "--out", tmp_path / "rec")
+def test_a_missing_camera_is_one_line_and_leaves_nothing(session, tmp_path):
+    done = capture("run", session, "--rig", "ur5e_basler", "--out", tmp_path / "rec")
     if "cannot be reached" in done.stderr or "several" in done.stderr:
         pytest.skip("a Basler camera is connected to this computer")
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
@@ -154,14 +157,14 @@ def test_camera_that_is_not_there_is_one_line_and_leaves_nothing(session, tmp_pa
     assert not (tmp_path / "rec").exists()
 
 
-def test_plan_says_whether_all_can_be_taken(session):
+def test_plan_checks_every_view(session):
     done = capture("plan", session, "--json")
     assert done.returncode == 0
     content = json.loads(done.stdout)
     assert content["splits"] == {"train": 2, "test": 1} and 1 < content["seconds"] < 60
 
 
-def test_plan_draws_itself(session, tmp_path):
+def test_plan_writes_its_drawings(session, tmp_path):
     done = capture(
         "plan", session, "--plot", tmp_path / "plan.png", "--page", tmp_path / "plan.html", "--set", "motion.speed=0.5"
     )
@@ -176,20 +179,21 @@ def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """`capture sim` by itself, and the rig file that it has written."""
     rig = tmp_path / "rig.yaml"
     host = f"127.77.{os.getpid() % 200 + 1}.1"
-    command = [sys.executable, "-m", "capture.cli", "sim", "--scene", "charuco_board", "--out", str(rig), "--host", host,
-               "--time-scale", "20", "--seed", "3"]  # fmt: skip
+    options = {"--scene": "charuco_board", "--out": str(rig), "--host": host, "--time-scale": "20", "--seed": "3"}
+    command = [sys.executable, "-m", "capture.cli", "sim", *(word for option in options.items() for word in option)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        assert process.stdout is not None
         line = process.stdout.readline()
         assert f"UR5e at {host}: rtde 30004, script 30003, dashboard 29999" in line
         yield process, rig
         process.kill()
 
 
-def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path, configs):
+def test_sim_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path):
     from capture.robots.dashboard import Dashboard
 
     process, rig = running_sim
-    board = configs / "trajectories" / "calibration_demo.yaml"
+    board = "calibration_demo"
     small = [word for change in ("camera.width=120", "camera.height=80") for word in ("--set", change)]
     done = capture("run", board, "--rig", rig, "--out", tmp_path / "rec", *small, "--json")
     assert done.returncode == 0, done.stderr
@@ -219,8 +223,29 @@ def test_sim_stands_alone_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp
 
     (tmp_path / "rec" / "images" / "004.png").write_bytes(b"")
     bad = capture("check", tmp_path / "rec")
-    assert bad.returncode == 1 and "view 004: its image has changed" in bad.stdout and "take again: 004" in bad.stdout
+    assert bad.returncode == 1 and "view 004: its image has changed" in bad.stdout and "retake: 004" in bad.stdout
     assert capture("check", tmp_path / "rec", "--discard").returncode == 1
     again = capture("run", board, "--rig", "sim", "--seed", 3, "--out", tmp_path / "rec", "--resume", *small)
     assert again.returncode == 0, again.stderr  # the same rig, wherever its controller is
     assert capture("check", tmp_path / "rec").returncode == 0
+
+
+def test_list_names_what_is_installed_and_what_it_is():
+    done = capture("list")
+    assert done.returncode == 0, done.stderr
+    for line in ("trajectories:", "rigs:", "scenes:", "  koala_demo ", "  ur5e_basler ", "  gold_head "):
+        assert line in done.stdout
+    content = json.loads(capture("list", "--json").stdout)
+    assert content["trajectories"]["koala_demo"].startswith("Demo: 50 small pictures") and "sim" not in content["rigs"]
+
+
+def test_a_shipped_trajectory_is_planned_by_name_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    done = capture("plan", "calibration_demo", "--rig", "ur5e_basler", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["views"] == 25
+    wrong = capture("plan", "calibration_dmo")
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1) and "did you mean 'calibration_demo'?" in wrong.stderr
+    wrong = capture("view", "calibration_dmo", "--port", "0")
+    assert wrong.returncode == 2 and "there is no trajectory 'calibration_dmo'" in wrong.stderr

@@ -19,11 +19,11 @@ SIX = "views=[{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, elevation_deg
 
 
 @pytest.fixture
-def recordings(tmp_path: Path, configs: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+def recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     """One arm takes six tiny pictures of one scene and then of the other."""
     monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
     changes = [SIX, "split=null", "camera.binning=4", "camera.width=24", "camera.height=24"]
-    trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml", overrides=changes)
+    trajectory = load_trajectory("koala_demo", overrides=changes)
     with SimulatedController.start(seed=5, time_scale=20.0) as controller:
         write_simulated_rig(tmp_path / "rig.yaml", controller, SCENES[0], 5)
         taken = []

@@ -5,7 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from capture.trajectory import Box, load_trajectory
+from capture.geometry import Box
+from capture.trajectory import load_trajectory
 from datasets.core.errors import UsageError
 
 SMALL = """\
@@ -37,16 +38,16 @@ def _load(tmp_path, text):
         ("calibration_hanging", {"calibration": 25}),
     ],
 )
-def test_shipped_files_load(configs, name, splits):
-    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+def test_shipped_files_load(name, splits):
+    trajectory = load_trajectory(name)
     viewpoints = trajectory.viewpoints()
     assert Counter(view.split for view in viewpoints) == splits
     names = [view.name for view in viewpoints]
     assert names == sorted(set(names)) and names[0] == "000"
 
 
-def test_the_same_file_gives_the_same_views(configs):
-    path = configs / "trajectories" / "calibration_demo.yaml"
+def test_the_same_file_gives_the_same_views():
+    path = "calibration_demo"
     first, second = load_trajectory(path).viewpoints(), load_trajectory(path).viewpoints()
     assert all((a.base_from_camera == b.base_from_camera).all() for a, b in zip(first, second, strict=True))
 
@@ -61,13 +62,13 @@ def test_test_views_lie_between_training_views(tmp_path):
     [
         (("count: 10", "cuont: 10"), ["line 6", "unknown key 'views.0.cuont'", "did you mean 'count'?"]),
         (("split:", "splits:"), ["line 7", "unknown key 'splits'", "did you mean 'split'?"]),
-        (("count: 10", "count: 11"), ["split asks for 8 + 2 views, but views give 11"]),
+        (("count: 10", "count: 11"), ["split has 8 + 2 views, but 'views' gives 11"]),
         (("kind: orbit", "kind: circle"), ["line 3", "'circle'"]),
         (("distance: 0.4", "distance: -0.4"), ["line 5", "distance", "given: -0.4"]),
         (("distance: 0.4", "distance: 0.4\n    distance: 0.5"), ["line 6", "given twice"]),
         (("name: small", "name: ../small"), ["line 1", "name"]),
         (("name: small", "name: small\nup: z"), ["line 2", "up", "'z'"]),
-        (("name: small", "name: small\nup: -z"), ["with up: -z the table is at a positive z", "safety.table_z is 0"]),
+        (("name: small", "name: small\nup: -z"), ["with up: -z the table has a positive z", "safety.table_z is 0"]),
         (("name: small", "name: small\nsafety: {ceiling_z: -1}"), ["safety.ceiling_z -1 is not above safety.table_z 0"]),
         (
             ("name: small", "name: small\nup: -z\nsafety: {table_z: 1, ceiling_z: 2}"),
@@ -96,7 +97,7 @@ def test_a_target_session_has_no_split(tmp_path):
     with pytest.raises(UsageError, match="a session with a target has no split"):
         _load(tmp_path, SMALL + target)
     assert set(_load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target)).splits) == {"calibration"}
-    with pytest.raises(UsageError, match="ChArUco boards only"):
+    with pytest.raises(UsageError, match="only ChArUco boards"):
         _load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target.replace("charuco", "chessboard")))
 
 
@@ -104,3 +105,84 @@ def test_box_corners():
     np.testing.assert_allclose(Box(centre=(1, 2, 3), size=(0.2, 0.4, 0.6)).corners, [[0.9, 1.8, 2.7], [1.1, 2.2, 3.3]])
     with pytest.raises(ValueError, match="positive"):
         Box(centre=(0, 0, 0), size=(1, 0, 1))
+
+
+GROUP = """\
+name: one
+views:
+  - {kind: orbit, target: [0.4, 0.0, 0.1], distance: 0.4, count: 2}
+"""
+
+
+@pytest.mark.parametrize(
+    ("group", "expected"),
+    [
+        ("{kind: hemisphere, target: [0.4, 0, 0.1], distance: 0.4, count: 3, rings: 4}", "4 rings need at least as many views"),
+        (
+            "{kind: hemisphere, target: [0.4, 0, 0.1], distance: 0.4, count: 9, elevation_deg: [70, 20]}",
+            "elevation_deg must rise",
+        ),
+        ("{kind: orbit, target: [0.4, 0, 0.1], distance: 0.4, count: 2, roll_deg: []}", "roll_deg"),
+        ("{kind: orbit, target: [0.4, 0], distance: 0.4, count: 2}", "views.0.target"),
+        ("{kind: orbit, target: [0.4, 0, .inf], distance: 0.4, count: 2}", "views.0.target"),
+        ("{kind: orbit, target: [0.4, 0, 0.1], distance: 5, count: 2}", "given: 5"),
+        ("{kind: grid, target: [0.4, 0, 0.1], centre: [0.4, 0, 0.5], size: [0.1, 0.1], columns: 0, rows: 2}", "columns"),
+        ("{kind: poses, poses: []}", "views.0.poses"),
+        ("{kind: poses, poses: [{position: [0.4, 0, 0.1]}]}", "give either look_at or quaternion_wxyz"),
+        ("{kind: poses, poses: [{position: [0.4, 0, 0.1], look_at: [0.4, 0, 0.1]}]}", "position and look_at coincide"),
+        ("{kind: joints, joints_deg: [[0, 0, 0, 0, 0]]}", "joints_deg"),
+        ("{target: [0.4, 0, 0.1]}", "kind"),
+    ],
+)
+def test_a_wrong_group_of_views_is_named(tmp_path, group, expected):
+    with pytest.raises(UsageError, match=r"small\.yaml, line \d+") as caught:
+        _load(tmp_path, f"name: one\nviews:\n  - {group}\n")
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("camera.binning=0", "camera.binning"),
+        ("camera.exposure_us=-1", "camera.exposure_us"),
+        ("camera.pixel_format=rgb16", "'rgb8', 'bayer8' or 'bayer12'"),
+        ("camera.pixelformat=rgb8", "did you mean 'pixel_format'?"),
+        ("motion.speed=4", "motion.speed"),
+        ("motion.order=fastest", "'given' or 'shortest'"),
+        ("motion.settle_difference=1", "motion.settle_difference"),
+        ("safety.clearance_m=1", "safety.clearance_m"),
+        ("views.1.count=3", "items are numbered from 0 to 0"),
+        ("name=a b", "name"),
+        ("version=2", "version"),
+    ],
+)
+def test_a_wrong_override_is_named(tmp_path, setting, expected):
+    path = tmp_path / "one.yaml"
+    path.write_text(GROUP)
+    load_trajectory(path)  # the premise: without the override it is right
+    with pytest.raises(UsageError) as caught:
+        load_trajectory(path, overrides=[setting])
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_overrides_change_what_they_name_and_nothing_else():
+    plain, changed = (
+        load_trajectory("koala_demo"),
+        load_trajectory("koala_demo", overrides=["views.0.distance=0.5", "motion.speed=0.3"]),
+    )
+    assert changed.model_dump()["views"][0]["distance"] == 0.5 and changed.motion.speed == 0.3
+    same = changed.model_dump() | {"views": plain.model_dump()["views"], "motion": plain.model_dump()["motion"]}
+    assert same == plain.model_dump()
+
+
+def test_an_unknown_name_lists_what_there_is():
+    with pytest.raises(UsageError, match=r"no trajectory 'koala_dmo' \(known: calibration, .*\); did you mean 'koala_demo'\?"):
+        load_trajectory("koala_dmo")
+    with pytest.raises(UsageError, match=r"koala_dmo\.yaml: no such file"):
+        load_trajectory("koala_dmo.yaml")
+
+
+def test_names_have_as_many_digits_as_they_need(tmp_path):
+    many = GROUP.replace("count: 2", "count: 1001")
+    names = [view.name for view in _load(tmp_path, many).viewpoints()]
+    assert (names[0], names[-1]) == ("0000", "1000") and names == sorted(names)

@@ -93,7 +93,7 @@ safety: {workspace: {centre: [0.45, 0, 0.4], size: [1.0, 1.2, 0.8]}}
 def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, browse: Callable[[str], Any]) -> None:
     from capture.page.session import SAFETY, CaptureView
     from capture.page.timeline import of_trajectory
-    from capture.planning.obstacles import PARTS, segments
+    from capture.planning.arm_shape import INDEX, segments
     from capture.rig.description import RigDescription
     from capture.trajectory import load_trajectory
 
@@ -109,7 +109,7 @@ def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, bro
         window.page.get_by_text(blocked[0].reason).first.wait_for(timeout=1e3 * window.PATIENCE_S)
         shown.slider.value = timeline.end
         window.until(lambda picture: (np.abs(picture.astype(int) - before) > 40).mean() > 0.005, "the arm elsewhere")
-        expected = segments(timeline.at(timeline.end), mount)[PARTS.index("camera"), 0]
+        expected = segments(timeline.at(timeline.end), mount)[INDEX["camera"], 0]
         handle = page.scene.get_handle_by_name("/arm/camera")
         assert handle is not None and np.allclose(handle.position, expected, atol=1e-5)
         assert window.errors == []

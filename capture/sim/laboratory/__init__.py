@@ -1,1 +1,1 @@
-"""The simulated laboratory: objects, materials, light, lens, and the renderer."""
+"""The simulated laboratory: scenes, materials, lens and sensor, renderer."""

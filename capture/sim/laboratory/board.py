@@ -1,4 +1,4 @@
-"""The calibration board as a camera sees it: exact, ray by ray, since a plane needs no renderer."""
+"""The calibration board as a camera sees it, computed exactly for each ray: a plane needs no renderer."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -13,7 +13,7 @@ from datasets import pose
 from datasets.board import Board
 
 INK, PAPER = 0.04, 0.95
-"""Radiance of black and white [that of the lamps]."""
+"""Radiance of black and white, relative to the lamps."""
 BORDER = 0.012
 """White paper around the squares [m]."""
 
@@ -25,7 +25,7 @@ def _table(seed: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class BoardPicture:
-    """A ChArUco board that lies on the table."""
+    """A ChArUco board on the table."""
 
     target: Board
     table_from_board: NDArray[np.float64]
@@ -51,7 +51,7 @@ class BoardPicture:
         return patterns
 
     def whiteness(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(...,) 1 where the board is white, 0 where black, at (..., 2) board coordinates [m]; white beside the squares."""
+        """(...) 1 where the board is white, 0 where black, at (..., 2) board coordinates [m]; white outside the squares."""
         target = self.target
         squares = places / target.square_length_m
         column, row = np.moveaxis(np.floor(squares).astype(np.int64), -1, 0)
@@ -68,7 +68,7 @@ class BoardPicture:
         )
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(height, width, 3) linear light on each pixel of the lens's camera, averaged over its area."""
+        """(height, width, 3) linear light on each pixel of the lens camera, averaged over its area."""
         light = self._table_light(table_from_camera, _rays(lens.middles()))
         board = np.zeros(light.shape[:2])
         covered = np.zeros(light.shape[:2])
@@ -82,7 +82,7 @@ class BoardPicture:
     def _board_light(
         self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        """Where (h, w, 3) rays meet the board, and the whiteness there (n,)."""
+        """Mask of the (h, w, 3) rays that hit the board, and the whiteness (n,) at these points."""
         board_from_camera = pose.inverse(self.table_from_board) @ table_from_camera
         start, heading = board_from_camera[:3, 3], rays @ board_from_camera[:3, :3].T
         facing = heading[..., 2] > 1e-9
@@ -92,7 +92,7 @@ class BoardPicture:
         return on_board, self.whiteness(places[on_board])
 
     def _table_light(self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(h, w, 4) colour of the table, and the brightness of the lamps above it, where (h, w, 3) rays meet it."""
+        """(h, w, 4) colour of the table, and brightness of the lamps above it, where (h, w, 3) rays hit it."""
         heading = rays @ table_from_camera[:3, :3].T
         down = np.minimum(heading[..., 2:], -1e-9)
         places = (table_from_camera[:3, 3] - heading * (table_from_camera[2, 3] / down))[..., :2] - self.centre

@@ -1,7 +1,7 @@
-"""The golden head: a life-like head on a plinth, defined by distances and meshed when it is needed.
+"""The golden head: a life-like head on a plinth, defined by a distance function and meshed on demand.
 
-Lengths below are in centimetres in the head's own frame: x forward (out of the face), y to its left, z up, the plinth's
-underside at z = 0. The mesh comes out in metres.
+Lengths below are in centimetres in the frame of the head: x forward (out of the face), y to its left, z up, the bottom of
+the plinth at z = 0. The mesh is in metres.
 """
 
 from functools import cache
@@ -16,8 +16,8 @@ LOWER, UPPER = np.array([-10.0, -8.0, -0.6]), np.array([10.0, 8.0, 27.0])
 
 
 def head_distance(points: Field) -> Field:
-    """Nearly the signed distance [cm] of (..., 3) points [cm] to the head."""
-    mirrored = points * np.float32([1, 0, 1]) + np.abs(points) * np.float32([0, 1, 0])  # both sides alike: y >= 0
+    """Approximate signed distance [cm] of (..., 3) points [cm] from the head."""
+    mirrored = points * np.array([1, 0, 1], np.float32) + np.abs(points) * np.array([0, 1, 0], np.float32)  # symmetric: y >= 0
     solid = joined(_skull(mirrored), _face(mirrored), 1.6)
     solid = _eyes(mirrored, solid)
     solid = _nose(mirrored, solid)
@@ -25,7 +25,7 @@ def head_distance(points: Field) -> Field:
     solid = _ears(mirrored, solid)
     solid = _hair(mirrored, solid)
     solid = joined(solid, _neck(mirrored), 1.0)
-    return np.maximum(joined(solid, _plinth(points), 0.5), -points[..., 2])  # stands flat
+    return np.maximum(joined(solid, _plinth(points), 0.5), -points[..., 2])  # flat bottom
 
 
 def _skull(p: Field) -> Field:
@@ -67,8 +67,8 @@ def _mouth(p: Field, solid: Field) -> Field:
 
 
 def _ears(p: Field, solid: Field) -> Field:
-    turned = p - np.float32([-0.9, 5.4, 15.3])
-    turned = turned @ np.float32([[0.97, -0.26, 0.0], [0.2, 0.94, 0.0], [0.2, 0.0, 1.0]])
+    turned = p - np.array([-0.9, 5.4, 15.3], np.float32)
+    turned = turned @ np.array([[0.97, -0.26, 0.0], [0.2, 0.94, 0.0], [0.2, 0.0, 1.0]], np.float32)
     shell = joined(
         ellipsoid(turned, (0, 0.3, 0.3), (1.45, 0.6, 1.9)), ellipsoid(turned, (0.45, 0.1, -1.6), (0.7, 0.45, 0.8)), 0.5
     )
@@ -78,7 +78,7 @@ def _ears(p: Field, solid: Field) -> Field:
 
 
 def _hair(p: Field, solid: Field) -> Field:
-    """Wavy strands combed back over the skull: waves in the distance, fading out at the hairline."""
+    """Wavy strands combed back over the skull: waves in the distance that fade out at the hairline."""
     x, y, z = np.moveaxis(p, -1, 0)
     hairline = 20.3 - 0.55 * np.maximum(3.4 - x, 0) - 0.02 * y * y
     hairline = np.where(x < -1.2, np.maximum(hairline - 1.6 * (-1.2 - x), 10.8), hairline)
@@ -101,7 +101,7 @@ def _plinth(p: Field) -> Field:
 
 @cache
 def head_mesh(step_cm: float = 0.2) -> trimesh.Trimesh:
-    """Closed mesh of the head [m] with smooth normals, sampled every `step_cm`; built in about two seconds, then kept."""
+    """Closed mesh of the head [m] with smooth normals, sampled every `step_cm`; takes about two seconds, then cached."""
     axes = [np.arange(low, high, step_cm, dtype=np.float32) for low, high in zip(LOWER, UPPER, strict=True)]
     slabs = [
         head_distance(np.stack(np.meshgrid(part, axes[1], axes[2], indexing="ij"), -1)) for part in np.array_split(axes[0], 8)

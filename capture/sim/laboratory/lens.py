@@ -1,7 +1,7 @@
-"""From the light that a perfect pinhole sees to the picture that a real lens and sensor deliver.
+"""From the picture of an ideal pinhole to that of a real lens and sensor.
 
-A renderer knows pinholes only. `Lens` says which pinhole picture it needs (finer and a little wider than the real one) and
-averages it over each pixel of the distorting camera. `expose` then counts electrons: shot noise, read noise, 8 or 12 bits.
+The renderer supports only pinholes. `Lens` defines the pinhole picture that it needs (finer and slightly wider than the real
+one) and averages it over each pixel of the distorted camera. `Sensor.expose` adds shot noise and read noise, and quantises.
 """
 
 import os
@@ -16,30 +16,30 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from datasets.imaging.images import srgb_from_linear, to_uint8
 
-Picture = NDArray[np.float32]
+Picture = NDArray[np.floating]
 MARGIN = 1
-"""Camera pixels that the pinhole sees beyond the border, for interpolation."""
+"""Pixels that the pinhole picture extends beyond the border of the camera, for interpolation."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Resamples pinhole pictures to those of `camera`."""
+    """Resamples pinhole pictures to the distorted pixels of `camera`."""
 
     camera: Camera
     supersampling: int = 2
     """Pixels of the pinhole picture per pixel of the camera, along each axis."""
     taps: int = 3
-    """Each pixel averages taps x taps places, so that edges are soft as on a sensor."""
+    """Each pixel averages taps x taps samples, so that edges are as soft as on a sensor."""
 
     @cached_property
     def _corners(self) -> NDArray[np.float64]:
-        """(height + 1, width + 1, 2) ideal normalised coordinates of the pixels' corners."""
+        """(height + 1, width + 1, 2) undistorted normalised coordinates of the pixel corners."""
         columns, rows = np.meshgrid(np.arange(self.camera.width + 1.0), np.arange(self.camera.height + 1.0))
         return self.camera.directions(np.stack([columns, rows], -1))[..., :2]
 
     @cached_property
     def pinhole(self) -> Camera:
-        """The pinhole whose picture covers everything that the camera sees, its centre on a pixel's corner."""
+        """The pinhole that covers the view of the camera, with its principal point on the corner of a pixel."""
         focal = max(self.camera.fx, self.camera.fy)
         lower = np.floor(self._corners.min(axis=(0, 1)) * focal).astype(int) - MARGIN
         upper = np.ceil(self._corners.max(axis=(0, 1)) * focal).astype(int) + MARGIN
@@ -48,9 +48,9 @@ class Lens:
         return Camera(width, height, focal * self.supersampling, focal * self.supersampling, float(centre[0]), float(centre[1]))
 
     def places(self) -> Iterator[NDArray[np.float64]]:
-        """taps * taps times (height, width, 2): ideal normalised coordinates spread evenly over each pixel.
+        """taps * taps arrays (height, width, 2) of undistorted normalised coordinates, spread evenly over each pixel.
 
-        Inside a pixel the lens is taken as bilinear between the corners, which is good to 1e-4 px.
+        Inside a pixel the distortion is interpolated bilinearly between the corners, which is accurate to 1e-4 px.
         """
         shares = (np.arange(self.taps) + 0.5) / self.taps
         upper, lower = self._corners[:-1], self._corners[1:]
@@ -60,18 +60,18 @@ class Lens:
                 yield (1 - right) * edge[:, :-1] + right * edge[:, 1:]
 
     def middles(self) -> NDArray[np.float64]:
-        """(height, width, 2) ideal normalised coordinates of the pixels' middles."""
+        """(height, width, 2) undistorted normalised coordinates of the pixel centres."""
         corners = self._corners
         return (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4
 
-    def image(self, picture: Picture) -> Picture:
-        """(height, width, channels) means over the camera's pixels of a picture taken by `pinhole`."""
+    def image(self, picture: Picture) -> NDArray[np.float32]:
+        """(height, width, channels) means over the pixels of the camera of a picture of `pinhole`."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             total = sum(pool.map(partial(self._seen, picture), self.places()))
         return np.asarray(total / self.taps**2, np.float32)
 
     def _seen(self, picture: Picture, place: NDArray[np.float64]) -> Picture:
-        """(height, width, channels) of the pinhole's picture at (height, width, 2) ideal coordinates, interpolated."""
+        """(height, width, channels) pinhole picture, interpolated at (height, width, 2) normalised coordinates."""
         from scipy.ndimage import map_coordinates
 
         pinhole = self.pinhole
@@ -81,7 +81,7 @@ class Lens:
 
 
 def strips(pinhole: Camera, pixels: int) -> Iterator[tuple[slice, Camera]]:
-    """Parts of a pinhole's picture that need less memory: rows, and the pinhole that sees only these, at most `pixels`."""
+    """Horizontal strips of a pinhole picture with at most `pixels` each: the rows, and the pinhole that sees only these."""
     height = max(pixels // pinhole.width, 1)
     for first in range(0, pinhole.height, height):
         last = min(first + height, pinhole.height)
@@ -90,12 +90,12 @@ def strips(pinhole: Camera, pixels: int) -> Iterator[tuple[slice, Camera]]:
 
 @dataclass(frozen=True)
 class Sensor:
-    """How light becomes numbers."""
+    """An image sensor: from light to pixel values."""
 
     full_well: float = 8000.0
-    """Electrons of one photosite at saturation."""
+    """Electrons of one sensor pixel at saturation."""
     read_noise: float = 6.0
-    """Standard deviation of reading one photosite [electrons]."""
+    """Standard deviation of the read noise of one sensor pixel [electrons]."""
     saturation: float = 1.5
     """Radiance that fills the well in `reference_us` at 0 dB."""
     reference_us: float = 10000.0
@@ -103,8 +103,10 @@ class Sensor:
     def expose(
         self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator, raw_bits: int = 0
     ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """(height, width, 3) sRGB bytes of linear light; with `raw_bits` what the converter counts, linear, in the upper bits
-        of 16. Binned photosites average, so noise falls by `binning`."""
+        """(height, width, 3) sRGB bytes of linear light; with `raw_bits` linear values in the upper bits of 16.
+
+        Binning averages sensor pixels, which reduces the noise by the factor `binning`.
+        """
         sites = binning**2
         share = radiance / self.saturation * (exposure_us / self.reference_us)
         electrons = np.minimum(np.maximum(share, 0), 1.0) * self.full_well * sites
@@ -116,5 +118,5 @@ class Sensor:
         return (np.rint(shares * (2**raw_bits - 1)).astype(np.uint16) << (16 - raw_bits)).astype(np.uint16)
 
     def white(self, exposure_us: float, gain_db: float) -> float:
-        """Radiance that becomes white: what a picture has lost by clipping lies above it."""
+        """Radiance that becomes white; a picture is clipped above it."""
         return self.saturation * self.reference_us / exposure_us / 10 ** (gain_db / 20)

@@ -1,4 +1,4 @@
-"""What surfaces of the simulated laboratory are made of. Colours are linear light; nothing here knows of a renderer."""
+"""Materials of the simulated laboratory, independent of the renderer. Colours are linear."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Matt:
-    """A surface that scatters light evenly: one colour (3,), or a texture (h, w, 3), in linear light."""
+    """A diffuse surface with one linear colour (3,) or a texture (h, w, 3)."""
 
     reflectance: NDArray[np.float32]
 
@@ -18,14 +18,14 @@ class Metal:
     """A rough metal."""
 
     name: str
-    """As the renderer's table of measured metals has it: Au, Ag, Al, Cu, Cr (for steel)."""
+    """Name in the renderer's table of measured metals: Au, Ag, Al, Cu, Cr (for steel)."""
     roughness: float
-    """Microfacet alpha: 0.03 a mirror, 0.05 polished, 0.3 brushed."""
+    """Microfacet alpha: 0.03 is a mirror, 0.05 polished, 0.3 brushed."""
 
 
 @dataclass(frozen=True)
 class Plastic:
-    """A coloured body (3,) under a clear, rough surface: boards, housings."""
+    """A coloured body under a clear, rough coating: boards, housings."""
 
     colour: tuple[float, float, float]
     roughness: float
@@ -33,10 +33,10 @@ class Plastic:
 
 @dataclass(frozen=True)
 class Glass:
-    """Clear and smooth; light passes through and bends."""
+    """A clear and smooth refracting material."""
 
     refraction: float
-    """Index: 1.52 crown glass, 1.544 quartz."""
+    """Refractive index: 1.52 for crown glass, 1.544 for quartz."""
 
 
 Material = Matt | Metal | Plastic | Glass

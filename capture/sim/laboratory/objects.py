@@ -1,9 +1,9 @@
-"""What stands in the simulated laboratory beside the golden head: a mirror ball, the inside of a lidar, crystals.
+"""Objects of the simulated laboratory other than the golden head: a mirror ball, the inside of a lidar, crystals.
 
-Each function gives parts, a mesh [m] per material, standing on z = 0 around the origin. Everything is computed from a seed.
+Each function returns parts, one mesh [m] per material, that stand on z = 0 around the origin. All are computed from a seed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -14,7 +14,7 @@ from capture.sim.laboratory.materials import Glass, Material, Matt, Metal, Plast
 Part = tuple[str, trimesh.Trimesh, Material, bool]
 """Name, mesh, material, and whether the mesh carries smooth normals."""
 SECTIONS = 96
-"""Sides of what is round."""
+"""Number of sides of round parts."""
 
 
 def shiny_ball() -> list[Part]:
@@ -23,13 +23,14 @@ def shiny_ball() -> list[Part]:
 
 
 def lidar_guts(rng: np.random.Generator) -> list[Part]:
-    """A lidar without its cover: milled aluminium, steel pillars, two boards with parts on them, a coil, a lens in its barrel."""
+    """A lidar without its cover: milled aluminium, steel pillars, two circuit boards, a coil, a lens in its barrel."""
     board, chips, pads = _board(rng, (0.15, 0.11), 26)
     upright, more_chips, more_pads = _board(rng, (0.09, 0.06), 9)
     stand = trimesh.transformations.concatenate_matrices(
         trimesh.transformations.translation_matrix([-0.055, 0.0, 0.078]),
-        trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]), trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]),
-    )  # fmt: skip
+        trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]),
+        trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]),
+    )
     for mesh in (upright, more_chips, more_pads):
         mesh.apply_transform(stand)
     for mesh in (board, chips, pads):
@@ -43,25 +44,29 @@ def lidar_guts(rng: np.random.Generator) -> list[Part]:
     ]
     pillars = [_rod(0.004, 0.020, (x, y, 0.020)) for x in (-0.066, 0.066) for y in (-0.046, 0.046)]
     coil = [trimesh.creation.torus(0.014, 0.0022, transform=_at((0.035, 0.0, 0.042 + 0.0046 * turn))) for turn in range(3)]
-    barrel = [_ring(0.0165, 0.020, 0.030, (-0.005, -0.048, 0.062), along="y"), _ring(0.019, 0.023, 0.006, (-0.005, -0.062, 0.062), along="y"),
-              _box((0.030, 0.022, 0.020), (-0.005, -0.040, 0.040))]  # fmt: skip
+    barrel = [
+        _ring(0.0165, 0.020, 0.030, (-0.005, -0.048, 0.062), along="y"),
+        _ring(0.019, 0.023, 0.006, (-0.005, -0.062, 0.062), along="y"),
+        _box((0.030, 0.022, 0.020), (-0.005, -0.040, 0.040)),
+    ]
     lens = _lens(0.0165, 0.007)
     lens.apply_transform(_at((-0.005, -0.060, 0.062), along="-y"))
     return [
-        ("aluminium", _joined(aluminium), Metal("Al", 0.16), False),
-        ("pillars", _joined(pillars), Metal("Cr", 0.1), False),
-        ("coil", _joined(coil), Metal("Cu", 0.2), False),
-        ("boards", _joined([board, upright]), Plastic((0.02, 0.16, 0.06), 0.15), False),
-        ("chips", _joined([chips, more_chips, *barrel]), Plastic((0.02, 0.02, 0.022), 0.2), False),
-        ("pads", _joined([pads, more_pads]), Metal("Au", 0.15), False),
+        ("aluminium", joined(aluminium), Metal("Al", 0.16), False),
+        ("pillars", joined(pillars), Metal("Cr", 0.1), False),
+        ("coil", joined(coil), Metal("Cu", 0.2), False),
+        ("boards", joined([board, upright]), Plastic((0.02, 0.16, 0.06), 0.15), False),
+        ("chips", joined([chips, more_chips, *barrel]), Plastic((0.02, 0.02, 0.022), 0.2), False),
+        ("pads", joined([pads, more_pads]), Metal("Au", 0.15), False),
         ("lens", lens, Glass(1.52), False),
     ]
 
 
 def crystal_capture(rng: np.random.Generator) -> list[Part]:
-    """Quartz crystals, six-sided prisms with pyramids on top, that grow out of a dull stone."""
+    """Quartz crystals, hexagonal prisms with pyramids on top, on a matt stone."""
     stone = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
-    bumps = sum(0.05 * np.sin(stone.vertices @ rng.normal(0, 3.5, 3) + rng.uniform(0, 6)) for _ in range(6))
+    waves = (0.05 * np.sin(stone.vertices @ rng.normal(0, 3.5, 3) + rng.uniform(0, 6)) for _ in range(6))
+    bumps = sum(waves, np.zeros(len(stone.vertices)))
     stone = trimesh.Trimesh(stone.vertices * (1 + bumps)[:, None] * [0.10, 0.09, 0.028], stone.faces, process=False)
     stone.vertices[:, 2] = np.maximum(stone.vertices[:, 2] + 0.006, 0.0)
     crystals = [_crystal(rng, 0.024, 0.175, np.zeros(2), 0.10)]
@@ -71,7 +76,7 @@ def crystal_capture(rng: np.random.Generator) -> list[Part]:
         crystals.append(_crystal(rng, rng.uniform(0.012, 0.018), rng.uniform(0.08, 0.13), place, rng.uniform(0.25, 0.5)))
     return [
         ("stone", stone, Matt(np.array([0.20, 0.17, 0.15], np.float32)), False),
-        ("crystals", _joined(crystals), Glass(1.544), False),
+        ("crystals", joined(crystals), Glass(1.544), False),
     ]
 
 
@@ -80,10 +85,8 @@ def _crystal(rng: np.random.Generator, radius: float, height: float, place: NDAr
     sides = np.arange(6) * np.pi / 3 + rng.uniform(0, np.pi / 3)
     around = np.stack([np.cos(sides), np.sin(sides)], -1) * (radius * rng.uniform(0.85, 1.15, 6))[:, None]
     shoulder = height - 1.3 * radius
-    points = np.concatenate([
-        np.column_stack([around, np.full(6, 0.006)]), np.column_stack([around * 0.94, np.full(6, shoulder)]),
-        [[0.15 * radius * rng.normal(), 0.15 * radius * rng.normal(), height]],
-    ])  # fmt: skip
+    foot, top = np.column_stack([around, np.full(6, 0.006)]), np.column_stack([around * 0.94, np.full(6, shoulder)])
+    points = np.concatenate([foot, top, [[0.15 * radius * rng.normal(), 0.15 * radius * rng.normal(), height]]])
     mesh = trimesh.convex.convex_hull(points)
     away = place / max(float(np.linalg.norm(place)), 1e-9) if np.linalg.norm(place) > 0 else np.array([1.0, 0.0])
     mesh.apply_transform(trimesh.transformations.rotation_matrix(lean, [-away[1], away[0], 0]))
@@ -95,7 +98,7 @@ def _crystal(rng: np.random.Generator, radius: float, height: float, place: NDAr
 def _board(
     rng: np.random.Generator, size: tuple[float, float], count: int
 ) -> tuple[trimesh.Trimesh, trimesh.Trimesh, trimesh.Trimesh]:
-    """A circuit board around the origin, the black parts on it, and the gold of contacts along one edge."""
+    """A circuit board around the origin, its black components, and gold contacts along one edge."""
     thickness = 0.0016
     board = _box((*size, thickness), (0, 0, 0))
     chips, taken = [], []
@@ -110,11 +113,11 @@ def _board(
             chips.append(_box(edges, (*place, (thickness + edges[2]) / 2)))
     steps = np.arange(-size[0] / 2 + 0.012, size[0] / 2 - 0.010, 0.004)
     pads = [_box((0.0022, 0.006, 0.0004), (x, -size[1] / 2 + 0.005, thickness / 2 + 0.0001)) for x in steps]
-    return board, _joined(chips), _joined(pads)
+    return board, joined(chips), joined(pads)
 
 
 def _lens(radius: float, bulge: float) -> trimesh.Trimesh:
-    """A plano-convex lens, its flat side on z = 0, the other a cap of height `bulge`."""
+    """A plano-convex lens: the flat side on z = 0, the other a cap of height `bulge`."""
     sphere = (radius**2 + bulge**2) / (2 * bulge)
     across = np.linspace(0, radius, 32)
     cap = np.sqrt(sphere**2 - across**2) - (sphere - bulge)
@@ -123,7 +126,7 @@ def _lens(radius: float, bulge: float) -> trimesh.Trimesh:
 
 
 def _at(place: ArrayLike, along: str = "z") -> NDArray[np.float64]:
-    """(4, 4) that puts a part whose axis is z at a place, its axis along another."""
+    """(4, 4) transform that moves a part to a place and turns its z axis along another axis."""
     turn = {"z": (0.0, [1, 0, 0]), "y": (-np.pi / 2, [1, 0, 0]), "-y": (np.pi / 2, [1, 0, 0])}[along]
     matrix = trimesh.transformations.rotation_matrix(*turn)
     matrix[:3, 3] = place
@@ -142,5 +145,8 @@ def _ring(inner: float, outer: float, height: float, place: ArrayLike, along: st
     return trimesh.creation.annulus(inner, outer, height, sections=SECTIONS, transform=_at(place, along))
 
 
-def _joined(parts: "list[trimesh.Trimesh] | Iterator[trimesh.Trimesh]") -> trimesh.Trimesh:
-    return trimesh.util.concatenate(list(parts))
+def joined(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """All parts as one mesh."""
+    mesh = trimesh.util.concatenate(list(parts))
+    assert isinstance(mesh, trimesh.Trimesh)  # as all its parts are
+    return mesh

@@ -1,4 +1,4 @@
-"""Light on a stage, by Mitsuba 3. The only module that imports it."""
+"""Rendering of a stage with Mitsuba 3. The only module that imports it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +16,11 @@ from datasets.camera_model import Camera
 MAX_DEPTH = 3
 """Edges of a light path: camera - object - table - light."""
 CLEAR_DEPTH = 8
-"""The same where there is glass: in, about, out again, and on."""
+"""The same with glass, which light enters and leaves several times."""
 SAMPLER = "multijitter"
 """Correlated stratification: at 16 samples per pixel 4 dB less noise than independent ones, for the same time."""
 PATHS_AT_ONCE = 4_000_000
-"""Larger pictures are rendered in strips, so that the vectorised variant stays below 1 GB."""
+"""Larger pictures are rendered in strips, which keeps the vectorised variant below 1 GB."""
 MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Mitsuba's cameras have x left, y up, z forward."""
 BASE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
@@ -29,28 +29,27 @@ BASE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What a pinhole sees first, one ray per pixel."""
+    """The first surface along one ray per pixel of a pinhole."""
 
     hit: NDArray[np.bool_]
-    """(h, w) the ray meets something."""
+    """(h, w) whether the ray hits something."""
     is_object: NDArray[np.bool_]
-    """(h, w) it meets the object."""
+    """(h, w) whether it hits the object."""
     normals: NDArray[np.float32]
     """(h, w, 3) unit, outward, in the table's frame."""
     depth: NDArray[np.float32]
-    """(h, w) along z of the camera [m]; 0 where nothing is met."""
+    """(h, w) along z of the camera [m]; 0 without a hit."""
 
 
 class Renderer:
-    """One stage, ready to be looked at from anywhere."""
+    """One stage, loaded for rendering from any camera."""
 
     def __init__(self, stage: Stage, *, using: str | None = None) -> None:
         mi.set_variant(using or variant())
         mi.set_log_level(mi.LogLevel.Error)
         self.stage = stage
         shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}
-        to_base = mi.ScalarTransform4f(BASE_FROM_ROOM)
-        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": to_base}
+        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": _transform(BASE_FROM_ROOM)}
         self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **shapes})
         depth = CLEAR_DEPTH if stage.transparent else MAX_DEPTH
         self._light = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth})
@@ -61,19 +60,25 @@ class Renderer:
     def radiance(
         self, pinhole: Camera, table_from_camera: NDArray[np.float64], *, samples: int, seed: int
     ) -> NDArray[np.float32]:
-        """(h, w, 3) linear light that reaches a pinhole, from `samples` paths per pixel. Its pixels are square and its
-        principal point is a pixel's corner."""
+        """(h, w, 3) linear light that reaches a pinhole, from `samples` paths per pixel.
+
+        The pixels of the pinhole must be square and its principal point the corner of a pixel.
+        """
         picture = np.empty((pinhole.height, pinhole.width, 3), np.float32)
         for number, (rows, part) in enumerate(strips(pinhole, PATHS_AT_ONCE // samples)):
             sensor = _sensor(part, table_from_camera, SAMPLER)
-            light = mi.render(self._scene, sensor=sensor, integrator=self._light, spp=samples, seed=strip_seed(seed, number))
-            picture[rows] = np.array(light)[..., :3]
+            light = self._render(sensor, self._light, samples, strip_seed(seed, number))
+            picture[rows] = light[..., :3]
         return picture
 
+    def _render(self, sensor: Any, integrator: Any, samples: int, seed: int) -> NDArray[Any]:
+        render: Any = mi.render  # its stubs do not accept an int as seed
+        return np.array(render(self._scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed))
+
     def surfaces(self, pinhole: Camera, table_from_camera: NDArray[np.float64], *, seed: int) -> Surfaces:
-        """What the pinhole's pixels show first."""
+        """The first surface at each pixel of the pinhole."""
         sensor = _sensor(pinhole, table_from_camera, "independent")
-        picture = np.array(mi.render(self._scene, sensor=sensor, integrator=self._first, spp=1, seed=seed), np.float32)
+        picture = np.asarray(self._render(sensor, self._first, 1, seed), np.float32)
         normals, places, index = picture[..., :3], picture[..., 3:6], picture[..., 6]
         away = places - table_from_camera[:3, 3].astype(np.float32)
         leaked = np.sum(normals * away, axis=-1) > 0.3 * np.linalg.norm(away, axis=-1)  # slipped between two triangles
@@ -85,32 +90,50 @@ class Renderer:
 
 
 def strip_seed(seed: int, number: int) -> int:
-    """A seed for each strip of a picture, so that no two have the same noise."""
+    """A different seed for each strip of a picture, so that their noise differs."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 def _sensor(pinhole: Camera, table_from_camera: NDArray[np.float64], sampler: str) -> Any:
-    """Mitsuba's sensor for a pinhole: the part of a centred picture that reaches to the pinhole's furthest edges."""
+    """Mitsuba's sensor for a pinhole: a crop of the smallest centred picture that contains it."""
     half_width = int(np.ceil(max(pinhole.cx, pinhole.width - pinhole.cx)))
     half_height = int(np.ceil(max(pinhole.cy, pinhole.height - pinhole.cy)))
     film = {
-        "type": "hdrfilm", "width": 2 * half_width, "height": 2 * half_height, "rfilter": {"type": "box"},
-        "crop_offset_x": round(half_width - pinhole.cx), "crop_offset_y": round(half_height - pinhole.cy),
-        "crop_width": pinhole.width, "crop_height": pinhole.height, "pixel_format": "rgb", "component_format": "float32",
-    }  # fmt: skip
-    return mi.load_dict({
-        "type": "perspective", "film": film, "sampler": {"type": sampler}, "near_clip": 0.005, "far_clip": 100.0,
-        "fov_axis": "x", "fov": float(np.rad2deg(2 * np.arctan(half_width / pinhole.fx))),
-        "to_world": mi.ScalarTransform4f(table_from_camera @ MITSUBA_FROM_OPENCV),
-    })  # fmt: skip
+        "type": "hdrfilm",
+        "width": 2 * half_width,
+        "height": 2 * half_height,
+        "rfilter": {"type": "box"},
+        "crop_offset_x": round(half_width - pinhole.cx),
+        "crop_offset_y": round(half_height - pinhole.cy),
+        "crop_width": pinhole.width,
+        "crop_height": pinhole.height,
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }
+    sensor = {
+        "type": "perspective",
+        "film": film,
+        "sampler": {"type": sampler},
+        "near_clip": 0.005,
+        "far_clip": 100.0,
+        "fov_axis": "x",
+        "fov": float(np.rad2deg(2 * np.arctan(half_width / pinhole.fx))),
+        "to_world": _transform(table_from_camera @ MITSUBA_FROM_OPENCV),
+    }
+    return mi.load_dict(sensor)
+
+
+def _transform(matrix: NDArray[np.float64]) -> Any:
+    transform: Any = mi.ScalarTransform4f  # its stubs do not accept a matrix
+    return transform(matrix)
 
 
 def _shape(item: Item) -> Any:
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(_material(item.material))
     vertices, faces = np.asarray(item.mesh.vertices, np.float32), np.asarray(item.mesh.faces, np.uint32)
-    mesh = mi.Mesh(item.name, len(vertices), len(faces), has_vertex_normals=item.smooth,
-                   has_vertex_texcoords=item.uv is not None, props=properties)  # fmt: skip
+    has = {"has_vertex_normals": item.smooth, "has_vertex_texcoords": item.uv is not None}
+    mesh = mi.Mesh(item.name, len(vertices), len(faces), props=properties, **has)
     values = mi.traverse(mesh)
     values["vertex_positions"], values["faces"] = vertices.ravel(), faces.ravel()
     if item.smooth:

@@ -1,4 +1,4 @@
-"""Renders one small picture of everything that the simulation uses, then exits with 0: run as a child, which may die.
+"""Renders a small picture with all features that the simulation uses, then exits with 0. Run in a child, which may crash.
 
 python -m capture.sim.laboratory.renderer_trial llvm_ad_rgb
 """
@@ -14,7 +14,7 @@ from datasets.camera_model import Camera
 
 
 def main(variant: str) -> int:
-    """Return 0 where `variant` renders the shiny ball with finite light."""
+    """Return 0 if `variant` renders the shiny ball with finite values."""
     renderer = Renderer(stage("shiny_ball", centre=(0.4, 0, 0.1), size=(0.2, 0.2, 0.2), seed=0), using=variant)
     camera, view = Camera(16, 16, 20, 20, 8, 8), pose.look_at((0, 0, 0.3), (0.4, 0, 0.1))
     light = renderer.radiance(camera, view, samples=2, seed=0)

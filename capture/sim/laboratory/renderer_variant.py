@@ -1,8 +1,8 @@
-"""Which variant of Mitsuba does the work: the vectorised one where it runs, else the scalar one, which always does.
+"""Chooses the variant of Mitsuba: the vectorised one if it works, otherwise the scalar one, which always works.
 
-The vectorised variant takes a third of the time, but needs a system LLVM, and some versions of it end the whole process
-on some processors. So a child process tries it first. Version 19 is known to work (Debian and Ubuntu: `libllvm19`);
-`DRJIT_LIBLLVM_PATH` names a library elsewhere, `KOALA_RENDERER` a variant.
+The vectorised variant takes a third of the time but needs a system LLVM, and some versions of LLVM crash the process on
+some processors. A child process therefore tries it first. Version 19 is known to work (Debian and Ubuntu: `libllvm19`).
+`DRJIT_LIBLLVM_PATH` sets the path of the library, `KOALA_RENDERER` the variant.
 """
 
 import logging
@@ -13,13 +13,13 @@ from functools import cache
 
 FAST, SURE = "llvm_ad_rgb", "scalar_rgb"
 TRIAL_S = 60.0
-"""How long the trial may take."""
+"""Time limit of the trial."""
 _log = logging.getLogger(__name__)
 
 
 @cache
 def variant() -> str:
-    """The fastest variant of Mitsuba that survives a trial in a child process; warns where that is the slow one."""
+    """The fastest variant of Mitsuba that passes a trial in a child process; warns if that is the slow one."""
     asked = os.environ.get("KOALA_RENDERER", "")
     if asked in (FAST, SURE):
         return asked

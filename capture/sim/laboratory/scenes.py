@@ -1,6 +1,6 @@
-"""The simulated laboratory: what stands on the table in front of the robot, as shapes, colours and light.
+"""The scenes of the simulated laboratory: shapes, materials and light on the table in front of the robot.
 
-Everything is in the table's frame [m]: its top at z = 0, z up. A stage knows nothing of a renderer.
+Everything is in the frame of the table [m]: its top at z = 0, z up. A stage is independent of the renderer.
 """
 
 from dataclasses import dataclass
@@ -34,44 +34,44 @@ class Item:
     uv: NDArray[np.float32] | None = None
     """(vertices, 2) texture coordinates, for a texture."""
     smooth: bool = False
-    """True where the mesh carries its own normals."""
+    """Whether the mesh has its own normals."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """All that light can meet: the first items are the object that the capture is about."""
+    """All items of a scene. The first `parts` of them are the captured object."""
 
     name: str
     items: tuple[Item, ...]
     room: NDArray[np.float32]
     """(h, 2h, 3) radiance of the surroundings, see `textures.room`."""
     parts: int = 1
-    """How many items are the object."""
+    """Number of items that form the object."""
 
     @property
     def transparent(self) -> bool:
-        """Whether light passes through anything."""
+        """Whether any item is transparent."""
         return any(isinstance(item.material, Glass) for item in self.items)
 
     def mesh(self) -> trimesh.Trimesh:
         """The object in the table's frame [m]."""
         meshes = [item.mesh for item in self.items[: self.parts]]
-        return meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
+        return meshes[0] if len(meshes) == 1 else objects.joined(meshes)
 
 
 def check_name(name: str) -> str:
-    """`name` where it is a scene's; else UsageError naming the nearest one."""
+    """Return `name` if it is a scene; otherwise raise UsageError with the nearest one."""
     if name not in SCENES:
         raise UsageError(f"unknown scene '{name}'", remedy=nearest(name, SCENES))
     return name
 
 
 def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
-    """The stage of a scene, its object in the middle of the object volume's floor.
+    """The stage of a scene. The object stands in the middle of the bottom of the object volume.
 
     Args:
-        name: of `SCENES`, "charuco_board" aside.
-        centre: (3,) middle of the object volume in the table's frame [m].
+        name: a scene other than "charuco_board".
+        centre: (3,) centre of the object volume in the frame of the table [m].
         size: (3,) its edges [m].
         seed: of the textures.
     """
@@ -102,7 +102,7 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
 
 
 def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDArray[np.float64]) -> None:
-    """Stand the object in the middle of the volume's floor, in the table's frame; smaller where the volume is too small."""
+    """Move the object to the middle of the bottom of the volume; scale it down if the volume is too small."""
     lower = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
     upper = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
     scale = min(1.0, float(np.min(size / (upper - lower))))
@@ -123,7 +123,7 @@ def _table(centre: NDArray[np.float64], rng: np.random.Generator) -> Item:
 
 
 def _props(centre: NDArray[np.float64], size: NDArray[np.float64], rng: np.random.Generator) -> list[Item]:
-    """Low coloured blocks around the object: parallax for the pictures, colour for the metal."""
+    """Low coloured blocks around the object, for parallax and for reflections in metal."""
     colours = [
         (0.62, 0.10, 0.08),
         (0.10, 0.35, 0.60),

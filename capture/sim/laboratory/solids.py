@@ -1,7 +1,7 @@
-"""Signed distances of simple solids, and how they melt into one another.
+"""Signed distances of simple solids, and smooth unions and differences.
 
-A distance function takes (..., 3) points [m] and returns (...,) distances [m], negative inside. The forms are the
-well-known ones of constructive solid geometry; `smooth` lengths are those over which two surfaces blend [m].
+A distance function takes (..., 3) points [m] and returns (...) distances [m], negative inside. `smooth` is the length over
+which two surfaces blend [m].
 """
 
 from collections.abc import Callable
@@ -9,12 +9,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Field = NDArray[np.float32]
+Field = NDArray[np.floating]
 Distance = Callable[[Field], Field]
 
 
 def ellipsoid(points: Field, centre: ArrayLike, radii: ArrayLike) -> Field:
-    """Nearly the distance to an axis-aligned ellipsoid: exact at the surface, first order beside it."""
+    """Approximate distance from an axis-aligned ellipsoid: exact at the surface, of first order elsewhere."""
     local = points - np.asarray(centre, np.float32)
     radii = np.asarray(radii, np.float32)
     scaled = np.linalg.norm(local / radii, axis=-1)
@@ -23,12 +23,12 @@ def ellipsoid(points: Field, centre: ArrayLike, radii: ArrayLike) -> Field:
 
 
 def sphere(points: Field, centre: ArrayLike, radius: float) -> Field:
-    """Distance to a sphere."""
+    """Distance from a sphere."""
     return np.linalg.norm(points - np.asarray(centre, np.float32), axis=-1) - np.float32(radius)
 
 
 def rod(points: Field, start: ArrayLike, end: ArrayLike, start_radius: float, end_radius: float) -> Field:
-    """Nearly the distance to a rounded rod whose radius changes evenly from `start` to `end`."""
+    """Approximate distance from a rounded rod whose radius changes linearly from `start` to `end`."""
     start, axis = np.asarray(start, np.float32), np.subtract(end, start).astype(np.float32)
     local = points - start
     share = np.clip(local @ axis / (axis @ axis), 0, 1)
@@ -37,7 +37,7 @@ def rod(points: Field, start: ArrayLike, end: ArrayLike, start_radius: float, en
 
 
 def drum(points: Field, centre: ArrayLike, radius: float, half_height: float, rounding: float) -> Field:
-    """Distance to an upright cylinder with rounded edges."""
+    """Distance from an upright cylinder with rounded edges."""
     local = points - np.asarray(centre, np.float32)
     beside = np.hypot(local[..., 0], local[..., 1]) - (radius - rounding)
     above = np.abs(local[..., 2]) - (half_height - rounding)
@@ -52,5 +52,5 @@ def joined(first: Field, second: Field, smooth: float) -> Field:
 
 
 def carved(solid: Field, tool: Field, smooth: float) -> Field:
-    """`solid` with `tool` taken away, the edge rounded over about `smooth`."""
+    """`solid` minus `tool`, the edge rounded over about `smooth`."""
     return -joined(-solid, tool, smooth)

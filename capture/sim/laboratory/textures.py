@@ -1,4 +1,4 @@
-"""Procedural pictures: everything that the simulated laboratory shows is computed from a seed, nothing is loaded."""
+"""Procedural textures of the simulated laboratory, computed from a seed."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,12 +7,12 @@ Picture = NDArray[np.float32]
 
 
 def noise(height: int, width: int, cells: int, rng: np.random.Generator) -> Picture:
-    """(height, width) smooth random values in 0..1, about `cells` hills along each axis."""
+    """(height, width) smooth random values in 0..1, with about `cells` maxima along each axis."""
     from scipy.ndimage import zoom
 
     coarse = rng.random((cells + 3, cells + 3)).astype(np.float32)
-    fine = zoom(coarse, (height / cells, width / cells), order=3)[:height, :width]
-    return np.clip(fine, 0, 1)
+    fine = np.asarray(zoom(coarse, (height / cells, width / cells), order=3))
+    return np.clip(fine[:height, :width], 0, 1)
 
 
 def mixed(first: ArrayLike, second: ArrayLike, share: Picture) -> Picture:
@@ -21,7 +21,7 @@ def mixed(first: ArrayLike, second: ArrayLike, share: Picture) -> Picture:
 
 
 def table_top(rng: np.random.Generator, resolution: int = 1024) -> Picture:
-    """Matt table: large soft stains, planks, and a fine grain, so that every place looks different."""
+    """Matt table top: large soft stains, planks and a fine grain, so that every place looks different."""
     shape = (resolution, resolution)
     colour = mixed((0.22, 0.17, 0.13), (0.42, 0.36, 0.28), noise(*shape, 9, rng))
     colour = mixed(colour, (0.16, 0.26, 0.30), 0.7 * noise(*shape, 14, rng) ** 3)
@@ -36,7 +36,7 @@ def room(rng: np.random.Generator, height: int = 128) -> Picture:
     """(height, 2 * height, 3) radiance of the surroundings, latitude by longitude, first row at the zenith.
 
     A dim laboratory: grey ceiling, walls whose colour drifts around the room, dark floor, a few bright panels and
-    windows with soft borders. A metal shows all of it again.
+    windows with soft borders. All of it is reflected in metal.
     """
     width = 2 * height
     rows, columns = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")

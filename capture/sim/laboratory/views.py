@@ -1,6 +1,6 @@
-"""What is in front of the simulated lens: an object in the laboratory, or the calibration board.
+"""What the simulated camera looks at: an object in the laboratory, or the calibration board.
 
-Both are described in the table's frame; `InBase` shows them to a robot that stands on that table, above or below it, or hangs.
+Both are described in the frame of the table; `InBase` converts them to the base frame of the robot.
 """
 
 from collections.abc import Iterable
@@ -20,29 +20,29 @@ from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 
-Maps = dict[str, NDArray[np.float32]]
+Maps = dict[str, NDArray[np.floating]]
 SAMPLES = 9
 """Light paths per pixel of the supersampled pinhole picture, four times as many per pixel of the image: noise of 38 dB."""
 FULL_SAMPLES = 4
-"""The same where every photosite is a pixel, whose own noise is higher."""
+"""The same without binning, where the sensor noise of a pixel is higher."""
 FINE = 2
-"""Pixels of the true surfaces per pixel of the pinhole picture, along each axis."""
+"""Samples of the true surfaces per pixel of the pinhole picture, along each axis."""
 RAYS_AT_ONCE = 4_000_000
 
 
 class View(Protocol):
-    """What is in front of the lens, described in one frame: `world`."""
+    """What the lens sees, described in one frame, `world`."""
 
     def radiance(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> NDArray[np.float32]:
         """(height, width, 3) linear light on the pixels of the lens's camera, its mean over (n, 4, 4) poses of an exposure."""
         ...
 
     def truth(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> Maps:
-        """What evaluation may know of the newest picture, see `SimulatedCamera.keep_truth`."""
+        """The true maps of the newest picture, see `SimulatedCamera.save_truth`."""
         ...
 
     def mesh(self) -> Any:
-        """The object [m], a trimesh; None where there is none."""
+        """The object [m], a trimesh; None without an object."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,15 @@ class ObjectView:
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        pictures = (self._renderer.radiance(lens.pinhole, moment, samples=self.samples, seed=(seed + i) % 2**32)
-                    for i, moment in enumerate(table_from_camera))  # fmt: skip
+        pictures = (
+            self._renderer.radiance(lens.pinhole, moment, samples=self.samples, seed=(seed + i) % 2**32)
+            for i, moment in enumerate(table_from_camera)
+        )
         self._newest = _mean(pictures, len(table_from_camera))
         return lens.image(self._newest)
 
     def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
-        """Means over each pixel: normals and depth over that part of it which shows the object, light over all of it."""
+        """Means over each pixel: normals and depth over the part that shows the object, light over the whole pixel."""
         if self._newest is None:
             raise SimulationError("no picture has been taken yet")
         means = self._surfaces(lens.pinhole, table_from_camera, seed)
@@ -101,13 +103,11 @@ class ObjectView:
             lens.image(np.concatenate([means, specular, self._newest - specular], -1)), [1, 4, 5, 8], axis=-1
         )
         normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-        return {
-            "alpha": alpha, "normals": np.where(alpha > 0, normals, 0), "depth": depth / np.maximum(alpha, 1e-6),
-            "specular": specular, "diffuse": diffuse,
-        }  # fmt: skip
+        normals, depth = np.where(alpha > 0, normals, 0), depth / np.maximum(alpha, 1e-6)
+        return {"alpha": alpha, "normals": normals, "depth": depth, "specular": specular, "diffuse": diffuse}
 
     def _surfaces(self, pinhole: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
-        """(height, width, 5) means over a pinhole's pixels: share of the object, its normals and its depth times that."""
+        """(height, width, 5) means over the pixels of a pinhole: share of the object, and its normals and depth times that."""
         means = np.empty((pinhole.height, pinhole.width, 5), np.float32)
         for number, (rows, part) in enumerate(strips(pinhole, RAYS_AT_ONCE // FINE**2)):
             fine = part.scaled(FINE * part.width, FINE * part.height)
@@ -133,32 +133,34 @@ class BoardView:
         return _mean((self.board.radiance(lens, moment) for moment in table_from_camera), len(table_from_camera))
 
     def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
-        """Nothing per picture: the board's pose says it all."""
+        """No maps: the pose of the board is enough."""
         return {}
 
     def mesh(self) -> None:
-        """None: a board is no object."""
+        """None: there is no object."""
 
 
 def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:
-    """Of `count` pictures; a single one stays as it is, bit for bit."""
+    """Mean of `count` pictures; a single one is returned bit for bit."""
     total = sum(pictures, np.float32(0))
     return np.asarray(total if count == 1 else total / np.float32(count), np.float32)
 
 
 def check_scene(scene: str, trajectory: Trajectory) -> None:
-    """Raise UsageError where there is no such scene, or where the trajectory does not say what it needs."""
+    """Raise UsageError if there is no such scene, or if the trajectory lacks what the scene needs."""
     check_name(scene)
     if scene == "charuco_board" and (trajectory.target is None or trajectory.board is None):
-        raise UsageError("scene 'charuco_board' needs a trajectory with 'target' and 'board'", where=trajectory.name,
-                     remedy="use configs/trajectories/calibration_demo.yaml, or another --scene")  # fmt: skip
+        remedy = "use the trajectory calibration_demo, or another --scene"
+        raise UsageError(
+            "scene 'charuco_board' needs a trajectory with 'target' and 'board'", where=trajectory.name, remedy=remedy
+        )
     if scene != "charuco_board" and trajectory.object is None:
-        raise UsageError(f"scene '{scene}' needs a trajectory with 'object'", where=trajectory.name,
-                     remedy="use configs/trajectories/koala_demo.yaml, or --scene charuco_board")  # fmt: skip
+        remedy = "use the trajectory koala_demo, or --scene charuco_board"
+        raise UsageError(f"scene '{scene}' needs a trajectory with 'object'", where=trajectory.name, remedy=remedy)
 
 
 def make_view(scene: str, trajectory: Trajectory, seed: int) -> InBase:
-    """What stands in front of the camera; raises as `check_scene` does."""
+    """The view of a scene; raises as `check_scene` does."""
     check_scene(scene, trajectory)
     return InBase(_on_table(scene, trajectory, seed), trajectory.base_from_table)
 

@@ -19,7 +19,7 @@ def picture(tmp_path: Path) -> tuple[str, np.ndarray]:
     return str(tmp_path / "fed.png"), pixels
 
 
-def test_delivers_the_fed_picture_unchanged(picture):
+def test_a_picture_file_is_delivered_unchanged(picture):
     path, pixels = picture
     with Basler(SMALL, emulated=True) as camera:
         camera.feed(path)
@@ -30,7 +30,7 @@ def test_delivers_the_fed_picture_unchanged(picture):
 
 
 def test_a_picture_stays_as_it_is_while_more_are_taken(picture, tmp_path):
-    """Pylon uses its buffers again and again."""
+    """Pylon reuses its buffers."""
     path, pixels = picture
     with Basler(SMALL, emulated=True) as camera:
         camera.feed(path)
@@ -76,7 +76,7 @@ def test_automatics_are_off_whatever_they_were_before():
         assert (state["ExposureAuto"], state["GainAuto"]) == ("Off", "Off") and len(state) > 20
 
 
-def test_damaged_images_are_taken_again(picture):
+def test_damaged_images_are_retried(picture):
     path, pixels = picture
     with Basler(SMALL, emulated=True) as camera:
         camera.feed(path)
@@ -85,7 +85,7 @@ def test_damaged_images_are_taken_again(picture):
         camera.break_next(TRIES)
         with pytest.raises(CaptureError, match=r"damaged images in a row .*incomplete"):
             camera.grab()
-        assert np.array_equal(camera.grab().pixels, pixels)  # and it goes on afterwards
+        assert np.array_equal(camera.grab().pixels, pixels)  # and it works afterwards
 
 
 def test_description_holds_the_state_as_read_back():
@@ -109,19 +109,19 @@ def test_description_holds_the_state_as_read_back():
         ({"offset_x": 4090, "width": 64}, "OffsetX.*requested 4090"),
     ],
 )
-def test_setting_that_is_not_taken_is_told_and_the_camera_closed(changed, words):
+def test_a_rejected_setting_is_named_and_the_camera_closed(changed, words):
     with pytest.raises(CaptureError, match=words):
         Basler(SMALL.model_copy(update=changed), emulated=True).__enter__()
     with Basler(SMALL, emulated=True):  # so it is free again
         pass
 
 
-def test_missing_camera_is_told():
+def test_a_missing_camera_is_an_error():
     with pytest.raises(RigConnectionError, match=r"camera 123: no Basler camera was found .*check cable"):
         Basler(SMALL, serial="123", emulated=True).__enter__()
 
 
-def test_camera_in_use_is_told():
+def test_a_camera_in_use_is_an_error():
     with Basler(SMALL, emulated=True), pytest.raises(CaptureError):
         Basler(SMALL.model_copy(update={"gain_db": 99.0}), emulated=True).__enter__()
 

@@ -23,7 +23,7 @@ def test_only_a_lock_that_stays_locked_is_removed(tmp_path):
     assert not abandoned.exists() and free.exists() and busy.exists() and other.exists()
 
 
-def test_it_waits_for_nothing_where_nothing_is_locked(tmp_path, monkeypatch):
+def test_it_does_not_wait_where_nothing_is_locked(tmp_path, monkeypatch):
     semaphore(tmp_path, "b", 1)
     monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("waited"))
     assert release_abandoned(tmp_path) == [] == release_abandoned(tmp_path / "nowhere")
@@ -36,7 +36,8 @@ def test_a_real_semaphore_of_a_killed_program(tmp_path):
     name = f"koala{time.time_ns()}GenICam_XML"
     code = (
         "import ctypes, os, sys\nlib = ctypes.CDLL(None)\nlib.sem_open.restype = ctypes.c_void_p\n"
-        f"s = lib.sem_open(b'/{name}', os.O_CREAT, 0o600, 1)\nassert lib.sem_trywait(ctypes.c_void_p(s)) == 0\nos.kill(os.getpid(), 9)"
+        f"s = lib.sem_open(b'/{name}', os.O_CREAT, 0o600, 1)\nassert lib.sem_trywait(ctypes.c_void_p(s)) == 0\n"
+        "os.kill(os.getpid(), 9)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
     assert f"sem.{name}" in release_abandoned(patience_s=0.3)

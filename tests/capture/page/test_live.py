@@ -11,9 +11,9 @@ import pytest
 from capture.page.live import TALL, LiveView, with_histogram
 from capture.page.session import CaptureView
 from capture.page.timeline import of_planned
-from capture.page.view import own_rig, show, watch
+from capture.page.view import show, watch
 from capture.planning import PlannedView, plan
-from capture.rig.description import RigDescription
+from capture.rig.description import RigDescription, recorded_rig
 from capture.trajectory import Trajectory
 from datasets.core.errors import UsageError
 from datasets.imaging import images
@@ -25,8 +25,8 @@ MOUNT = RigDescription().flange_from_camera.matrix()
 
 @pytest.fixture(scope="module")
 def session() -> tuple[Trajectory, list[PlannedView]]:
-    views = [{"kind": "orbit", "target": [0.4, 0.0, 0.14], "distance": 0.4, "elevation_deg": 40, "count": 4,
-              "roll_deg": [0, 90, 180, 270]}]  # fmt: skip
+    view = {"kind": "orbit", "target": [0.4, 0.0, 0.14], "distance": 0.4, "elevation_deg": 40, "count": 4}
+    views = [view | {"roll_deg": [0, 90, 180, 270]}]
     trajectory = Trajectory.model_validate({"name": "ring", "views": views, "split": {"train": 3, "test": 1}})
     return trajectory, plan(trajectory, MOUNT)
 
@@ -38,10 +38,9 @@ def begin(path: Path, trajectory: Trajectory) -> Recording:
 
 
 def take(recording: Recording, planned: list[PlannedView], index: int, grey: int) -> None:
-    view = planned[index]
-    images.write(recording.path / "images" / f"{index:03d}.png", np.full((24, 32, 3), grey, np.uint8))
-    recording.append(Frame(index, view.viewpoint.name, view.viewpoint.split, f"images/{index:03d}.png", np.eye(4), view.joints,
-                           10.0 + index, 0, 0, 1e4, 0.3, ""))  # fmt: skip
+    view, joints, image = planned[index].viewpoint, planned[index].joints, f"images/{index:03d}.png"
+    images.write(recording.path / image, np.full((24, 32, 3), grey, np.uint8))
+    recording.append(Frame(index, view.name, view.split, image, np.eye(4), joints, 10.0 + index, 0, 0, 1e4, 0.3, ""))
 
 
 def test_frames_appear_as_they_come_and_the_arm_goes_along(tmp_path: Path, session: Any) -> None:
@@ -49,27 +48,27 @@ def test_frames_appear_as_they_come_and_the_arm_goes_along(tmp_path: Path, sessi
     with open_page("live", 0) as page:
         shown = CaptureView(page, trajectory, MOUNT, of_planned(trajectory, planned, MOUNT))
         live = LiveView(shown, tmp_path / "r", MOUNT)
-        live.look()  # there is no recording yet
+        live.update()  # there is no recording yet
         recording = begin(tmp_path / "r", trajectory)
-        live.look()
+        live.update()
         assert live.seen == set()
         take(recording, planned, 0, 100)
         take(recording, planned, 1, 255)
-        live.look()
+        live.update()
         assert live.seen == {"000", "001"} and shown.slider.value == pytest.approx(shown.stops["001"].seconds)
         assert "2 of 4 taken" in live._words.content and "100.0 % of the pixels are clipped" in live._words.content
         assert shown.frusta["001"].image is not None
         assert "exposed for 10 ms" in shown.stops["000"].measured
 
 
-def test_a_picture_that_cannot_be_read_is_said(tmp_path: Path, session: Any) -> None:
+def test_an_unreadable_picture_is_reported(tmp_path: Path, session: Any) -> None:
     trajectory, planned = session
     recording = begin(tmp_path / "r", trajectory)
     take(recording, planned, 0, 100)
     (tmp_path / "r" / "images" / "000.png").write_bytes(b"\x89PNG and no more")
     with open_page("live", 0) as page:
         live = LiveView(CaptureView(page, trajectory, MOUNT, of_planned(trajectory, planned, MOUNT)), tmp_path / "r", MOUNT)
-        live.look()
+        live.update()
         assert "cannot be read" in live._words.content
 
 
@@ -85,7 +84,7 @@ def test_a_recording_that_is_not_complete_is_shown_by_its_plan(tmp_path: Path, s
         assert show(page, tmp_path / "r", RigDescription()) == {"name": "ring", "views": 4, "blocked": 0, "seconds": 3.0}
 
 
-def test_neither_a_trajectory_nor_a_recording_is_refused(tmp_path: Path) -> None:
+def test_a_path_that_is_neither_trajectory_nor_recording_is_an_error(tmp_path: Path) -> None:
     with open_page("nothing", 0) as page:
         with pytest.raises(UsageError, match="not a recording"):
             show(page, tmp_path, RigDescription())
@@ -96,7 +95,7 @@ def test_neither_a_trajectory_nor_a_recording_is_refused(tmp_path: Path) -> None
 def test_a_recording_brings_its_own_mount(tmp_path: Path, session: Any) -> None:
     recording = begin(tmp_path / "r", session[0])
     recording.manifest["rig"]["flange_from_camera"] = {"position": [0, 0, 0.2], "rotation_deg": [0, 0, 0]}
-    description = RigDescription.model_validate(own_rig(recording))
+    description = recorded_rig(recording.manifest)
     assert np.allclose(description.flange_from_camera.matrix()[:3, 3], [0, 0, 0.2])
 
 

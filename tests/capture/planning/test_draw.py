@@ -15,16 +15,19 @@ MOUNT = RigDescription().flange_from_camera.matrix()
 
 @pytest.fixture(scope="module")
 def drawn(pytestconfig):
-    trajectory = load_trajectory(pytestconfig.rootpath / "configs" / "trajectories" / "koala_demo.yaml")
+    trajectory = load_trajectory("koala_demo")
     return plan(trajectory, MOUNT)[:8], Obstacles.of(trajectory, MOUNT)
 
 
 def test_the_page_is_whole_and_loads_nothing(drawn, tmp_path):
-    draw.page(*drawn, tmp_path / "plan.html", title="</script><b>8 views")
+    planned, obstacles = drawn
+    draw.page(planned, obstacles, tmp_path / "plan.html", title="</script><b>8 views")
     text = (tmp_path / "plan.html").read_text()
     assert not re.search(r"https?://|src=|<link|@import|fetch\(", text) and "/*SCENE*/" not in text
     assert text.count("</script>") == 1  # a title cannot end the script
-    scene = json.loads(re.search(r"const scene = (.*);\n", text)[1].replace("<\\/", "</"))
+    found = re.search(r"const scene = (.*);\n", text)
+    assert found is not None
+    scene = json.loads(found[1].replace("<\\/", "</"))
     assert [view["name"] for view in scene["views"]] == [view.viewpoint.name for view in drawn[0]]
     assert scene["title"] == "</script><b>8 views" and len(scene["box"]) == 12
 
@@ -46,14 +49,15 @@ def test_a_plan_of_an_arm_that_hangs_is_drawn_upright(drawn):
     hanging = Obstacles(MOUNT, 0.02, table_z=1.2, ceiling_z=0.0, up=-1)
     side, above = draw.figure_of(planned, hanging, title="").axes[:2]
     assert side.yaxis.get_inverted() and not above.yaxis.get_inverted()
-    assert {"the table", "the ceiling"} < set(side.get_legend_handles_labels()[1])
+    assert {"table", "ceiling"} < set(side.get_legend_handles_labels()[1])
     scene = draw._scene(planned, hanging, "")
     assert (scene["table_z"], scene["ceiling_z"], scene["up"]) == (1.2, 0.0, -1)
     assert draw._scene(planned, standing, "")["up"] == 1
 
 
 def test_the_picture_shows_both_splits(drawn, tmp_path):
-    draw.plot(*drawn, tmp_path / "plan.png", title="8 views")
+    planned, obstacles = drawn
+    draw.plot(planned, obstacles, tmp_path / "plan.png", title="8 views")
     pixels = images.read(tmp_path / "plan.png")[..., :3]
     assert pixels.shape[1] > 1000
     for colour in ((0x1F, 0x77, 0xB4), (0xD6, 0x27, 0x28)):  # train, test
@@ -66,6 +70,9 @@ def test_the_legend_says_what_each_colour_stands_for(drawn):
     (legend,) = figure.legends
     words = [text.get_text() for text in legend.get_texts()]
     tests = sum(view.viewpoint.split == "test" for view in planned)
-    assert f"{tests} cameras (test) and where they look" in words and f"{8 - tests} cameras (train) and where they look" in words
-    assert {"the camera's way", "the arm at the first view", "the object's box", "the table"} < set(words)
+    assert (
+        f"{tests} cameras (test) and their view directions" in words
+        and f"{8 - tests} cameras (train) and their view directions" in words
+    )
+    assert {"path of the camera", "arm at the first view", "box of the object", "table"} < set(words)
     assert len(words) == len(set(words)) == 6

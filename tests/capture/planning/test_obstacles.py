@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from capture.kinematics import forward
-from capture.planning.obstacles import PARTS, Obstacles, box_distance, segment_distance, segments, sight_distance
+from capture.planning.arm_shape import INDEX, PARTS, segments
+from capture.planning.distances import box_distance, segment_distance, sight_distance
+from capture.planning.obstacles import Obstacles
+from capture.trajectory import load_trajectory
 from datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
@@ -50,7 +53,7 @@ def test_parallel_and_pointlike_segments():
 def test_segments_end_at_flange_and_camera():
     joints = np.array([0.3, -1.2, 1.5, -0.4, -1.5, 0.2])
     ends = segments(joints, MOUNT)
-    bracket = ends[PARTS.index("bracket")]
+    bracket = ends[INDEX["bracket"]]
     np.testing.assert_allclose(bracket, [forward(joints)[:3, 3], (forward(joints) @ MOUNT)[:3, 3]])
 
 
@@ -91,3 +94,36 @@ def test_workspace_holds_the_camera():
     corners = np.array([[-0.1, -0.1, 0], [0.1, 0.1, 0.5]])
     pair, room = Obstacles(MOUNT, 0.0, workspace_corners=corners).nearest(UPRIGHT)
     assert pair == "camera to the edge of the workspace" and room < -0.4
+
+
+def test_every_pair_that_could_meet_is_checked_and_named():
+    obstacles = Obstacles(MOUNT, 0.02, table_z=0.0, object_corners=BOX, workspace_corners=BOX, ceiling_z=2.0)
+    names = list(obstacles.margins(UPRIGHT[None]))
+    assert len(names) == len(set(names)) == 8 + 8 + 9 + 20 + 1  # table, ceiling, object, the arm itself, workspace
+    assert "base to table" not in names and "shoulder to table" not in names, "they always touch or nearly so"
+    assert {"forearm to base", "camera to upper arm", "shoulder to object", "camera to ceiling"} < set(names)
+    assert "camera to bracket" not in names and "forearm to elbow" not in names
+
+
+def test_a_larger_clearance_leaves_less_room_everywhere():
+    joints = np.random.default_rng(3).uniform(-2, 2, (5, 6))
+    near, far = (Obstacles(MOUNT, clearance, table_z=0.0, object_corners=BOX) for clearance in (0.0, 0.05))
+    for name, room in near.margins(joints).items():
+        np.testing.assert_allclose(far.margins(joints)[name], room - 0.05)
+    np.testing.assert_array_equal(near.margin(joints), np.min(list(near.margins(joints).values()), axis=0))
+
+
+def test_sight_does_not_depend_on_the_clearance_and_names_each_part_of_the_arm():
+    joints = np.random.default_rng(4).uniform(-2, 2, (5, 6))
+    near, far = (Obstacles(MOUNT, clearance, object_corners=BOX).sights(joints) for clearance in (0.0, 0.05))
+    assert list(near) == [part.name for part in PARTS[:8]]  # the camera is in front of its bracket
+    for name, room in near.items():
+        np.testing.assert_array_equal(far[name], room)
+
+
+def test_the_obstacles_of_a_trajectory_are_those_of_its_file():
+    trajectory = load_trajectory("koala_hanging", overrides=["safety.clearance_m=0.03"])
+    obstacles = Obstacles.of(trajectory, MOUNT)
+    assert (obstacles.table_z, obstacles.ceiling_z, obstacles.up, obstacles.clearance_m) == (1.1, -0.3, -1, 0.03)
+    assert trajectory.object is not None and obstacles.object_corners is not None and obstacles.workspace_corners is None
+    np.testing.assert_array_equal(obstacles.object_corners, trajectory.object.corners)

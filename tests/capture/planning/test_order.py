@@ -35,8 +35,8 @@ def test_views_in_a_muddle_are_put_in_line():
     assert short_order(poses) == [0, 2, 4, 3, 1]
 
 
-def test_a_plan_in_short_order_has_every_view_once_and_takes_no_longer(configs):
-    path = configs / "trajectories" / "calibration_demo.yaml"
+def test_a_plan_in_short_order_has_every_view_once_and_takes_no_longer():
+    path = "calibration_demo"
     given, short = (load_trajectory(path, overrides=[f"motion.order={order}"]) for order in ("given", "shortest"))
     first, second = plan(given, MOUNT), plan(short, MOUNT)
     assert sorted(view.viewpoint.name for view in second) == [view.viewpoint.name for view in first]

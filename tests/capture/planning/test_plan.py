@@ -1,13 +1,15 @@
-"""Plans put the camera where the trajectory wants it, without touching anything, and say what cannot be."""
+"""Plans reach every view without a collision, and name the views that cannot be taken."""
 
 import numpy as np
 import pytest
 
 from capture.errors import PlanningError, UnreachableError
+from capture.geometry import Box
 from capture.kinematics import JOINT_LIMIT, forward
 from capture.planning import Obstacles, connect, plan
 from capture.rig.description import RigDescription
 from capture.trajectory import Trajectory, load_trajectory
+from capture.viewpoints import HemisphereViews, JointViews
 from datasets import pose
 
 MOUNT = RigDescription().flange_from_camera.matrix()
@@ -15,32 +17,34 @@ MOUNT = RigDescription().flange_from_camera.matrix()
 
 def _orbit(**changes):
     view = {"kind": "orbit", "target": (0.4, 0, 0.14), "distance": 0.4, "count": 6, "elevation_deg": 40, **changes}
-    return Trajectory(name="orbit", views=[view])
+    return Trajectory.model_validate({"name": "orbit", "views": [view]})
 
 
 @pytest.mark.parametrize(
     "name", ["koala_demo", "koala_fine", "koala_metre", "koala_hanging", "koala", "calibration_demo", "calibration_hanging"]
 )
-def test_shipped_trajectories_are_reachable(configs, name):
-    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
+def test_shipped_trajectories_are_reachable(name):
+    trajectory = load_trajectory(name)
     planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
     assert len(planned) == len(trajectory.viewpoints())
     here = planned[0].joints
     for view, asked in zip(planned, trajectory.viewpoints(), strict=True):
         reached = forward(view.joints) @ MOUNT
-        np.testing.assert_allclose(reached, view.viewpoint.base_from_camera, atol=2e-6)
-        np.testing.assert_allclose(reached[:3, 2:], asked.base_from_camera[:3, 2:], atol=2e-6)  # rolled at most
+        np.testing.assert_allclose(reached, view.viewpoint.camera_pose(MOUNT), atol=2e-6)
+        np.testing.assert_allclose(reached[:3, 2:], asked.camera_pose(MOUNT)[:3, 2:], atol=2e-6)  # rolled at most
         assert np.abs(view.joints).max() < JOINT_LIMIT and obstacles.sight(view.joints[None])[0] >= 0
-        for there in view.way:
+        for there in view.path:
             assert obstacles.margin(np.linspace(here, there, 100)).min() > -0.005
             here = there
         assert (here == view.joints).all()
 
 
 @pytest.mark.parametrize(("name", "distance_m"), [("koala_demo", 0.4), ("koala_hanging", 1.0)])
-def test_the_object_is_seen_from_all_sides(configs, name, distance_m):
-    trajectory = load_trajectory(configs / "trajectories" / f"{name}.yaml")
-    offset = np.array([view.base_from_camera[:3, 3] for view in trajectory.viewpoints()]) - trajectory.views[0].target
+def test_the_object_is_seen_from_all_sides(name, distance_m):
+    trajectory = load_trajectory(name)
+    group = trajectory.views[0]
+    assert isinstance(group, HemisphereViews)
+    offset = np.array([view.camera_pose(MOUNT)[:3, 3] for view in trajectory.viewpoints()]) - group.target
     azimuth = np.sort(np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
     assert np.diff(azimuth, append=azimuth[0] + 360).max() < 30
     assert np.linalg.norm(offset, axis=1) == pytest.approx(distance_m)
@@ -59,32 +63,32 @@ def test_views_out_of_reach_are_named_with_their_reason():
 
 
 def test_views_inside_the_table_or_the_object_are_named():
-    with pytest.raises(UnreachableError, match="to table too near"):
+    with pytest.raises(UnreachableError, match="to table too close"):
         plan(_orbit(elevation_deg=1, target=(0.4, 0, 0.01)), MOUNT)
-    volume = {"centre": (0.4, 0, 0.3), "size": (0.7, 0.7, 0.6)}
-    with pytest.raises(UnreachableError, match="to object too near"):
+    volume = Box(centre=(0.4, 0, 0.3), size=(0.7, 0.7, 0.6))
+    with pytest.raises(UnreachableError, match="to object too close"):
         plan(Trajectory(name="boxed", views=_orbit().views, object=volume), MOUNT)
 
 
 def test_views_that_the_arm_hides_are_named():
-    volume = {"centre": (0.6, 0, 0.15), "size": (0.26, 0.26, 0.3)}
+    volume = Box(centre=(0.6, 0, 0.15), size=(0.26, 0.26, 0.3))
     across_the_base = {"target": (0.6, 0, 0.14), "distance": 1.0, "elevation_deg": 5, "azimuth_deg": (175, 185), "count": 1}
     with pytest.raises(UnreachableError, match=r"000: .* hides the object from the camera"):
         plan(Trajectory(name="hidden", views=_orbit(**across_the_base).views, object=volume), MOUNT)
     assert plan(_orbit(**across_the_base), MOUNT)  # where no object is named, nothing is hidden
 
 
-def test_joint_views_are_kept_and_judged():
-    degrees = [(0, -90, 90, -90, -90, 0), (20, -90, 90, -90, -90, 10)]
-    planned = plan(Trajectory(name="joints", views=[{"kind": "joints", "joints_deg": degrees}]), MOUNT)
+def test_joint_views_are_kept_and_checked():
+    degrees: list[tuple[float, float, float, float, float, float]] = [(0, -90, 90, -90, -90, 0), (20, -90, 90, -90, -90, 10)]
+    planned = plan(Trajectory(name="joints", views=[JointViews(kind="joints", joints_deg=degrees)]), MOUNT)
     np.testing.assert_allclose([view.joints for view in planned], np.radians(degrees))
     assert planned[0].viewpoint.base_from_camera is not None
     with pytest.raises(UnreachableError, match="joint 6 at 400 degrees, limit 360"):
-        plan(Trajectory(name="joints", views=[{"kind": "joints", "joints_deg": [(0, -90, 90, -90, -90, 400)]}]), MOUNT)
+        plan(Trajectory(name="joints", views=[JointViews(kind="joints", joints_deg=[(0, -90, 90, -90, -90, 400)])]), MOUNT)
 
 
-def test_an_arm_in_the_table_is_told_so():
+def test_an_arm_that_starts_in_the_table_is_an_error():
     stuck = np.array([0, 0.3, 0, -np.pi / 2, 0, 0])
     obstacles = Obstacles(pose.rigid(np.eye(3), [0, 0, 0.1]), 0.02, table_z=0.0)
-    with pytest.raises(PlanningError, match="stands too near already"):
+    with pytest.raises(PlanningError, match="already too close"):
         connect(stuck, np.add(stuck, [0, 0.1, 0, 0, 0, 0]), obstacles)

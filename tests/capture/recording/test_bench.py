@@ -37,3 +37,16 @@ def test_an_early_exposure_is_blurred_and_a_late_one_is_not(tmp_path):
 @pytest.mark.slow
 def test_the_loop_costs_little_beside_motion_settling_and_exposure():
     assert 0 < np.median(bench.loop_overhead(6)) < 0.1  # 0.02 on an idle computer
+
+
+def test_the_summary_is_printed_line_by_line():
+    points = [bench.SettlePoint(0.02, 0.755, 0.1234), bench.SettlePoint(0.5, 1.0, 0.01)]
+    found = bench.summary(points, np.array([0.020, 0.030, 0.100]), 499.6)
+    assert found["overhead_ms"] == {"median": pytest.approx(30), "worst": pytest.approx(100), "frames": 4}
+    assert bench.lines(found) == [
+        "states: 500 Hz",
+        "overhead: median 30.0 ms, worst 100.0 ms",
+        "delay of the exposure after the motion:",
+        "     20 ms: sharpness  75.5 %, camera off by 0.123 mm",
+        "    500 ms: sharpness 100.0 %, camera off by 0.010 mm",
+    ]

@@ -26,23 +26,23 @@ def picture(index: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory) -> Path:
-    configs = Path(__file__).parents[2] / "configs" / "trajectories"
     changes = [
         "views=[{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, count: 8}]",
         "split=null",
         "camera.width=120",
         "camera.height=96",
     ]
-    trajectory = load_trajectory(configs / "koala_demo.yaml", overrides=changes)
+    trajectory = load_trajectory("koala_demo", overrides=changes)
     path = tmp_path_factory.mktemp("good") / "recording"
     region = {"width": SIZE[1], "height": SIZE[0], "offset_x": 0, "offset_y": 0, "binning": 4}
     recording = Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "camera": {"region": region}})
     for index in range(COUNT):
         name = f"{index:03d}"
-        images.write(path / "images" / f"{name}.png", picture(index))
-        now = 1.7 * index
-        recording.append(Frame(index, name, "train", f"images/{name}.png", pose.look_at((0.4, 0, 0.5), (0, 0, 0)), np.zeros(6), 100 + now,
-                               int(1e9 * (7 + now)), int(1e9 * (3 + now)), 10_000.0, 0.4, files.sha256(path / "images" / f"{name}.png")))  # fmt: skip
+        now, image = 1.7 * index, f"images/{name}.png"
+        images.write(path / image, picture(index))
+        reached, digest = pose.look_at((0.4, 0, 0.5), (0, 0, 0)), files.sha256(path / image)
+        clocks = (100 + now, int(1e9 * (7 + now)), int(1e9 * (3 + now)))
+        recording.append(Frame(index, name, "train", image, reached, np.zeros(6), *clocks, 10_000.0, 0.4, digest))
     return path
 
 
@@ -94,14 +94,14 @@ def test_frames_that_are_missing_double_or_strange(recording):
     strange = lines[4].replace('"004"', '"999"')
     (recording / "frames.jsonl").write_text("".join([*lines[:4], lines[3], strange, *lines[5:]]))
     named = {(frame, what) for frame, what, _ in found(recording)}
-    assert {("004", "was never taken"), ("003", "was taken more than once"), ("999", "is no view of the trajectory")} <= named
+    assert {("004", "was never taken"), ("003", "was taken more than once"), ("999", "is not a view of the trajectory")} <= named
 
 
 def test_clocks_and_gaps(recording):
     change_line(recording, 5, robot_time_s=50.0)
     for index in (6, 7):
         change_line(recording, index, host_time_ns=int(1e9 * (7 + 1.7 * index + 60)))
-    assert found(recording) == [("005", "robot_time_s begins anew", False), ("006", "was taken after a gap", False)]
+    assert found(recording) == [("005", "robot_time_s starts again", False), ("006", "was taken after a gap", False)]
     assert all(finding.note for finding in check(recording))
     change_line(recording, 3, device_ticks=int(1e9 * (3 + 1.7 * 2)))
     assert to_take_again(check(recording)) == ["003"]  # the same tick twice: the same picture twice
@@ -113,7 +113,7 @@ def test_exposure(recording):
     change_line(recording, 3, exposure_us=5000.0)
     words = {frame: (what, again) for frame, what, again in found(recording)}
     assert words["001"] == ("is over-exposed", True) and words["002"] == ("is under-exposed", True)
-    assert words["003"] == ("was exposed otherwise", True)
+    assert words["003"] == ("has another exposure time", True)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -8,7 +8,7 @@ import pytest
 from capture import kinematics
 from capture.errors import MotionError
 from capture.planning import plan
-from capture.planning.plan import HOME
+from capture.planning.solutions import HOME
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
@@ -67,13 +67,13 @@ class StandInCamera:
 
     def prepare(self, frame: int) -> None: ...
 
-    def keep_truth(self, folder: Path, name: str, split: str) -> None:
+    def save_truth(self, folder: Path, name: str, split: str) -> None:
         self.kept.append((name, split))
 
 
 @pytest.fixture
-def trajectory(configs: Path) -> Trajectory:
-    return load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+def trajectory() -> Trajectory:
+    return load_trajectory("koala_demo")
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_takes_every_view_where_it_was_planned(trajectory, rig, views, tmp_path)
         assert frame.sha256 == files.sha256(recording.image_path(frame))
         assert (images.to_uint8(images.read(recording.image_path(frame))) == frame.device_ticks).all()
         assert frame.settle_s >= trajectory.motion.settle_time_s
-    assert rig.witness.kept == [(frame.name, frame.split) for frame in recording.frames]
+    assert rig.ground_truth.kept == [(frame.name, frame.split) for frame in recording.frames]
 
 
 def test_manifest_says_what_the_next_steps_need(trajectory, rig, views, tmp_path):
@@ -111,18 +111,24 @@ def test_manifest_says_what_the_next_steps_need(trajectory, rig, views, tmp_path
     assert manifest["camera"]["region"]["binning"] == 1 and manifest["robot"] == {"model": "stand-in"}
 
 
-def test_board_is_described_for_a_calibration(configs, rig, tmp_path):
-    trajectory = load_trajectory(configs / "trajectories" / "calibration_demo.yaml")
+def test_board_is_described_for_a_calibration(rig, tmp_path):
+    trajectory = load_trajectory("calibration_demo")
     views = plan(trajectory, rig.flange_from_camera)[:1]
     recording = record(trajectory, rig, tmp_path / "rec", planned=views)
     assert recording.manifest["board"] == {
-        "type": "charuco", "squares_x": 9, "squares_y": 7, "square_length_m": 0.03, "marker_length_m": 0.022,
-        "dictionary": "DICT_5X5_100", "legacy_pattern": False, "first_id": 0,
-    }  # fmt: skip
+        "type": "charuco",
+        "squares_x": 9,
+        "squares_y": 7,
+        "square_length_m": 0.03,
+        "marker_length_m": 0.022,
+        "dictionary": "DICT_5X5_100",
+        "legacy_pattern": False,
+        "first_id": 0,
+    }
     assert recording.frames[0].split == "calibration"
 
 
-def test_stopped_session_goes_on_without_taking_a_frame_twice(trajectory, rig, views, tmp_path):
+def test_a_stopped_session_is_resumed_without_a_duplicate(trajectory, rig, views, tmp_path):
     rig.camera.stop_at = 3
     with pytest.raises(KeyboardInterrupt):
         record(trajectory, rig, tmp_path / "rec", planned=views)
@@ -172,17 +178,17 @@ def test_nothing_is_overwritten(trajectory, rig, views, tmp_path):
     assert rig.robot.moves == 0 and (tmp_path / "rec" / "thesis.txt").read_text() == "mine"
 
 
-def test_another_session_does_not_go_on_here(trajectory, rig, views, tmp_path):
+def test_another_session_cannot_resume_here(trajectory, rig, views, tmp_path):
     record(trajectory, rig, tmp_path / "rec", planned=views[:1])
     slower = trajectory.model_copy(update={"motion": trajectory.motion.model_copy(update={"speed": 0.5})})
     with pytest.raises(UsageError, match="another trajectory"):
         record(slower, rig, tmp_path / "rec", resume=True, planned=views)
-    other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.witness, {"scene": "gold_head", "seed": 1})
+    other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.ground_truth, {"scene": "gold_head", "seed": 1})
     with pytest.raises(UsageError, match="another seed"):
         record(trajectory, other, tmp_path / "rec", resume=True, planned=views)
 
 
-def test_what_a_kill_left_half_written_is_swept_away(trajectory, rig, views, tmp_path):
+def test_incomplete_files_of_a_kill_are_removed(trajectory, rig, views, tmp_path):
     out = tmp_path / "rec"
     (out / "images").mkdir(parents=True)
     (out / ".manifest.x1y2.json").write_text("{")  # killed before the manifest was there
@@ -204,20 +210,20 @@ def test_a_folder_that_is_no_recording_is_not_touched(trajectory, rig, views, tm
 def test_another_address_is_the_same_rig(trajectory, rig, views, tmp_path):
     record(trajectory, rig, tmp_path / "rec", planned=views[:1])
     moved = rig.description.model_copy(update={"robot": rig.description.robot.model_copy(update={"host": "10.0.0.7"})})
-    there = Rig(rig.robot, rig.camera, moved, "copy.yaml", rig.witness, rig.extra)
+    there = Rig(rig.robot, rig.camera, moved, "copy.yaml", rig.ground_truth, rig.extra)
     assert len(record(trajectory, there, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
     slower = moved.model_copy(update={"robot": moved.robot.model_copy(update={"max_joint_speed": 0.9})})
     with pytest.raises(UsageError, match="another rig"):
         record(
             trajectory,
-            Rig(rig.robot, rig.camera, slower, "", rig.witness, rig.extra),
+            Rig(rig.robot, rig.camera, slower, "", rig.ground_truth, rig.extra),
             tmp_path / "rec",
             resume=True,
             planned=views,
         )
 
 
-def test_waits_for_two_equal_pictures_where_asked(trajectory, rig, views, tmp_path):
+def test_it_waits_for_two_equal_pictures_if_requested(trajectory, rig, views, tmp_path):
     """The stand-in's pictures get brighter by one level each: two never differ by less than 1/255."""
     waiting = trajectory.motion.model_copy(update={"settle_difference": 0.01, "settle_timeout_s": 0.2})
     record(trajectory.model_copy(update={"motion": waiting}), rig, tmp_path / "rec", planned=views[:2])

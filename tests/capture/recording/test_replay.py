@@ -3,10 +3,10 @@ import pytest
 
 from capture import kinematics
 from capture.errors import CaptureError
+from capture.measurements import RobotState
 from capture.planning import plan
 from capture.recording.replay import replay, summary
 from capture.rig.description import RigDescription
-from capture.rig.protocols import RobotState
 from capture.trajectory import load_trajectory
 from datasets import pose
 from datasets.core import files
@@ -21,6 +21,16 @@ class StandInRobot:
     def __init__(self, joints, off=0.0):
         self.joints, self.off = joints, off
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception): ...
+
+    def stop(self): ...
+
+    def description(self):
+        return {}
+
     def move_to(self, joints, *, speed, acceleration):
         self.joints = np.array(joints)
 
@@ -31,11 +41,11 @@ class StandInRobot:
 
 
 @pytest.fixture
-def recording(configs, tmp_path):
-    trajectory = load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+def recording(tmp_path):
+    trajectory = load_trajectory("koala_demo")
     description = RigDescription()
-    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"),
-                                               "rig": {"name": "sim", **description.model_dump(mode="json")}})  # fmt: skip
+    rig = {"name": "sim", **description.model_dump(mode="json")}
+    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
     truth = {}
     for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
         reached = kinematics.forward(view.joints)
@@ -62,7 +72,7 @@ def test_a_real_arm_has_no_truth(recording):
     assert all(one.true_mm is None for one in found) and "truly" not in summary(found)["worst"]
 
 
-def test_nothing_recorded_is_told(recording):
+def test_an_empty_recording_is_an_error(recording):
     (recording.path / "frames.jsonl").unlink()
-    with pytest.raises(CaptureError, match="holds no frames"):
+    with pytest.raises(CaptureError, match="has no frames"):
         replay(Recording.open(recording.path), StandInRobot(np.zeros(6)))

@@ -41,7 +41,7 @@ def test_what_was_taken_is_kept_when_something_else_fails(recording):
     assert len(Recording.open(recording.path).frames) == 2
 
 
-def test_a_full_disk_is_told_by_the_next_frame_or_at_the_end(recording, monkeypatch):
+def test_a_full_disk_is_an_error_of_the_next_frame_or_at_the_end(recording, monkeypatch):
     def full(path, array):
         raise OSError(28, "No space left on device", str(path))
 

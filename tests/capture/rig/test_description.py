@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from capture.rig.description import RigDescription, load_rig
+from capture.rig.opening import describe
 from datasets.core.errors import UsageError
 
 
-def test_the_shipped_rig_is_the_default_one(configs):
-    rig = load_rig(configs / "rigs" / "ur5e_basler.yaml")
+def test_the_shipped_rig_is_the_default_one():
+    rig = describe("ur5e_basler")
     assert rig == RigDescription()
     mount = rig.flange_from_camera.matrix()
     np.testing.assert_allclose(mount[:3, 3], [0, 0.06, 0.08])

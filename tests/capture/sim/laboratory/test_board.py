@@ -41,7 +41,8 @@ def test_detected_corners_lie_where_the_camera_model_says(picture, position, rol
     corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
     assert ids is not None and len(ids) >= 20  # of 24
     camera_from_board = pose.inverse(table_from_camera) @ TABLE_FROM_BOARD
-    points = board.getChessboardCorners()[ids.ravel()] @ camera_from_board[:3, :3].T + camera_from_board[:3, 3]
+    on_board = np.asarray(board.getChessboardCorners(), np.float64)[np.asarray(ids).ravel().tolist()]
+    points = on_board @ camera_from_board[:3, :3].T + camera_from_board[:3, 3]
     errors = pixels_from_opencv(corners.reshape(-1, 2)) - CAMERA.project(points)
     assert np.sqrt((errors**2).mean()) < 0.1  # px: what the detector reaches on clean pictures
     assert np.abs(errors.mean(0)).max() < 0.03  # half a pixel of convention would show here

@@ -20,8 +20,8 @@ def test_normals_point_outward_and_agree_with_the_facets():
 
 
 def test_distance_is_negative_inside_only():
-    inside = np.float32([[0, 0, 15], [-1, 0, 6], [-0.8, 0, 1]])
-    outside = np.float32([[12, 0, 15], [0, 9, 15], [0, 0, 27.5], [5.0, 0, 5]])
+    inside = np.array([[0, 0, 15], [-1, 0, 6], [-0.8, 0, 1]], np.float32)
+    outside = np.array([[12, 0, 15], [0, 9, 15], [0, 0, 27.5], [5.0, 0, 5]], np.float32)
     assert (head_distance(inside) < 0).all() and (head_distance(outside) > 0).all()
 
 

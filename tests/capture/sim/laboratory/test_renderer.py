@@ -5,6 +5,7 @@ import trimesh
 from capture.sim.laboratory import renderer
 from capture.sim.laboratory.lens import Lens
 from capture.sim.laboratory.materials import Glass, Matt, Metal, Plastic
+from capture.sim.laboratory.objects import joined
 from capture.sim.laboratory.renderer import Renderer
 from capture.sim.laboratory.renderer_variant import SURE
 from capture.sim.laboratory.scenes import Item, Stage
@@ -18,7 +19,7 @@ BASE_FROM_CAMERA = pose.look_at((0.1, -0.1, 0.4), (0.45, 0, 0.1)) @ pose.from_ro
 
 def balls(places: np.ndarray, radius: float) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return trimesh.util.concatenate([ball.copy().apply_translation(place) for place in places])
+    return joined([ball.copy().apply_translation(place) for place in places])
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def test_points_land_where_the_camera_model_says(dark_balls):
     trials = [
         dark_balls.surfaces(fine.pinhole, BASE_FROM_CAMERA, seed=seed).is_object for seed in range(8)
     ]  # one ray a pixel is noisy
-    shown = fine.image(np.mean(trials, axis=0, dtype=np.float32)[..., None])
+    shown = fine.image(np.asarray(np.mean(trials, axis=0, dtype=np.float32))[..., None])
     for dark in (1 - light[..., 0], shown[..., 0]):
         assert np.abs(centroids(dark, expected) - expected).max() < 0.05
 

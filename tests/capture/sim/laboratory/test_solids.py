@@ -16,7 +16,7 @@ def test_sphere_rod_and_round_ellipsoid_are_the_same_distance():
 
 
 def test_drum_without_rounding_is_a_cylinder():
-    points = np.float32([[2, 0, 0], [0, 0, 1.5], [0, 0, 0], [1.0 + 3, 0, 0.5 + 4]])
+    points = np.array([[2, 0, 0], [0, 0, 1.5], [0, 0, 0], [1.0 + 3, 0, 0.5 + 4]], np.float32)
     np.testing.assert_allclose(drum(points, (0, 0, 0), 1.0, 0.5, 0.0), [1.0, 1.0, -0.5, 5.0], atol=1e-6)
 
 

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,16 +14,16 @@ ABOVE = pose.look_at((0.1, -0.1, 0.4), (0.4, 0.0, 0.1))
 
 
 @pytest.fixture
-def ball(configs: Path, monkeypatch: pytest.MonkeyPatch) -> ObjectView:
+def ball(monkeypatch: pytest.MonkeyPatch) -> ObjectView:
     monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
-    found = make_view("shiny_ball", load_trajectory(configs / "trajectories" / "koala_demo.yaml"), 0).view
+    found = make_view("shiny_ball", load_trajectory("koala_demo"), 0).view
     assert isinstance(found, ObjectView)
     return found
 
 
-def test_the_whole_sensor_gets_fewer_paths_per_pixel(configs):
+def test_the_whole_sensor_gets_fewer_paths_per_pixel():
     """Its pixels have more noise of their own, and there are four times as many of them as with a binning of 2."""
-    path = configs / "trajectories" / "koala.yaml"
+    path = "koala"
     whole, binned = (make_view("shiny_ball", load_trajectory(path, overrides=[f"camera.binning={n}"]), 0).view for n in (1, 2))
     assert isinstance(whole, ObjectView) and isinstance(binned, ObjectView) and whole.samples < binned.samples < 4 * whole.samples
 
@@ -49,11 +47,13 @@ def test_truth_in_strips_is_the_truth(ball, monkeypatch):
 
 
 @pytest.mark.parametrize("changes", [["up=-z", "safety.table_z=1.2"], ["safety.table_z=-0.4"]])
-def test_the_room_is_the_same_from_wherever_the_base_is(configs, ball, changes):
+def test_the_room_is_the_same_from_wherever_the_base_is(ball, changes):
     """An arm that hangs, or stands on a pedestal, sees the same picture from the same place of the room."""
-    path = configs / "trajectories" / "koala_demo.yaml"
+    path = "koala_demo"
     base_from_table = load_trajectory(path, overrides=changes).base_from_table
-    centre = base_from_table @ [*load_trajectory(path).object.centre, 1.0]
+    volume = load_trajectory(path).object
+    assert volume is not None
+    centre = base_from_table @ [*volume.centre, 1.0]
     elsewhere = make_view("shiny_ball", load_trajectory(path, overrides=[*changes, f"object.centre={centre[:3].tolist()}"]), 0)
     lens, there = Lens(CAMERA), base_from_table @ ABOVE
     np.testing.assert_allclose(elsewhere.radiance(lens, there[None], 0), ball.radiance(lens, ABOVE[None], 0), atol=0.02)
@@ -72,6 +72,6 @@ def test_there_is_no_truth_before_a_picture(ball):
         ball.truth(Lens(CAMERA), ABOVE, 0)
 
 
-def test_the_board_is_no_object(configs):
-    found = make_view("charuco_board", load_trajectory(configs / "trajectories" / "calibration_demo.yaml"), 0)
+def test_the_board_is_no_object():
+    found = make_view("charuco_board", load_trajectory("calibration_demo"), 0)
     assert isinstance(found.view, BoardView) and found.mesh() is None and found.truth(Lens(CAMERA), ABOVE, 0) == {}

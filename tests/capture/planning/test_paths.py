@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from capture.planning.obstacles import Obstacles
-from capture.planning.ways import are_free, between, find_way, is_free
+from capture.planning.paths import are_free, between, find_path, is_free
 from datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
@@ -16,35 +16,35 @@ RIGHT = np.array([0.9, -0.9, 1.3, -2.0, -1.57, 0.0])
 
 
 def test_steps_are_small_and_include_both_ends():
-    way = between(LEFT, RIGHT)
-    assert (way[0] == LEFT).all() and (way[-1] == RIGHT).all() and np.abs(np.diff(way, axis=0)).max() <= 0.05 + 1e-9
+    path = between(LEFT, RIGHT)
+    assert (path[0] == LEFT).all() and (path[-1] == RIGHT).all() and np.abs(np.diff(path, axis=0)).max() <= 0.05 + 1e-9
 
 
-def test_a_blocked_way_is_found_out_and_walked_around():
+def test_a_blocked_path_is_detected_and_avoided():
     assert OBSTACLES.margin(np.stack([LEFT, RIGHT])).min() > 0  # both ends are free
-    assert not is_free(LEFT, RIGHT, OBSTACLES)  # and the straight way is not: the premise
+    assert not is_free(LEFT, RIGHT, OBSTACLES)  # and the straight path is not: the premise
     np.testing.assert_array_equal(are_free(np.stack([LEFT, LEFT]), np.stack([RIGHT, LEFT]), OBSTACLES), [False, True])
-    way = find_way(LEFT, RIGHT, OBSTACLES)
-    assert way is not None and (way[-1] == RIGHT).all() and len(way) > 1
+    path = find_path(LEFT, RIGHT, OBSTACLES)
+    assert path is not None and (path[-1] == RIGHT).all() and len(path) > 1
     here = LEFT
-    for there in way:
+    for there in path:
         finer = np.linspace(here, there, 200)
         assert OBSTACLES.margin(finer).min() > -0.005  # the arm moves less than 5 mm between two checked steps
         here = there
 
 
-def test_the_same_question_has_the_same_answer():
-    first, second = find_way(LEFT, RIGHT, OBSTACLES), find_way(LEFT, RIGHT, OBSTACLES)
+def test_the_search_is_repeatable():
+    first, second = find_path(LEFT, RIGHT, OBSTACLES), find_path(LEFT, RIGHT, OBSTACLES)
     np.testing.assert_array_equal(first, second)
 
 
-def test_no_way_into_an_obstacle():
+def test_no_path_into_an_obstacle():
     inside = np.array([0.0, -0.9, 1.3, -2.0, -1.57, 0.0])
     assert OBSTACLES.margin(inside[None])[0] < 0
-    assert find_way(LEFT, inside, OBSTACLES, tries=20) is None
+    assert find_path(LEFT, inside, OBSTACLES, tries=20) is None
 
 
 @pytest.mark.parametrize("goal", [LEFT, LEFT - [0.2, 0, 0, 0, 0.1, 0]])
-def test_a_free_straight_way_is_taken(goal):
-    way = find_way(LEFT, goal, OBSTACLES)
-    assert way is not None and len(way) == 1 and (way[0] == goal).all()
+def test_a_free_straight_path_is_taken(goal):
+    path = find_path(LEFT, goal, OBSTACLES)
+    assert path is not None and len(path) == 1 and (path[0] == goal).all()

@@ -1,6 +1,6 @@
-"""Collision-free ways in joint space: straight where possible, else by growing two trees towards each other.
+"""Collision-free paths in joint space: straight where possible, otherwise found by a bidirectional tree search.
 
-A straight way moves all joints in proportion, as the controller's movej does.
+On a straight path all joints move in proportion, as in the controller's movej.
 """
 
 import itertools
@@ -14,9 +14,9 @@ from capture.planning.obstacles import Obstacles
 Joints = NDArray[np.float64]
 
 STEP = 0.05
-"""Configurations checked along a way are at most this far apart in the fastest joint [rad]."""
+"""Largest distance of two checked configurations on a path, in the fastest joint [rad]."""
 STRIDE = 0.4
-"""Length of one branch of a tree in the fastest joint [rad]."""
+"""Length of one branch of a tree, in the fastest joint [rad]."""
 
 
 def between(start: Joints, goal: Joints) -> Joints:
@@ -26,22 +26,22 @@ def between(start: Joints, goal: Joints) -> Joints:
 
 
 def is_free(start: Joints, goal: Joints, obstacles: Obstacles) -> bool:
-    """Whether the straight way keeps clear, the start itself aside: an arm that stands too near may leave."""
+    """Whether the straight path is free. The start is not checked: an arm that stands too close may leave."""
     return bool((obstacles.margin(between(start, goal)[1:]) >= 0).all())
 
 
 def are_free(starts: Joints, goals: Joints, obstacles: Obstacles) -> NDArray[np.bool_]:
-    """(n,) `is_free` of many ways at once, with (n, 6) starts and goals."""
-    ways = [between(start, goal)[1:] for start, goal in zip(starts, goals, strict=True)]
-    margin = obstacles.margin(np.concatenate(ways))
-    edges = np.cumsum([0] + [len(way) for way in ways])
+    """(n,) `is_free` of many paths at once, with (n, 6) starts and goals."""
+    paths = [between(start, goal)[1:] for start, goal in zip(starts, goals, strict=True)]
+    margin = obstacles.margin(np.concatenate(paths))
+    edges = np.cumsum([0] + [len(path) for path in paths])
     return np.array([margin[a:b].min() >= 0 for a, b in itertools.pairwise(edges)])
 
 
-def find_way(start: Joints, goal: Joints, obstacles: Obstacles, *, seed: int = 0, tries: int = 2000) -> list[Joints] | None:
-    """Configurations to visit after `start`, the last being `goal`, with free straight ways between; None: none found.
+def find_path(start: Joints, goal: Joints, obstacles: Obstacles, *, seed: int = 0, tries: int = 2000) -> list[Joints] | None:
+    """Configurations to visit after `start`, the last being `goal`, with free straight paths between; None: none found.
 
-    RRT-Connect (Kuffner and LaValle 2000) in the box of joint angles around start and goal, then shortened.
+    RRT-Connect (Kuffner and LaValle 2000) in a box of joint angles around start and goal, then shortened.
     """
     if is_free(start, goal, obstacles):
         return [goal]
@@ -68,7 +68,7 @@ class _Tree:
         self.nodes, self.parents = [root], [-1]
 
     def grow(self, towards: Joints, obstacles: Obstacles) -> Joints | None:
-        """Add a node one stride from the nearest one; returns it, or None where the way is blocked."""
+        """Add a node one stride from the nearest one; returns it, or None where the path is blocked."""
         distances = np.abs(np.stack(self.nodes) - towards).max(axis=1)
         parent = int(distances.argmin())
         share = min(1.0, STRIDE / max(distances[parent], 1e-12))

@@ -1,0 +1,54 @@
+"""The sequence of configurations, one per view, with the least travel."""
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.planning.obstacles import Obstacles
+from capture.planning.paths import are_free
+from capture.planning.solutions import HOME
+
+Joints = NDArray[np.float64]
+
+DETOUR = 4.0
+"""Cost of a path that is not straight, in radians of the fastest joint."""
+
+
+def shortest(layers: list[Joints], obstacles: Obstacles) -> tuple[list[int], float]:
+    """The sequence with the least travel: an index into each layer of (n, 6) configurations, and its cost [rad].
+
+    Only the paths of the best sequence so far are checked for collisions. A blocked one is charged a detour and the search
+    is repeated, until every path of the best sequence has been checked.
+    """
+    costs = [_travel(a[:, None] - b[None]) for a, b in itertools.pairwise(layers)]
+    known = [np.zeros(cost.shape, bool) for cost in costs]
+    while True:
+        chosen = _cheapest(layers, costs)
+        unknown = [i for i in range(len(costs)) if not known[i][chosen[i], chosen[i + 1]]]
+        if not unknown:
+            return chosen, float(sum(cost[a, b] for cost, (a, b) in zip(costs, itertools.pairwise(chosen), strict=True)))
+        starts = np.stack([layers[i][chosen[i]] for i in unknown])
+        goals = np.stack([layers[i + 1][chosen[i + 1]] for i in unknown])
+        for i, free in zip(unknown, are_free(starts, goals, obstacles), strict=True):
+            known[i][chosen[i], chosen[i + 1]] = True
+            if not free:
+                costs[i][chosen[i], chosen[i + 1]] += DETOUR
+
+
+def _travel(difference: Joints) -> NDArray[np.float64]:
+    """Cost of (..., 6) joint motions: the fastest joint decides, the others count a little."""
+    return np.abs(difference).max(-1) + 0.05 * np.abs(difference).sum(-1)
+
+
+def _cheapest(layers: list[Joints], costs: list[NDArray[np.float64]]) -> list[int]:
+    """Index into each layer of the cheapest sequence, by dynamic programming."""
+    total, back = np.abs(layers[0] - HOME).max(-1), []
+    for cost in costs:
+        through = total[:, None] + cost
+        back.append(through.argmin(axis=0))
+        total = through.min(axis=0)
+    chosen = [int(total.argmin())]
+    for previous in back[::-1]:
+        chosen.append(int(previous[chosen[-1]]))
+    return chosen[::-1]

@@ -1,0 +1,140 @@
+"""Which rig and scene are opened, and that a rig is opened completely or not at all."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capture.errors import RigConnectionError
+from capture.rig import opening
+from capture.rig.description import RigDescription, load_rig, recorded_rig
+from capture.rig.opening import describe, open_arm, open_rig, scene_for, write_simulated_rig
+from capture.sim.controller.process import SimulatedController
+from capture.trajectory import Trajectory, load_trajectory
+from datasets.core.errors import UsageError
+
+SMALL = ["camera.width=48", "camera.height=48", "camera.binning=4"]
+
+
+@pytest.fixture
+def koala() -> Trajectory:
+    return load_trajectory("koala_demo", overrides=SMALL)
+
+
+@pytest.fixture
+def running_rig(tmp_path: Path) -> Path:
+    """The file of a simulated rig that runs elsewhere, as `capture sim` writes it."""
+    path = tmp_path / "rig.yaml"
+    handle: Any = SimpleNamespace(host="127.0.0.9", side_port=4321)
+    write_simulated_rig(path, handle, "shiny_ball", 5)
+    return path
+
+
+def test_a_rig_is_found_by_name_or_path(running_rig: Path) -> None:
+    assert describe("sim") == RigDescription() == describe("ur5e_basler")
+    assert describe(str(running_rig)).robot.host == "127.0.0.9"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("ur5e_baslr", ["there is no rig 'ur5e_baslr'", "known: sim, ur5e_basler", "did you mean 'ur5e_basler'?"]),
+        ("simm", ["did you mean 'sim'?"]),
+        ("nowhere.yaml", ["nowhere.yaml: no such file", "'capture list'"]),
+        ("rigs/mine", ["rigs/mine: no such file"]),
+    ],
+)
+def test_a_missing_rig_is_one_clear_message(name: str, words: list[str]) -> None:
+    with pytest.raises(UsageError) as caught:
+        describe(name)
+    assert [part for part in words if part not in str(caught.value)] == []
+
+
+def test_the_file_of_a_running_simulation_reads_back_and_is_not_overwritten(running_rig: Path) -> None:
+    simulation = load_rig(running_rig).simulation
+    assert simulation is not None and (simulation.side_port, simulation.scene, simulation.seed) == (4321, "shiny_ball", 5)
+    handle: Any = SimpleNamespace(host="127.0.0.1", side_port=1)
+    with pytest.raises(UsageError, match="already exists"):
+        write_simulated_rig(running_rig, handle, "gold_head", 0)
+
+
+def test_the_scene_fits_the_trajectory(koala: Trajectory, running_rig: Path) -> None:
+    board = load_trajectory("calibration_demo")
+    assert (scene_for("sim", "", koala), scene_for("sim", "", board)) == ("gold_head", "charuco_board")
+    assert scene_for("sim", "crystal_capture", koala) == "crystal_capture"
+    assert scene_for(str(running_rig), "", koala) == "shiny_ball"  # what the running simulation shows
+    assert scene_for("ur5e_basler", "", koala) == ""
+    with pytest.raises(UsageError, match="--scene is only for simulated rigs"):
+        scene_for("ur5e_basler", "gold_head", koala)
+    with pytest.raises(UsageError, match="needs a trajectory with 'target'"):
+        scene_for("sim", "charuco_board", koala)
+    with pytest.raises(UsageError, match="needs a trajectory with 'object'"):
+        scene_for("sim", "gold_head", board)
+
+
+def test_the_rig_of_a_recording_is_in_its_manifest() -> None:
+    described = RigDescription.model_validate({"robot": {"host": "10.0.0.7"}})
+    assert recorded_rig({"rig": {"name": "mine.yaml", **described.model_dump(mode="json")}}) == described
+    assert recorded_rig({}) == RigDescription()
+
+
+def test_the_simulated_rig_has_the_truth_and_its_seed(koala: Trajectory) -> None:
+    with open_rig("sim", koala, scene="shiny_ball", seed=3, time_scale=50) as rig:
+        assert rig.ground_truth is rig.camera and rig.extra == {"scene": "shiny_ball", "seed": 3} and rig.name == "sim"
+        assert rig.camera.description()["simulated"] and rig.robot.description()["model"]
+        np.testing.assert_array_equal(rig.flange_from_camera, RigDescription().flange_from_camera.matrix())
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is opened and closed, in order; the controller is a stand-in."""
+    events: list[str] = []
+
+    @contextmanager
+    def controller(**arguments: Any) -> Iterator[Any]:
+        events.append(f"controller {arguments['links_seed']} hangs={arguments['hangs']}")
+        try:
+            yield SimpleNamespace(host="127.0.0.1")
+        finally:
+            events.append("controller closed")
+
+    @contextmanager
+    def arm(*arguments: Any) -> Iterator[Any]:
+        events.append("arm")
+        try:
+            yield "arm"
+        finally:
+            events.append("arm closed")
+
+    monkeypatch.setattr(SimulatedController, "as_built", controller)
+    monkeypatch.setattr(opening, "_arm", arm)
+    return events
+
+
+def test_the_arm_alone_needs_no_camera(koala: Trajectory, watched: list[str]) -> None:
+    with open_arm("sim", koala, seed=1, links_seed=4, time_scale=20) as (robot, controller):
+        assert robot == "arm" and controller is not None
+    assert watched == ["controller 4 hangs=False", "arm", "arm closed", "controller closed"]
+
+
+def test_a_hanging_trajectory_starts_a_hanging_arm(watched: list[str]) -> None:
+    with open_arm("sim", load_trajectory("koala_hanging"), seed=0, links_seed=0, time_scale=20):
+        pass
+    assert watched[0] == "controller 0 hangs=True"
+
+
+def test_a_camera_that_cannot_be_opened_leaves_no_controller(
+    koala: Trajectory, watched: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(camera: Any) -> None:
+        raise RigConnectionError("no camera")
+
+    monkeypatch.setattr("capture.sim.camera.SimulatedCamera.__enter__", fail)
+    with pytest.raises(RigConnectionError, match="no camera"):
+        with open_rig("sim", koala, scene="shiny_ball", seed=0, time_scale=20):
+            raise AssertionError("not reached")
+    assert watched == ["controller None hangs=False", "controller closed"]
