@@ -39,14 +39,16 @@ def table_command(
     as_json: console.Json = False,
 ) -> None:
     """Put the results of runs beside each other, in the paper's layout; runs that differ in their seed alone make one row."""
-    from reconstruct.studies import results, table
+    from reconstruct.studies import results, results_table
 
     rows = results.rows_of_runs(runs, per_image=per_image)
-    chosen = table.chosen_columns(rows, columns or ())
+    chosen = results_table.chosen_columns(rows, columns or ())
     if out is not None:
-        table.write(rows, chosen, out)
+        results_table.write(rows, chosen, out)
     content = [{"scene": row.scene, "model": row.label, **row.content(chosen)} for row in rows]
-    console.report({"rows": content}, as_json=as_json, text=table.markdown(rows, chosen).rstrip() + (f"\n{out}" if out else ""))
+    console.report(
+        {"rows": content}, as_json=as_json, text=results_table.markdown(rows, chosen).rstrip() + (f"\n{out}" if out else "")
+    )
 
 
 @app.command("ablate")
@@ -130,11 +132,11 @@ def figures_command(
 ) -> None:
     """Draw the figures of the paper's supplement from the code itself and a trained run."""
     from reconstruct.backend import cache_compilations
-    from reconstruct.output.figures import draw_all
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.paper_figures import draw_all
+    from reconstruct.output.trained_model import TrainedModel
 
     cache_compilations()
-    result = draw_all(Trained.open(run), out, steps=steps)
+    result = draw_all(TrainedModel.open(run), out, steps=steps)
     console.report(result, as_json=as_json, text="\n".join(result["figures"]))
 
 
@@ -161,14 +163,14 @@ def eval_command(
     from datasets.formats import load_scene
     from reconstruct.backend import cache_compilations
     from reconstruct.output.evaluate import METRICS, evaluate, table
-    from reconstruct.output.foreign_renders import measure
+    from reconstruct.output.external_renderings import measure
     from reconstruct.output.lpips import Lpips
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
         cache_compilations()
-        result = evaluate(Trained.open(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
+        result = evaluate(TrainedModel.open(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
         where = run / METRICS
     elif run is None and renders is not None and scene is not None and not align and stands_on is None:
         result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
@@ -192,12 +194,12 @@ def render_command(
     from reconstruct.backend import cache_compilations
     from reconstruct.output import camera_path
     from reconstruct.output.export import render, render_along
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     refuse_existing(out)
     along = None if path is None else camera_path.from_file(path)[0]
     cache_compilations()
-    trained = Trained.open(run)
+    trained = TrainedModel.open(run)
     result = render(trained, out, split=split) if along is None else render_along(trained, along, out)
     console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
 
@@ -219,7 +221,7 @@ def view_command(
     cache_compilations()
     with open_page(path.name, port) as page:
         if (path / RUN).is_file():
-            from reconstruct.page.page import show
+            from reconstruct.page.run_page import show
 
             show(page, Run.open(path), mesh=mesh)
         else:
@@ -250,11 +252,11 @@ def film_command(
     from reconstruct.backend import cache_compilations
     from reconstruct.output import camera_path
     from reconstruct.output.film import film
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     along = None if path is None else camera_path.from_file(path)
     cache_compilations()
-    trained = Trained.open(run)
+    trained = TrainedModel.open(run)
     places, rate = along or (camera_path.orbit(trained.scene, frames), fps)
     result = film(trained, places, out, shown=shown or ("rgb",), fps=rate)
     console.report(result, as_json=as_json, text=f"{result['frames']} frames at {rate:g} per second\n{out}")
@@ -283,24 +285,21 @@ def mesh_command(
     from datasets.core.errors import UsageError
     from datasets.core.files import refuse_existing
     from reconstruct.backend import cache_compilations
-    from reconstruct.output import mesh
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.mesh import extraction, files
+    from reconstruct.output.trained_model import TrainedModel
 
-    suffixes = mesh.SUFFIXES if points is None else (".ply",)
+    suffixes = files.SUFFIXES if points is None else (".ply",)
     if out.suffix.lower() not in suffixes:
         raise UsageError(f"{'meshes' if points is None else 'points'} are not written as '{out.suffix}'", where=out,
                      remedy=f"end --out in {', '.join(suffixes)}")  # fmt: skip
     refuse_existing(out)
     cache_compilations()
-    trained = Trained.open(run)
-    surface = mesh.extract(
+    trained = TrainedModel.open(run)
+    surface = extraction.extract(
         trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on, follow=follow
     )
-    if points is None:
-        mesh.save(surface, out)
-    else:
-        mesh.save_points(mesh.points_on(surface, points), out)
-    result, text = mesh.summary(surface, trained.scene)
+    files.save(surface if points is None else files.points_on(surface, points), out)
+    result, text = extraction.summary(surface, trained.scene)
     console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
 
 
@@ -315,11 +314,11 @@ def report_command(
     from datasets.core.files import refuse_existing
     from reconstruct.backend import cache_compilations
     from reconstruct.output.report import write
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     refuse_existing(out)
     cache_compilations()
-    result = write(Trained.open(run), out, calibration=calibration)
+    result = write(TrainedModel.open(run), out, calibration=calibration)
     console.report(result, as_json=as_json, text=result["report"])
 
 

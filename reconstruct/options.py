@@ -21,7 +21,7 @@ def _presets(incomplete: str) -> list[str]:
 def _side(name: str | None) -> str | None:
     """A side of the object's box, or none."""
     from datasets.core.errors import UsageError
-    from reconstruct.output.stray_matter import SIDES
+    from reconstruct.output.mesh.isolation import SIDES
 
     if name is not None and name not in SIDES:
         raise UsageError(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")

@@ -50,11 +50,10 @@ def bench_command(
     if out is None:
         raise UsageError("give the folder of the benchmark: --out DIR")
     known = [] if peer is None else peers.read(peer)
-    from reconstruct.bench import page
-    from reconstruct.bench import run as runs
+    from reconstruct.bench import report, runner
 
-    told = runs.run(trials, out, data=data)
-    written = page.write(out, known)
+    told = runner.run(trials, out, data=data)
+    written = report.write(out, known)
     absent = f", scenes that are absent: {', '.join(told['absent'])}" if told["absent"] else ""
     console.report({**told, "page": str(written)}, as_json=as_json, text=(
         f"{told['done']} trials measured, {told['there']} had been there, {told['failed']} failed{absent}\n{written}"))  # fmt: skip
@@ -71,7 +70,7 @@ def compare_command(
     from datasets.core.errors import UsageError
     from reconstruct.bench import compare
     from reconstruct.bench.records import Records
-    from reconstruct.bench.run import RECORDS
+    from reconstruct.bench.runner import RECORDS
 
     sides = []
     for folder in (before, after):

@@ -14,9 +14,9 @@ import numpy as np
 
 from reconstruct.bench.records import Row, latest
 from reconstruct.bench.suite import QUALITY
+from reconstruct.output.metric_names import HIGHER_IS_BETTER
 from reconstruct.studies import seeds
 from reconstruct.studies.seeds import CONFIDENCE, Sample
-from reconstruct.studies.table import HIGHER_IS_BETTER
 
 PLACE = ("scene", "scale", "model", "preset", "budget_s")
 FIGURES = ("psnr", "ssim", "normal_mae_deg", "normal_mae_alpha_acc_deg", "normal_pred_mae_deg", "normal_pred_mae_alpha_acc_deg",

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from reconstruct.bench.records import Row
-from reconstruct.studies import table
-from reconstruct.studies.table import HIGHER_IS_BETTER
+from reconstruct.output import metric_names
+from reconstruct.output.metric_names import HIGHER_IS_BETTER
 
 FIGURES = ("psnr", "normal_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm")
 """A panel each, where there is anything to draw."""
@@ -53,7 +53,7 @@ def pareto(rows: Sequence[Row], peers: Sequence[Row] = ()) -> str:
         ticks = sorted({row["budget_s"] for row in rows})
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
-        axes.set(xlabel="seconds of training", title=table.heading(figure))
+        axes.set(xlabel="seconds of training", title=metric_names.column_heading(figure))
         _grey(axes)
         if panel == 0:
             axes.legend(frameon=False, fontsize=8, labelcolor=GREY)

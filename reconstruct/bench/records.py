@@ -10,7 +10,8 @@ from typing import Any
 
 from datasets.core.errors import DatasetError
 from reconstruct.bench.suite import Trial
-from reconstruct.output import metrics, surface_distance
+from reconstruct.output import metrics
+from reconstruct.output.mesh import surface_distance
 
 KEY = tuple(field.name for field in fields(Trial))
 FIGURES = (*metrics.DEFINITIONS, *surface_distance.DEFINITIONS)

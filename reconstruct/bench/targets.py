@@ -7,7 +7,7 @@ import numpy as np
 
 from reconstruct.bench.records import Row
 from reconstruct.bench.scenes.shiny import SCENES
-from reconstruct.studies.table import HIGHER_IS_BETTER
+from reconstruct.output.metric_names import HIGHER_IS_BETTER
 
 
 @dataclass(frozen=True)

@@ -80,19 +80,19 @@ def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any
 def quality(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train and measure on the test views."""
     from reconstruct.output.evaluate import evaluate
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     found = trained(trial, scene, place, out)
-    measured = evaluate(Trained.open(out))
+    measured = evaluate(TrainedModel.open(out))
     return {**found, **measured["mean"], **(measured.get("mesh") or {})}
 
 
 def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train and render one test view: time and memory alone."""
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     found = trained(trial, scene, place, out)
-    ready = Trained.open(out)
+    ready = TrainedModel.open(out)
     view = ready.scene.split("test")[0]
     ready.warm_up(view)
     start = time.perf_counter()
@@ -103,10 +103,10 @@ def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
 def profile(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train, then look where the time of the steps goes that would follow."""
     from reconstruct.bench.cost.profile import step_profile
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
     found = trained(trial, scene, place, out)
-    return {**found, "profile": step_profile(Trained.open(out), scene)}
+    return {**found, "profile": step_profile(TrainedModel.open(out), scene)}
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from datasets.scene import View
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import cloud_of, render
 from reconstruct.rendering.pictures import sampled_rays
 from reconstruct.scene.poses import corrected
@@ -52,7 +52,7 @@ class Aligned:
 class Aligner:
     """Aligns views to one trained model. Compiles once."""
 
-    trained: Trained
+    trained: TrainedModel
 
     def __post_init__(self) -> None:
         functions, behind = self.trained.functions, jnp.asarray(self.trained.renderer.behind)

@@ -18,10 +18,11 @@ from datasets.formats import find
 from datasets.imaging import images
 from datasets.scene import View
 from reconstruct.errors import ReconstructError
-from reconstruct.output import mesh, metrics, surface_distance, words
+from reconstruct.output import metric_names, metrics
 from reconstruct.output.align import Aligner
 from reconstruct.output.lpips import Lpips
-from reconstruct.output.restored import Trained
+from reconstruct.output.mesh import extraction, surface_distance
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene import poses
 from reconstruct.scene.rays import over, read_scaled
 
@@ -41,14 +42,14 @@ TRUE_SURFACE = "truth/object.ply"
 
 
 def evaluate(
-    trained: Trained, *, split: str = "test", lpips: Lpips | None = None, align: bool = False, stands_on: str | None = None
+    trained: TrainedModel, *, split: str = "test", lpips: Lpips | None = None, align: bool = False, stands_on: str | None = None
 ) -> dict[str, Any]:
     """Measure a trained model on the views of one split and write `metrics.json` into its run.
 
     Args:
         lpips: measure the perceptual distance too.
         align: beside the figures of the views as they are, those after each view's pose was aligned to the model.
-        stands_on: measure the mesh of what stands on this side of the box, see `mesh.extract`.
+        stands_on: measure the mesh of what stands on this side of the box, see `extraction.extract`.
 
     Raises:
         UsageError: its scene has no such views.
@@ -74,7 +75,7 @@ def evaluate(
     return result
 
 
-def _measured(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> list[dict[str, Any]]:
+def _measured(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) -> list[dict[str, Any]]:
     """Figures of each view as it is rendered from its pose."""
     measured: list[dict[str, Any]] = []
     with progress("evaluating", len(views), "views") as shown:
@@ -90,7 +91,7 @@ def _measured(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> l
     return measured
 
 
-def _aligned(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> dict[str, Any]:
+def _aligned(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) -> dict[str, Any]:
     """The same after each view's pose was aligned by itself, how far that moved it, and what that means."""
     aligner, found = Aligner(trained), []
     with progress("aligning", len(views), "views") as shown:
@@ -104,12 +105,12 @@ def _aligned(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> di
     return {"mean": mean(measured), "per_view": per_view, "definitions": ALIGNED | poses.DEFINITIONS}
 
 
-def compare_surface(trained: Trained, truth: Path, stands_on: str | None = None) -> dict[str, float] | None:
-    """Distance of the model's surface, see `mesh.extract`, from a true mesh [m], see `surface_distance`; None where it has none."""
+def compare_surface(trained: TrainedModel, truth: Path, stands_on: str | None = None) -> dict[str, float] | None:
+    """Distance of the model's surface, see `extraction.extract`, from a true mesh [m], see `surface_distance`; None where it has none."""
     import trimesh
 
     try:
-        surface = mesh.extract(trained, stands_on=stands_on)
+        surface = extraction.extract(trained, stands_on=stands_on)
     except ReconstructError:
         return None
     return surface_distance.compare(surface, trimesh.load_mesh(truth), trained.scene.views, trained.scene.box)
@@ -211,11 +212,13 @@ def table(result: dict[str, Any]) -> str:
     """The averages for a person, a line each, with units."""
     trained = f", after {result['steps']} steps" if "steps" in result else ""
     lines = [f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}{trained}"]
-    figures = [(words.heading(name), name, value) for name, value in result["mean"].items()]
+    figures = [(metric_names.heading(name), name, value) for name, value in result["mean"].items()]
     aligned = result.get("aligned", {}).get("mean", {})
-    figures += [(f"{words.heading(name)}, each pose aligned", name, aligned[name]) for name in ALIGNED_SHOWN if name in aligned]
-    figures += [(words.heading(name), name, value) for name, value in (result.get("mesh") or {}).items()]
-    lines += [f"  {heading:<50}{words.rounded(name, value):>8}" for heading, name, value in figures]
+    figures += [
+        (f"{metric_names.heading(name)}, each pose aligned", name, aligned[name]) for name in ALIGNED_SHOWN if name in aligned
+    ]
+    figures += [(metric_names.heading(name), name, value) for name, value in (result.get("mesh") or {}).items()]
+    lines += [f"  {heading:<50}{metric_names.rounded(name, value):>8}" for heading, name, value in figures]
     if side := result.get("mesh_stands_on"):
-        lines.append(f"  ({words.mesh_without(side)})")
+        lines.append(f"  ({metric_names.mesh_note(side)})")
     return "\n".join(lines)

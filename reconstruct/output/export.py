@@ -24,14 +24,14 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.formats.koala import file_name
 from datasets.imaging import images
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.pictures import Picture
 
 NUMBERS = {"depth", "normals_exr"}
 """Channels written as EXR, unscaled."""
 
 
-def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any]:
+def render(trained: TrainedModel, out: Path, *, split: str = "test") -> dict[str, Any]:
     """Render the views of one split into the new folder `out`, all or nothing.
 
     Raises:
@@ -43,7 +43,7 @@ def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any
     return {"out": str(out), "split": split, "views": len(views)}
 
 
-def render_along(trained: Trained, frames: Sequence[NDArray[np.float64]], out: Path) -> dict[str, Any]:
+def render_along(trained: TrainedModel, frames: Sequence[NDArray[np.float64]], out: Path) -> dict[str, Any]:
     """Render (4, 4) `world_from_camera` poses with the first view's camera, without its distortion, into the new folder `out`.
 
     Files are named by the number of the frame, from 0000 on.

@@ -13,14 +13,14 @@ from datasets.core.errors import UsageError, nearest
 from datasets.core.files import atomic_path, refuse_existing
 from datasets.imaging import images
 from reconstruct.output.export import NUMBERS, brightness_of_depth, channels
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 
 CHANNELS = ("rgb", "diffuse", "specular", "normals", "normals_pred", "depth_view", "opacity", "roughness")
 """What can be shown."""
 
 
 def film(
-    trained: Trained, frames: Sequence[NDArray[np.float64]], out: Path, *, shown: Sequence[str] = ("rgb",), fps: float = 30.0
+    trained: TrainedModel, frames: Sequence[NDArray[np.float64]], out: Path, *, shown: Sequence[str] = ("rgb",), fps: float = 30.0
 ) -> dict[str, Any]:
     """Render `world_from_camera` poses with the first view's camera and write them to `out`.
 
@@ -39,7 +39,7 @@ def film(
     return {"out": str(out), "frames": len(frames), "size": list(size), "fps": fps, "channels": list(shown)}
 
 
-def _pictures(trained: Trained, frames, shown: Sequence[str], bar) -> Iterator[NDArray[np.uint8]]:
+def _pictures(trained: TrainedModel, frames, shown: Sequence[str], bar) -> Iterator[NDArray[np.uint8]]:
     """Each frame's channels side by side; depth over the range of the first frame, so that brightness does not flicker."""
     view = trained.scene.views[0]
     camera, limits = trained.camera(view).undistorted(), None

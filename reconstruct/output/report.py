@@ -17,8 +17,8 @@ from datasets.reports.html import Number, ReportPage
 from reconstruct.output import metrics
 from reconstruct.output.evaluate import FORMAT, METRICS, VERSION, evaluate, read_truth
 from reconstruct.output.export import brightness_of_depth
-from reconstruct.output.restored import Trained
-from reconstruct.output.words import NAMES, mesh_without, unit
+from reconstruct.output.metric_names import NAMES, mesh_note, unit
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.pictures import Picture
 from reconstruct.run import Run
 from reconstruct.scene import poses
@@ -35,7 +35,7 @@ Figure = tuple[str, Number, str]
 """Name, value with its unit, meaning."""
 
 
-def write(trained: Trained, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:
+def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:
     """Write the report of a trained model into the new folder `out`; measures the model first where that is not done yet.
 
     Args:
@@ -71,7 +71,7 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[F
     page.section("Figures, mean over the test views")
     page.numbers(_scores(result))
     side = result.get("mesh_stands_on")
-    measured_mesh = f"Of {mesh_without(side)}." if side else ""
+    measured_mesh = f"Of {mesh_note(side)}." if side else ""
     for title, scores, lead in (("Mesh", _mesh_scores(result), measured_mesh), ("Calibration", calibrated, "")):
         if scores:
             page.section(title, lead)
@@ -95,7 +95,7 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[F
                      one.evidence, one.saving, one.cost) for one in skips])  # fmt: skip
 
 
-def _measured(trained: Trained) -> dict[str, Any]:
+def _measured(trained: TrainedModel) -> dict[str, Any]:
     """The run's metrics, if they are of this state; else measured anew."""
     path = trained.run.path / METRICS
     result = files.read_json(path, kind=FORMAT, version=VERSION) if path.is_file() else {}

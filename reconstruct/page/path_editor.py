@@ -14,7 +14,7 @@ from datasets.core.errors import KoalaError
 from datasets.core.schema import load_yaml
 from datasets.page import Page, shapes
 from reconstruct.output.camera_path import KeyPose, PathFile, frames_of
-from reconstruct.page.viewers import eye_of
+from reconstruct.page.render_loop import viewpoint_of
 
 COLOUR = (230, 120, 20)
 """sRGB of the path."""
@@ -72,7 +72,7 @@ class PathEditor:
         return int(self.chosen.value) - 1 if self.stops and self.chosen.value != NONE else None
 
     def _seen_by(self, client: viser.ClientHandle) -> KeyPose:
-        matrix = eye_of(client).world_from_camera.round(6)
+        matrix = viewpoint_of(client).world_from_camera.round(6)
         target = matrix[:3, 3] + self.reach * matrix[:3, 2]
         x, y, z = matrix[:3, 3].tolist(), target.round(6).tolist(), (-matrix[:3, 1]).tolist()
         return KeyPose(position=tuple(x), target=tuple(y), up=tuple(z))

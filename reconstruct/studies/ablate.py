@@ -23,8 +23,9 @@ from datasets.formats import find
 from datasets.reports.drawing import svg_of
 from datasets.reports.html import Number, ReportPage
 from reconstruct.config import Config, LossConfig, SurfaceConfig
+from reconstruct.output import metric_names
 from reconstruct.output.evaluate import METRICS
-from reconstruct.studies import table
+from reconstruct.studies import results_table
 from reconstruct.studies.recipe import Recipe, begin, chosen_seeds, finish
 from reconstruct.studies.results import Row, row_of_seeds
 from reconstruct.studies.seeds import seed_folder, welch
@@ -140,8 +141,8 @@ def run(study: Study, out: Path) -> dict[str, Any]:
                 finish(out / CELLS / folder_name(name) / seed_folder(seed), study.recipe, [*changes, f"train.seed={seed}"])
                 shown.advance()
     rows = [replace(row, label=name) for name, row in _finished(out).items()]
-    columns = table.chosen_columns(rows)
-    table.write_all(rows, columns, out)
+    columns = results_table.chosen_columns(rows)
+    results_table.write_all(rows, columns, out)
     drawn = [name for name in FIGURES if name in columns]
     with files.atomic_path(out / "figure.png") as temporary:
         draw(rows, drawn).savefig(temporary, dpi=150)
@@ -176,15 +177,15 @@ def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, d
     base = next((row for row in rows if row.label == BASE), rows[0])
     number = lambda row, name: Number(row.values.get(name), std=row.deviations.get(name))  # noqa: E731
     report.headline(
-        [(table.heading(name), number(base, name)) for name in columns[:4]],
+        [(metric_names.column_heading(name), number(base, name)) for name in columns[:4]],
         f"the base, and {len(rows) - 1} other{'s' if len(rows) > 2 else ''}",
     )
     report.section("Gain over the base", f"Better is to the right. {_doubt(rows)}")
     report.drawing(drawing)
     report.section("All figures")
-    report.table(("cell", *(table.heading(name) for name in columns), "changes"),
+    report.table(("cell", *(metric_names.column_heading(name) for name in columns), "changes"),
                  [(row.label, *(number(row, name) for name in columns), " ".join(cells[row.label])) for row in rows])  # fmt: skip
-    report.items(f"{table.heading(name)}: {table.definition(name)}" for name in columns)
+    report.items(f"{metric_names.column_heading(name)}: {metric_names.definition(name)}" for name in columns)
     return report
 
 
@@ -207,7 +208,7 @@ def draw(rows: Sequence[Row], columns: Sequence[str]):
     base = next((row for row in rows if row.label == BASE), rows[0])
     for index, column in enumerate(columns):
         axes = figure.add_subplot(1, len(columns), index + 1)
-        sign = 1 if column in table.HIGHER_IS_BETTER else -1
+        sign = 1 if column in metric_names.HIGHER_IS_BETTER else -1
         reference = base.sample(column)
         others = {row.label: sample for row in rows if row is not base and (sample := row.sample(column)) is not None}
         changes = [welch(reference, sample) for sample in others.values()] if reference is not None else []
@@ -218,7 +219,7 @@ def draw(rows: Sequence[Row], columns: Sequence[str]):
         axes.axvline(0, color="#808080", linewidth=0.8)
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)
-        axes.set_title(f"{table.heading(column)}, base {table.shown(base, column)}", fontsize=9)
+        axes.set_title(f"{metric_names.column_heading(column)}, base {results_table.shown(base, column)}", fontsize=9)
         axes.set_xlabel("gain over the base (better to the right)", fontsize=8)
         axes.tick_params(labelsize=8)
     return figure

@@ -12,7 +12,7 @@ from datasets.formats import find, load_scene
 from reconstruct.config import Config
 from reconstruct.models import load_config
 from reconstruct.output.evaluate import METRICS, evaluate
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, RUN
 from reconstruct.training import checkpoint
 from reconstruct.training.loop import train
@@ -73,7 +73,7 @@ def finish(path: Path, recipe: Recipe, changes: Sequence[str] = ()) -> None:
         shutil.rmtree(path)  # broken off before its first checkpoint: nothing to go on with
     scene = load_scene(recipe.scene, measure=not resume)
     train(scene, find(recipe.scene), config, path, budget_s=recipe.budget_s, resume=resume)
-    evaluate(Trained.open(path))
+    evaluate(TrainedModel.open(path))
 
 
 def begin(path: Path, *, kind: str, version: int, settled: Mapping[str, Any], growing: Mapping[str, Mapping[str, Any]]) -> None:

@@ -17,7 +17,7 @@ from datasets.core.console import progress
 from datasets.core.errors import UsageError
 from reconstruct.errors import ReconstructError
 from reconstruct.output.evaluate import METRICS
-from reconstruct.studies import table
+from reconstruct.studies import results_table
 from reconstruct.studies.recipe import Recipe, begin, chosen_seeds, finish, named
 from reconstruct.studies.results import rows_of_runs
 from reconstruct.studies.seeds import seed_folder
@@ -100,7 +100,7 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
     done = [path for path in dict.fromkeys([*(job.path for job in wanted), *earlier]) if (path / METRICS).is_file()]
     if done:
         rows = rows_of_runs(done)
-        table.write_all(rows, table.chosen_columns(rows), out)
+        results_table.write_all(rows, results_table.chosen_columns(rows), out)
     if failed:
         name, problem = next(iter(failed.items()))
         raise ReconstructError(f"{len(failed)} of {len(todo)} runs failed", where=out, why=f"{name}: {problem}",

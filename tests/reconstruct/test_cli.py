@@ -34,7 +34,7 @@ def test_eval_render_mesh_and_report_of_a_run(
 ) -> None:
     run = make_run().path
     code, out, _ = command("eval", run)
-    assert code == 0 and "2 test views at 48x40" in out and "PSNR [dB]" in out and "normals, weighted with opacity [deg]" in out
+    assert code == 0 and "2 test views at 48x40" in out and "PSNR [dB]" in out and "normals, weighted by opacity [deg]" in out
     code, out, _ = command("render", run, "--out", tmp_path / "renders", "--json")
     assert code == 0 and json.loads(out)["views"] == 2 and (tmp_path / "renders/rgb/000.png").is_file()
     code, out, _ = command("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", 24, "--level", 0.02, "--json")

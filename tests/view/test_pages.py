@@ -140,7 +140,7 @@ def test_a_calibration_shows_its_target_and_what_is_missing(browse: Callable[[st
 def test_a_view_is_told_with_its_place_in_its_unit(make_scene: Callable[..., Scene], metric: bool, place: str) -> None:
     from dataclasses import replace
 
-    from datasets.page.view import words_on
+    from datasets.page.view import status_text
 
     view = replace(make_scene().views[0], world_from_camera=pose.rigid(np.eye(3), np.array([1.0, 2.0, 0.5])), truth={})
-    assert words_on(view, metric=metric).endswith(place)
+    assert status_text(view, metric=metric).endswith(place)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from datasets.core.console import progress
 from datasets.scene import Scene
 from reconstruct.bench.cost.instructions import Part, parts_of
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.rays import Pixels
 from reconstruct.training.step import StepFunctions, TrainState
 
@@ -25,7 +25,7 @@ STEPS = 16
 """Steps that are traced, without and with a second pass."""
 
 
-def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
+def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
     """Milliseconds per step, by part, of steps with and without the second pass.
 
     Returns:

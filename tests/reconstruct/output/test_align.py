@@ -7,12 +7,12 @@ from datasets.imaging import images
 from datasets.scene import View
 from reconstruct.output import evaluate
 from reconstruct.output.align import PIXELS, Aligner
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene import poses
 
 
 @pytest.fixture
-def photographed(painted: Trained, tmp_path) -> Trained:
+def photographed(painted: TrainedModel, tmp_path) -> TrainedModel:
     """The painted ball with test pictures taken through the model itself."""
     views = []
     for view in painted.scene.views:
@@ -32,7 +32,7 @@ def away(view: View, seed: int) -> View:
 
 
 def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
-    photographed: Trained, monkeypatch: pytest.MonkeyPatch
+    photographed: TrainedModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Poses that are right stay, those that are off come back, and what is measured without alignment never changes."""
     monkeypatch.setattr(evaluate, "TRUE_SURFACE", "no mesh")  # which would take longer than all the rest

@@ -54,7 +54,7 @@ def trainings(monkeypatch: pytest.MonkeyPatch, ball_scene: tuple[Scene, Path]) -
         (path / "metrics.json").write_text(json.dumps({"format": "koala-metrics", "version": 1, "mean": mean, "per_view": []}))
 
     monkeypatch.setattr(recipe, "train", train)
-    monkeypatch.setattr(recipe.Trained, "open", lambda path: path)
+    monkeypatch.setattr(recipe.TrainedModel, "open", lambda path: path)
     monkeypatch.setattr(recipe, "evaluate", evaluate)
     return done
 

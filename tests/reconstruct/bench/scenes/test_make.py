@@ -15,7 +15,7 @@ from datasets.scene import Scene
 from reconstruct.bench.scenes import make, shiny
 from reconstruct.bench.scenes.make import camera_of, places, provide, seen, write, write_mesh
 from reconstruct.output import metrics
-from reconstruct.output.surface_distance import Surface
+from reconstruct.output.mesh.surface_distance import Surface
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ TABLE_TOP = 1 / 128
 """How far above its side of the box a table's reconstructed top may be, in the longest side of the grid."""
 
 
-def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
+def fill_interior(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
     """The density with solid matter wherever the surface and the sides of the box shut it in.
 
     Nobody sees the inside of a solid, so that a model may leave it empty; where the object is cut by a side of the box, what its
@@ -31,7 +31,7 @@ def filled(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.nd
     return np.where(inside, max(float(density.max()), threshold), density)
 
 
-def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: str) -> Float[np.ndarray, "x y z"]:
+def isolate_object(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: str) -> Float[np.ndarray, "x y z"]:
     """The density without the table's top, and without what reaches into the box through another side than the table's.
 
     A short training leaves a sheet of table or wall that hangs on to the object by a thin bridge. Solid matter is divided
@@ -46,10 +46,10 @@ def left_out(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: s
     from scipy.ndimage import distance_transform_edt
     from skimage.segmentation import watershed
 
-    solid = filled(density, threshold) > threshold
+    solid = fill_interior(density, threshold) > threshold
     cleared = _without_table_top(density, solid, stands_on)
     if cleared is not density:
-        density, solid = cleared, filled(cleared, threshold) > threshold
+        density, solid = cleared, fill_interior(cleared, threshold) > threshold
     outside = np.zeros_like(solid)
     for side in SIDES:
         if side != stands_on:

@@ -5,7 +5,7 @@ import trimesh
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.scene import View
-from reconstruct.output import surface_distance
+from reconstruct.output.mesh import surface_distance
 
 CAMERA = Camera(100, 100, 90.0, 90.0, 50.0, 50.0)
 BOX = np.array([[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]])

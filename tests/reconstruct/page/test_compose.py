@@ -9,13 +9,23 @@ import pytest
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.scene import View
-from reconstruct.page.frames import BEHIND_ALL, CHANNELS, Eye, enlarged, hiding_depth, nearest_view, picture_of, seen_from, wiped
+from reconstruct.page.compose import (
+    BEHIND_ALL,
+    CHANNELS,
+    Viewpoint,
+    enlarged,
+    hiding_depth,
+    nearest_view,
+    picture_of,
+    seen_from,
+    wiped,
+)
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
 
 
-def eye(matrix: np.ndarray, fov_deg: float = 40.0, aspect: float = 1.5) -> Eye:
-    return Eye(matrix, float(np.deg2rad(fov_deg)), aspect)
+def eye(matrix: np.ndarray, fov_deg: float = 40.0, aspect: float = 1.5) -> Viewpoint:
+    return Viewpoint(matrix, float(np.deg2rad(fov_deg)), aspect)
 
 
 def values(height: int = 4, width: int = 6, opacity: float = 1.0) -> dict[str, np.ndarray]:

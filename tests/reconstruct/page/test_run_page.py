@@ -13,10 +13,10 @@ import trimesh
 import viser
 
 from datasets.page import Page, open_page
-from reconstruct.output.restored import Trained
-from reconstruct.page.frames import CHANNELS, Eye
-from reconstruct.page.log import QUIET_S, is_training
-from reconstruct.page.page import NOTHING, RunView, rounded_up
+from reconstruct.output.trained_model import TrainedModel
+from reconstruct.page.compose import CHANNELS, Viewpoint
+from reconstruct.page.run_page import NOTHING, RunPage, rounded_up
+from reconstruct.page.status import QUIET_S, is_training
 from reconstruct.run import CHECKPOINTS, LOG, Run
 from reconstruct.training import checkpoint
 
@@ -24,25 +24,25 @@ pytestmark = pytest.mark.timeout(600)
 
 
 @pytest.fixture
-def shown(ball: Trained) -> Any:
+def shown(ball: TrainedModel) -> Any:
     """(page, view) of the ball."""
     with open_page("ball", 0) as page:
-        view = RunView(page, ball.run, None)
+        view = RunPage(page, ball.run, None)
         view.trained = ball
         yield page, view
 
 
-def eye_at(trained: Trained, index: int = 1) -> Eye:
+def viewpoint_at(trained: TrainedModel, index: int = 1) -> Viewpoint:
     view = trained.scene.views[index]
     fov = 2 * np.arctan(0.5 * view.camera.height / view.camera.fy)
-    return Eye(view.world_from_camera, float(fov), view.camera.width / view.camera.height)
+    return Viewpoint(view.world_from_camera, float(fov), view.camera.width / view.camera.height)
 
 
-def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ball: Trained) -> None:
-    """Sliced into rays of a fixed number, put together again: the picture that `Trained.picture` gives."""
+def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ball: TrainedModel) -> None:
+    """Sliced into rays of a fixed number, put together again: the picture that `TrainedModel.picture` gives."""
     _, view = shown
     camera = ball.scene.views[1].camera
-    found = view.render(eye_at(ball), camera.width * camera.height, normals=True)
+    found = view.render(viewpoint_at(ball), camera.width * camera.height, normals=True)
     whole = ball.picture(ball.scene.views[1])
     assert found is not None and found["rgb"].shape == whole.rgb.shape
     for name in ("rgb", "opacity", "depth", "roughness"):
@@ -50,10 +50,10 @@ def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ba
     assert found["opacity"].max() > 0.99 and found["opacity"].min() < 0.01
 
 
-def test_what_is_cut_away_opens_the_ball(shown: Any, ball: Trained) -> None:
+def test_what_is_cut_away_opens_the_ball(shown: Any, ball: TrainedModel) -> None:
     """Through a plane in the ball's middle its far wall is seen from inside (the grid holds the wall alone); behind it there is nothing."""
     _, view = shown
-    eye, centre = eye_at(ball), np.array([0.4, 0.0, 0.15])
+    eye, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
     reach = float((centre - eye.world_from_camera[:3, 3]) @ eye.world_from_camera[:3, 2])
     whole = view.render(eye, 2048, normals=False)
     view.cut.value = reach
@@ -70,10 +70,10 @@ def test_what_is_cut_away_opens_the_ball(shown: Any, ball: Trained) -> None:
     assert behind["opacity"].max() < 0.01
 
 
-def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: Trained) -> None:
+def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: TrainedModel) -> None:
     """Only the ball's front before the middle plane is left, and in front of that nothing; at its end the slider changes nothing."""
     _, view = shown
-    eye, centre = eye_at(ball), np.array([0.4, 0.0, 0.15])
+    eye, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
     reach = float((centre - eye.world_from_camera[:3, 3]) @ eye.world_from_camera[:3, 2])
     whole = view.render(eye, 2048, normals=False)
     view.beyond.value = reach - 0.06
@@ -88,19 +88,19 @@ def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: Trained) -> 
     assert view.render(eye, 2048, normals=False)["opacity"][row, column, 0] < 0.01
 
 
-def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: Trained) -> None:
+def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: TrainedModel) -> None:
     _, view = shown
     looks = iter([False, True])
-    assert view.render(eye_at(ball), 8192, normals=False, cancelled=lambda: next(looks)) is None
+    assert view.render(viewpoint_at(ball), 8192, normals=False, cancelled=lambda: next(looks)) is None
     assert list(looks) == []
 
 
 def test_there_is_nothing_to_see_before_the_first_checkpoint(make_run: Callable[..., Any]) -> None:
     run = make_run(checkpointed=False)
     with open_page("new", 0) as page:
-        view = RunView(page, run, None)
+        view = RunPage(page, run, None)
         assert not view._take() and view.trained is None
-        assert view.render(Eye(np.eye(4), 0.7, 1.5), 2048, normals=False) is None
+        assert view.render(Viewpoint(np.eye(4), 0.7, 1.5), 2048, normals=False) is None
 
 
 def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable[..., Any]) -> None:
@@ -108,7 +108,7 @@ def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable
 
     run = make_run()
     with open_page("run", 0) as page:
-        view = RunView(page, run, None)
+        view = RunPage(page, run, None)
         assert view._take() and int(view.trained.state.step) == 0
         later = eqx.tree_at(lambda state: state.step, view.trained.state, jax.numpy.asarray(41, jax.numpy.int32))
         checkpoint.save(run.path / CHECKPOINTS, later, {"seconds": 3.0})
@@ -120,7 +120,7 @@ def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable
 def test_a_training_that_is_under_way_is_given_room(make_run: Callable[..., Any]) -> None:
     run = make_run()
     with open_page("run", 0) as page:
-        view = RunView(page, run, None)
+        view = RunPage(page, run, None)
         assert not is_training(run) and view._levels() == view.sharpest.value  # the log says that it has ended
         run.append_log({"step": 3, "seconds": 3.0, "progress": 0.6, "psnr_train": 13.0, "skipped": 0})
         assert is_training(run) and view._levels() == view.sharpest_training.value < view.sharpest.value
@@ -139,7 +139,7 @@ def test_sliders_end_at_figures_that_can_be_read(length: float, end: float, step
 
 def test_a_mesh_can_be_switched_off_once_it_is_there(make_run: Callable[..., Run]) -> None:
     with open_page("mesh", 0) as page:
-        view = RunView(page, make_run(), None)
+        view = RunPage(page, make_run(), None)
         assert not view.mesh.visible
         view._add_mesh(trimesh.creation.box())
         assert view.mesh.visible and view.mesh.value
@@ -152,20 +152,20 @@ def middle(picture: np.ndarray) -> np.ndarray:
     return np.median(picture[height // 2 - 12 : height // 2 + 12, width // 2 - 12 : width // 2 + 12], axis=(0, 1))
 
 
-def run_eyes(page: Page, view: RunView) -> None:
+def run_eyes(page: Page, view: RunPage) -> None:
     view.sharpest.value = 2
     view.cameras.value = False
     page.in_background(view.eyes.run)
 
 
-def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: Trained, browse: Callable[[str], Any]) -> None:
+def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: TrainedModel, browse: Callable[[str], Any]) -> None:
     """The ball's colour in the middle, white beside it; another channel, another picture; a browser that closes in the midst of all
     that changes nothing for the other."""
     from datasets.imaging import images
 
     colour = 255 * images.srgb_from_linear(np.array([0.3, 0.3, 0.35]))
     with open_page("ball", 0) as page:
-        view = RunView(page, ball.run, None)
+        view = RunPage(page, ball.run, None)
         view.trained = ball
         run_eyes(page, view)
         window, leaving = browse(page.url), browse(page.url)
@@ -184,7 +184,7 @@ def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: Trained, browse:
 
 
 def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
-    ball: Trained, browse: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+    ball: TrainedModel, browse: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The channel is left while a picture is encoded: the page is empty afterwards, and stays so."""
     send, sending = viser.SceneApi.set_background_image, threading.Event()
@@ -197,7 +197,7 @@ def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
 
     monkeypatch.setattr(viser.SceneApi, "set_background_image", slowly)
     with open_page("ball", 0) as page:
-        view = RunView(page, ball.run, None)
+        view = RunPage(page, ball.run, None)
         view.trained = ball
         run_eyes(page, view)
         window = browse(page.url)
@@ -210,11 +210,11 @@ def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
         window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
 
 
-def test_every_channel_can_be_chosen(shown: Any, ball: Trained) -> None:
-    from reconstruct.page.frames import picture_of
+def test_every_channel_can_be_chosen(shown: Any, ball: TrainedModel) -> None:
+    from reconstruct.page.compose import picture_of
 
     _, view = shown
-    values = view.render(eye_at(ball), 2048, normals=True)
+    values = view.render(viewpoint_at(ball), 2048, normals=True)
     pictures = {channel: picture_of(channel, values) for channel in CHANNELS}
     distinct = {name: p.tobytes() for name, p in pictures.items() if name != "normals (predicted)"}  # the ball predicts its own
     assert len(set(distinct.values())) == len(distinct)

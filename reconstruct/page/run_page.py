@@ -19,12 +19,12 @@ from datasets.page import Page, PicturePanel, shapes
 from datasets.scene import View
 from datasets.structure import bounds
 from reconstruct.errors import ReconstructError
-from reconstruct.output.restored import Trained
-from reconstruct.page.frames import (
+from reconstruct.output.trained_model import TrainedModel
+from reconstruct.page.compose import (
     CHANNELS,
     NORMALS,
-    Eye,
     Values,
+    Viewpoint,
     enlarged,
     hiding_depth,
     nearest_view,
@@ -32,9 +32,9 @@ from reconstruct.page.frames import (
     seen_from,
     wiped,
 )
-from reconstruct.page.log import curves, is_training, words_on, words_on_skips
 from reconstruct.page.path_editor import PathEditor
-from reconstruct.page.viewers import LEVELS, Cancelled, Eyes, eye_of
+from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoint_of
+from reconstruct.page.status import curves, is_training, skips_text, status_text
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene.rays import view_rays
 from reconstruct.training import checkpoint
@@ -59,13 +59,13 @@ NOTHING = "nothing"
 logger = logging.getLogger(__name__)
 
 
-class RunView:
+class RunPage:
     """What is on the page of one run."""
 
     def __init__(self, page: Page, run: Run, mesh: Path | None) -> None:
         self.page, self.run, self.scene = page, run, run.scene()
         self.train_views = self.scene.split("train")
-        self.trained: Trained | None = None
+        self.trained: TrainedModel | None = None
         matrices = np.stack([view.world_from_camera for view in self.scene.views])
         centre, spread = bounds.focus(matrices)
         self.centre = centre if spread > bounds.PARALLEL else self.scene.box.mean(0)
@@ -75,7 +75,7 @@ class RunView:
         self._sending = threading.Lock()
         """Held while a picture is sent, or taken away: none arrives after its channel was left."""
         self.guest, self.training = Guest(run.path), is_training(run)
-        self.eyes = Eyes(page, self._paint, moved=self._moved)
+        self.eyes = RenderLoop(page, self._paint, moved=self._moved)
         first = self.train_views[0]
         self.page.look(first.world_from_camera[:3, 3], self.centre, up=shapes.upright(list(matrices)), size=self.reach)
         self._panel()
@@ -173,21 +173,21 @@ class RunView:
 
     def _go(self, client: viser.ClientHandle | None) -> None:
         if client is not None:
-            self._chosen(client, nearest_view(eye_of(client), self.train_views, self.reach))
+            self._chosen(client, nearest_view(viewpoint_of(client), self.train_views, self.reach))
 
     def _extract(self) -> None:
         """Put the model's surface on the page, as it is now."""
-        from reconstruct.output import mesh
+        from reconstruct.output.mesh import extraction
 
         if self.trained is None:
             return
         self._mesh_button.disabled = True
         try:
-            self._add_mesh(mesh.extract(self.trained, resolution=MESH_RESOLUTION))
+            self._add_mesh(extraction.extract(self.trained, resolution=MESH_RESOLUTION))
         finally:
             self._mesh_button.disabled = False
 
-    def render(self, eye: Eye, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
+    def render(self, eye: Viewpoint, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
         """What the model shows of an eye in about so many pixels, (height, width, channels) by the renderer's names.
 
         What is nearer or further than the page's cutting planes is left out. Depth is in world units. None where it was cancelled, or there is no model yet.
@@ -219,7 +219,7 @@ class RunView:
         )
         return shaped
 
-    def _paint(self, client: viser.ClientHandle, eye: Eye, rays: int, cancelled: Cancelled) -> None:
+    def _paint(self, client: viser.ClientHandle, eye: Viewpoint, rays: int, cancelled: Cancelled) -> None:
         channel = self.channel.value
         if channel == NOTHING:
             return
@@ -236,7 +236,7 @@ class RunView:
                 client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
         client.flush()
 
-    def _photograph_from(self, eye: Eye, like: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _photograph_from(self, eye: Viewpoint, like: NDArray[np.float32]) -> NDArray[np.float32]:
         """The nearest training image as if it had been turned to where `eye` looks, of the size of another picture."""
         view = nearest_view(eye, self.train_views, self.reach)
         if self._photograph is None or self._photograph[0] != view.name:
@@ -262,7 +262,7 @@ class RunView:
         """Load the newest checkpoint. False where it went away meanwhile: a running training keeps the last two."""
         try:
             if self.trained is None:
-                self.trained = Trained.open(self.run.path)
+                self.trained = TrainedModel.open(self.run.path)
             else:
                 state, _ = checkpoint.load(self.run.path / CHECKPOINTS, self.trained.state)
                 self.trained = replace(self.trained, state=state)
@@ -276,8 +276,8 @@ class RunView:
         log = self.run.log()
         if self.trained is not None:
             self._state.content = f"**{self.scene.name}**, {self.run.config.model}, step {int(self.trained.state.step)}"
-        self._skips.content = words_on_skips(self.run) or "*nothing is noted*"
-        words = words_on(log, self.run)
+        self._skips.content = skips_text(self.run) or "*nothing is noted*"
+        words = status_text(log, self.run)
         if words == self._log.content:
             return
         self._log.content = words
@@ -297,7 +297,7 @@ def rounded_up(length: float) -> tuple[float, float]:
     return float(np.ceil(length / (10 * step)) * 10 * step), float(step)
 
 
-def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunView:
+def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunPage:
     """Put a run on a page; the model follows as soon as it is loaded.
 
     Args:
@@ -305,7 +305,7 @@ def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunView:
         run: finished, or one that another process trains.
         mesh: file of a mesh in world coordinates to lay over it.
     """
-    shown = RunView(page, run, mesh)
+    shown = RunPage(page, run, mesh)
     page.in_background(shown.follow)
     page.in_background(shown.eyes.run)
     return shown

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reconstruct.page.viewers import LEVELS, Eyes, eye_of
+from reconstruct.page.render_loop import LEVELS, RenderLoop, viewpoint_of
 
 
 class MadeUp:
-    """A page and its browsers, as far as `Eyes` looks at them."""
+    """A page and its browsers, as far as `RenderLoop` looks at them."""
 
     def __init__(self) -> None:
         self.stopping = threading.Event()
@@ -55,7 +55,7 @@ class Painter:
 @pytest.fixture
 def made() -> Any:
     page, painter = MadeUp(), Painter()
-    eyes = Eyes(page, painter)
+    eyes = RenderLoop(page, painter)
     thread = threading.Thread(target=eyes.run, daemon=True)
     yield page, painter, eyes, thread
     page.stopping.set()
@@ -155,6 +155,6 @@ def test_no_level_no_pictures(made: Any) -> None:
 def test_an_eye_is_where_the_browser_is() -> None:
     half = np.sqrt(0.5)
     camera = SimpleNamespace(wxyz=(half, half, 0, 0), position=(1.0, 2, 3), fov=0.7, image_width=300, image_height=200)
-    found = eye_of(SimpleNamespace(camera=camera))
+    found = viewpoint_of(SimpleNamespace(camera=camera))
     assert np.allclose(found.world_from_camera[:3, 3], [1, 2, 3]) and np.allclose(found.world_from_camera[:3, 2], [0, -1, 0])
     assert found.fov == 0.7 and found.aspect == 1.5

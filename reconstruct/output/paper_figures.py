@@ -25,7 +25,7 @@ from datasets.scene import View
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.volume import volume_weights
 from reconstruct.surface import losses
 from reconstruct.surface.sphere import ball_samples, first_surface, shell_radii, sphere_directions
@@ -43,7 +43,7 @@ POINTS = 3
 """Surface points drawn in C.1."""
 
 
-def draw_all(trained: Trained, out: Path, *, steps: int = STEPS) -> dict[str, Any]:
+def draw_all(trained: TrainedModel, out: Path, *, steps: int = STEPS) -> dict[str, Any]:
     """Write all figures into the new folder `out`; B.1 trains the run's model afresh for `steps` steps, in memory."""
     files.refuse_existing(out)
     surface = trained.run.config.surface
@@ -94,7 +94,7 @@ def shell_density(radii: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
     return shells, counts / (4 / 3 * np.pi * (shells**3 - inner**3))
 
 
-def surface_points(trained: Trained) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+def surface_points(trained: TrainedModel) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """(position, unit normal) [scene unit] of a few points that the first test view (or else the first view) sees clearly."""
     view = _some_view(trained)
     camera = trained.camera(view)
@@ -113,7 +113,7 @@ def surface_points(trained: Trained) -> list[tuple[NDArray[np.float32], NDArray[
     return list(zip(scene, picture.normals.reshape(-1, 3)[chosen], strict=True))
 
 
-def weights_while_training(trained: Trained, steps: int) -> tuple[list[int], NDArray, NDArray, NDArray]:
+def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int], NDArray, NDArray, NDArray]:
     """Weights along the ray through the middle of what the run sees, at `LOOKS` states of a fresh training.
 
     Returns:
@@ -170,7 +170,7 @@ def draw_weights(steps: Sequence[int], depth: NDArray, weights: NDArray, first: 
     return figure
 
 
-def hemisphere_colours(trained: Trained, position: NDArray, normal: NDArray) -> dict[str, NDArray]:
+def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray) -> dict[str, NDArray]:
     """What a surface point sends into the directions of its visible hemisphere.
 
     Returns:
@@ -185,7 +185,7 @@ def hemisphere_colours(trained: Trained, position: NDArray, normal: NDArray) -> 
     return {"outward": outward, "specular": np.asarray(shading.specular.T), "diffuse": np.asarray(material.diffuse[:, 0])}
 
 
-def draw_bias(trained: Trained) -> Figure:
+def draw_bias(trained: TrainedModel) -> Figure:
     """C.1: per surface point the specular colour over the hemisphere, its constant part (what every direction has), the diffuse."""
     points = surface_points(trained)
     figure = Figure(figsize=(13, 3.4 * len(points)), layout="constrained")
@@ -237,5 +237,5 @@ def _tangents(normal: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return rotation[:3, 0], -rotation[:3, 1]
 
 
-def _some_view(trained: Trained) -> View:
+def _some_view(trained: TrainedModel) -> View:
     return next((view for view in trained.scene.views if view.split == "test"), trained.scene.views[0])

@@ -4,8 +4,8 @@ import trimesh
 from skimage.measure import marching_cubes
 
 from reconstruct.errors import ReconstructError
-from reconstruct.output import slopes
-from reconstruct.output.slopes import follow_normals
+from reconstruct.output.mesh import refinement
+from reconstruct.output.mesh.refinement import follow_normals
 
 OVER = 0.05
 
@@ -71,7 +71,7 @@ def test_normals_that_contradict_the_mesh_are_not_followed(monkeypatch: pytest.M
     tilted /= np.linalg.norm(tilted, axis=-1, keepdims=True)
     moved = lambda: np.abs(follow_normals(ball.vertices, ball.faces, tilted, over=0.3) - ball.vertices).max()  # noqa: E731
     robust = moved()
-    monkeypatch.setattr(slopes, "CREASE", np.inf)
+    monkeypatch.setattr(refinement, "CREASE", np.inf)
     assert robust < 0.2 * moved()
 
 
@@ -100,7 +100,7 @@ def test_needles_do_not_fold_over(monkeypatch: pytest.MonkeyPatch) -> None:
         return int((np.sum(before * after, -1) < 0).sum())
 
     assert folded() == 0
-    monkeypatch.setattr(slopes, "ROUNDS", 0)
+    monkeypatch.setattr(refinement, "ROUNDS", 0)
     assert folded() > 20
 
 

@@ -16,7 +16,7 @@ from reconstruct.training.step import StepFunctions, TrainState
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedModel:
     """What a run has come to so far."""
 
     run: Run
@@ -27,7 +27,7 @@ class Trained:
     renderer: Renderer
 
     @classmethod
-    def open(cls, path: Path) -> "Trained":
+    def open(cls, path: Path) -> "TrainedModel":
         """The newest checkpoint of a run.
 
         Raises:

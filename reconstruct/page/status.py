@@ -23,7 +23,7 @@ def is_training(run: Run) -> bool:
     return not ended and bool(news) and time.time() - max(news) < QUIET_S
 
 
-def words_on(log: list[dict[str, Any]], run: Run) -> str:
+def status_text(log: list[dict[str, Any]], run: Run) -> str:
     """Markdown on how far a training is and what it left out."""
     if not log:
         return "*no line in the log yet*"
@@ -46,7 +46,7 @@ def curves(log: list[dict[str, Any]]) -> tuple[tuple[NDArray[np.float64], ...], 
     return tuple(columns), series
 
 
-def words_on_skips(run: Run) -> str:
+def skips_text(run: Run) -> str:
     """Markdown on what the training left out, with evidence, saving and price, and on what it kept and why; empty where it has no list."""
     skips = record.read(run.path)
     left_out = [f"- **{record.in_words(skip.name)}** left out: {skip.evidence}  \n  *saves {skip.saving}; price: {skip.cost}*"

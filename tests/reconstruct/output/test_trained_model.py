@@ -8,14 +8,14 @@ import pytest
 from datasets.core.errors import UsageError
 from reconstruct.errors import ReconstructError
 from reconstruct.models import load_config
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, Run
 
 
 def test_a_run_opens_although_its_masks_are_not_read_again(make_run: Callable[..., Run]) -> None:
     """The list of cells that can be occupied is as long as the masks left it; the state comes back bit for bit."""
     run = make_run()
-    trained = Trained.open(run.path)
+    trained = TrainedModel.open(run.path)
     occupancy = trained.state.occupancy
     assert 0 < len(occupancy.visits) < run.config.sampler.grid**3
     assert int(occupancy.occupied.sum()) == len(occupancy.visits)
@@ -26,14 +26,14 @@ def test_a_run_opens_although_its_masks_are_not_read_again(make_run: Callable[..
 
 
 def test_pictures_have_the_size_of_the_training(make_run: Callable[..., Run], small_config) -> None:
-    trained = Trained.open(make_run(small_config.model_copy(update={"scale": 0.5})).path)
+    trained = TrainedModel.open(make_run(small_config.model_copy(update={"scale": 0.5})).path)
     picture = trained.picture(trained.scene.split("test")[0])
     assert picture.rgb.shape == (20, 24, 3) and picture.depth.shape == (20, 24, 1)
     assert all(np.isfinite(values).all() for values in vars(picture).values())
 
 
 def test_warming_up_compiles_what_pictures_need(make_run: Callable[..., Run]) -> None:
-    trained = Trained.open(make_run().path)
+    trained = TrainedModel.open(make_run().path)
     view = trained.scene.split("test")[0]
     trained.warm_up(view)
     compiled = set(trained.renderer._compiled)
@@ -43,9 +43,9 @@ def test_warming_up_compiles_what_pictures_need(make_run: Callable[..., Run]) ->
 
 def test_what_is_not_a_run_is_said_so(make_run: Callable[..., Run], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is not a run"):
-        Trained.open(tmp_path)
+        TrainedModel.open(tmp_path)
     with pytest.raises(ReconstructError, match="no checkpoint"):
-        Trained.open(make_run(checkpointed=False).path)
+        TrainedModel.open(make_run(checkpointed=False).path)
 
 
 def test_another_configuration_does_not_fit(make_run: Callable[..., Run]) -> None:
@@ -53,5 +53,5 @@ def test_another_configuration_does_not_fit(make_run: Callable[..., Run]) -> Non
     text = (run.path / "run.json").read_text().replace('"log2_size": 8', '"log2_size": 9')
     (run.path / "run.json").write_text(text)
     with pytest.raises(ReconstructError, match="does not fit the configuration"):
-        Trained.open(run.path)
+        TrainedModel.open(run.path)
     assert (run.path / CHECKPOINTS).is_dir() and load_config().encoding.log2_size != 8

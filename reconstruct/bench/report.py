@@ -10,9 +10,9 @@ from datasets.core import files
 from datasets.reports.html import Number, ReportPage
 from reconstruct.bench import drawings, targets
 from reconstruct.bench.records import DEFINITIONS, DONE, Records, Row, latest
-from reconstruct.bench.run import PROFILES, RECORDS, profiles
+from reconstruct.bench.runner import PROFILES, RECORDS, profiles
 from reconstruct.bench.suite import COST, QUALITY
-from reconstruct.studies import table
+from reconstruct.output import metric_names
 
 PAGE = "index.html"
 COLUMNS = ("psnr", "ssim", "normal_mae_alpha_acc_deg", "normal_mae_deg", "normal_pred_mae_alpha_acc_deg", "depth_rmse_mm",
@@ -66,7 +66,7 @@ def _targets(page: ReportPage, rows: Sequence[Row]) -> None:
     )
     words = {True: "met", False: "not met", None: "some scenes are not measured"}
     page.table(("target", "figure", "wanted", "reached", "", "scenes", "seeds"),
-               [(one.target.words, table.heading(one.target.figure), Number(one.target.value), Number(one.reached), words[one.met],
+               [(one.target.words, metric_names.column_heading(one.target.figure), Number(one.target.value), Number(one.reached), words[one.met],
                  len(one.scenes), one.seeds) for one in found])  # fmt: skip
 
 
@@ -100,7 +100,7 @@ def _points(page: ReportPage, rows: Sequence[Row]) -> None:
             "preset",
             "budget",
             "seeds",
-            *(table.heading(name) for name in columns),
+            *(metric_names.column_heading(name) for name in columns),
             "steps",
             "rays/s",
             "samples/s",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from reconstruct.output.stray_matter import SIDES, filled, left_out
+from reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
 
 SIZE = 60
 X, Y, Z = np.meshgrid(*3 * [np.arange(SIZE)], indexing="ij")
@@ -31,7 +31,7 @@ def density(*parts: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def kept(*parts: NDArray[np.bool_], stands_on: str = "-z") -> NDArray[np.bool_]:
-    return left_out(density(*parts), 0.5, stands_on) > 0.5
+    return isolate_object(density(*parts), 0.5, stands_on) > 0.5
 
 
 def test_a_sheet_on_a_bridge_goes_and_the_object_stays_as_it_is() -> None:
@@ -54,7 +54,7 @@ def test_another_side_may_be_the_one_it_stands_on() -> None:
 @pytest.mark.parametrize("parts", [(ball(),), (ball(), (np.abs(X - 30) < 20) & (np.abs(Y - 30) < 20) & (Z < 2))])
 def test_where_no_other_side_is_reached_nothing_changes(parts: tuple[NDArray[np.bool_], ...]) -> None:
     given = density(*parts)
-    assert left_out(given, 0.5, "-z") is given
+    assert isolate_object(given, 0.5, "-z") is given
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -69,16 +69,16 @@ def test_the_tables_top_goes_and_what_stands_on_it_stays(side: str) -> None:
         upright = density(*parts)
         return np.moveaxis(upright if side[0] == "-" else upright[:, :, ::-1], 2, "xyz".index(side[1]))
 
-    np.testing.assert_array_equal(left_out(turned(post, beside & (z < 2)), 0.5, side), turned(post))
+    np.testing.assert_array_equal(isolate_object(turned(post, beside & (z < 2)), 0.5, side), turned(post))
     plate = turned(post, beside & (z < 4))
-    assert left_out(plate, 0.5, side) is plate
+    assert isolate_object(plate, 0.5, side) is plate
     flat = turned(beside & (z < 2))
-    assert left_out(flat, 0.5, side) is flat, "there is no telling what is table where nothing stands on it"
+    assert isolate_object(flat, 0.5, side) is flat, "there is no telling what is table where nothing stands on it"
 
 
 def test_an_object_that_the_box_cuts_through_stays_whole() -> None:
     given = density(np.roll(ball(), 25, axis=0) & (X > 25))
-    assert left_out(given, 0.5, "-z") is given
+    assert isolate_object(given, 0.5, "-z") is given
 
 
 def test_a_slab_that_is_thicker_than_the_object_goes() -> None:
@@ -95,7 +95,7 @@ def test_a_hollow_object_is_one_with_its_inside() -> None:
 
 def test_filling_closes_what_surface_and_sides_shut_in() -> None:
     shell = ((X - 30) ** 2 + (Y - 30) ** 2 + Z**2 < 15**2) & ~((X - 30) ** 2 + (Y - 30) ** 2 + Z**2 < 12**2)
-    solid = filled(density(shell), 0.5) > 0.5
+    solid = fill_interior(density(shell), 0.5) > 0.5
     np.testing.assert_array_equal(solid, (X - 30) ** 2 + (Y - 30) ** 2 + Z**2 < 15**2)
 
 

@@ -29,7 +29,7 @@ BEHIND_ALL = 160.0
 
 
 @dataclass(frozen=True)
-class Eye:
+class Viewpoint:
     """Where a browser looks from."""
 
     world_from_camera: NDArray[np.float64]
@@ -78,7 +78,7 @@ def hiding_depth(values: Values) -> NDArray[np.float32]:
     return np.where((values["opacity"][..., 0] > SEEN) & (depth > 0), depth, BEHIND_ALL).astype(np.float32)
 
 
-def nearest_view(eye: Eye, views: tuple[View, ...], reach: float) -> View:
+def nearest_view(eye: Viewpoint, views: tuple[View, ...], reach: float) -> View:
     """The view that is nearest to where somebody looks from: `reach` [world unit] counts as much as a radian."""
     matrices = np.stack([view.world_from_camera for view in views])
     distance, _ = pose.difference(matrices, eye.world_from_camera[None])
@@ -86,7 +86,7 @@ def nearest_view(eye: Eye, views: tuple[View, ...], reach: float) -> View:
     return views[int(np.argmin(distance / reach + turn))]
 
 
-def seen_from(eye: Eye, camera: Camera, view: View, photograph: NDArray[np.float32]) -> NDArray[np.float32]:
+def seen_from(eye: Viewpoint, camera: Camera, view: View, photograph: NDArray[np.float32]) -> NDArray[np.float32]:
     """A photograph turned to where somebody looks: (height, width, 3) of `camera`; grey where it shows nothing.
 
     Exact for what is far away, or from where it was taken; the parallax in between stays.

@@ -9,12 +9,12 @@ import viser
 
 from datasets import pose
 from datasets.page import Page
-from reconstruct.page.frames import Eye
+from reconstruct.page.compose import Viewpoint
 
 LEVELS = (2048, 8192, 32768, 131072, 524288)
 """Rays of the pictures, one after the other."""
 Cancelled = Callable[[], bool]
-Paint = Callable[[viser.ClientHandle, Eye, int, Cancelled], None]
+Paint = Callable[[viser.ClientHandle, Viewpoint, int, Cancelled], None]
 """Render for a browser from an eye with so many rays, and show it; gives up, showing nothing, once it is cancelled."""
 
 
@@ -26,7 +26,7 @@ class _Watcher:
     """Levels that the picture from here has been shown at."""
 
 
-class Eyes:
+class RenderLoop:
     """All browsers of a page. Pictures are made one at a time, by one thread."""
 
     def __init__(self, page: Page, paint: Paint, *, moved: Callable[[], None] = lambda: None) -> None:
@@ -83,14 +83,14 @@ class Eyes:
             gone = self._page.stopping.is_set() or key not in self._watchers
             return gone or (level > 0 and watcher.moves != moves)
 
-        self._paint(watcher.client, eye_of(watcher.client), LEVELS[level], cancelled)
+        self._paint(watcher.client, viewpoint_of(watcher.client), LEVELS[level], cancelled)
         with self._changed:
             if watcher.moves == moves:
                 watcher.done = level + 1
 
 
-def eye_of(client: viser.ClientHandle) -> Eye:
+def viewpoint_of(client: viser.ClientHandle) -> Viewpoint:
     """Where a browser looks from now."""
     camera = client.camera
     matrix = pose.from_quaternion(np.asarray(camera.wxyz), np.asarray(camera.position))
-    return Eye(matrix, float(camera.fov), float(camera.image_width / max(camera.image_height, 1)))
+    return Viewpoint(matrix, float(camera.fov), float(camera.image_width / max(camera.image_height, 1)))

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from datasets.core import files
-from reconstruct.bench import page
+from reconstruct.bench import report
 from reconstruct.bench.records import Records
-from reconstruct.bench.run import PROFILES, PROFILES_FORMAT, PROFILES_VERSION, RECORDS
+from reconstruct.bench.runner import PROFILES, PROFILES_FORMAT, PROFILES_VERSION, RECORDS
 
 
 def test_everything_is_on_the_page(tmp_path: Path, make_row: Callable) -> None:
@@ -32,13 +32,13 @@ def test_everything_is_on_the_page(tmp_path: Path, make_row: Callable) -> None:
         "view_s": None,
         "note": "",
     }
-    written = page.write(tmp_path, [peer])
+    written = report.write(tmp_path, [peer])
     text = written.read_text(encoding="utf-8")
     for words in ("26.0 ± 1.4", "the published one", "400", "9.87", "no &lt;memory&gt;", "a processor", "40.0 ms per step"):
         assert words in text, words
     assert text.count("<svg") == 3  # two scenes, one profile
-    assert page.write(tmp_path).read_text(encoding="utf-8") != text  # written again, without the other program
+    assert report.write(tmp_path).read_text(encoding="utf-8") != text  # written again, without the other program
 
 
 def test_an_empty_benchmark_has_a_page(tmp_path: Path) -> None:
-    assert "Run time against error" in page.write(tmp_path).read_text(encoding="utf-8")
+    assert "Run time against error" in report.write(tmp_path).read_text(encoding="utf-8")
