@@ -54,6 +54,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("eval",): "give either a run, or --renders DIR --scene SCENE",
         ("eval", run, "--renders", tmp_path): "give either a run",
         ("eval", run, "--lpips", tmp_path / "none.npz"): "no such file",
+        ("train", tmp_path): "give the folder of the run: --out DIR",
         ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
         ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
         ("table", run): "was not measured yet",
@@ -92,6 +93,16 @@ def test_models_are_listed_with_their_parts(command: Callable[..., tuple[int, st
     assert any(line.split()[:4] == ["zipnerf", "voxels", "view", "-"] for line in lines)
     code, out, _ = command("models", "--json")
     assert code == 0 and {row["name"] for row in json.loads(out)["models"]} >= {"surfnerf", "mipnerf", "finetune"}
+
+
+def test_settings_are_listed_with_the_defaults_of_the_model_and_preset(command: Callable[..., tuple[int, str, str]]) -> None:
+    code, out, _ = command("train", "--list-settings", "--model", "zipnerf", "--set", "scale=0.5")
+    lines = out.splitlines()
+    assert code == 0 and lines[0].split() == ["key", "type", "default", "meaning"]
+    assert any(line.split()[:3] == ["encoding.kind", "lattice|voxels|frequencies", "voxels"] for line in lines)
+    code, out, _ = command("train", "--list-settings", "--json")
+    rows = {row["key"]: row for row in json.loads(out)["settings"]}
+    assert code == 0 and rows["train.rate"]["type"] == "float > 0" and rows["encoding.kind"]["default"] == "lattice"
 
 
 def test_a_plan_of_ablations_trains_nothing(
