@@ -1,12 +1,10 @@
-"""Runs a suite: each trial in a process, each result on the disk before the next begins.
+"""Runs a suite: each trial in a process of its own; each result is on disk before the next trial starts.
 
 OUT/records.csv     a line per trial: errors, work, machine, versions, commit
 OUT/profiles.json   where the time of a step goes, by the trial's name
 OUT/index.html      curves and tables
 
-Shiny scenes are rendered once and kept in the cache folder.
-
-A benchmark that was broken off goes on where it stopped, and trials can be added to it.
+Shiny scenes are rendered once and kept in the cache folder. An interrupted benchmark is resumed; trials can be added to it.
 """
 
 import shutil
@@ -28,18 +26,18 @@ from reconstruct.bench.suite import Trial
 RECORDS, PROFILES, SCENES = "records.csv", "profiles.json", "bench"
 PROFILES_FORMAT, PROFILES_VERSION = "koala-bench-profiles", 1
 PATIENCE_S = 900.0
-"""A trial may take so long beyond its budget: reading, compiling, measuring."""
+"""Time limit of a trial beyond its budget: reading, compiling, evaluating."""
 
 
 def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict[str, Any]:
-    """Do what is not done yet.
+    """Run the trials that are not finished yet.
 
     Args:
-        out: folder of the benchmark; one that was broken off is gone on with.
+        out: folder of the benchmark.
         data: folder of the real scenes.
 
     Returns:
-        How many trials were "done" now, had been "there", and "failed"; names of the scenes that are "absent".
+        Numbers of trials "done" now, "there" before, and "failed"; names of the missing scenes ("absent").
     """
     records = Records(out / RECORDS)
     finished = records.done()
@@ -61,7 +59,7 @@ def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict
 
 
 def measure(one: Trial, place: Path, out: Path) -> dict[str, Any]:
-    """The record of one trial, with the reason as its status where it failed."""
+    """The record of one trial; the status of a failed one has the reason."""
     row = {**vars(one), **context.describe()}
     with tempfile.TemporaryDirectory(prefix="koala-bench-") as folder:
         try:
@@ -74,19 +72,19 @@ def measure(one: Trial, place: Path, out: Path) -> dict[str, Any]:
 
 
 def _in_a_process(one: Trial, place: Path, folder: Path) -> dict[str, Any]:
-    """What a trial's process found. Raises KoalaError where it ended otherwise, with its last words."""
-    asked, answer = folder / "order.json", folder / "result.json"
-    files.write_json(asked, trial.order(one, place.resolve(), folder / "run"))
-    command = [sys.executable, "-m", "reconstruct.bench.trial", str(asked), str(answer)]
+    """The result of a trial's process. Raises KoalaError with the last line of its log if it failed."""
+    order, answer = folder / "order.json", folder / "result.json"
+    files.write_json(order, trial.order(one, place.resolve(), folder / "run"))
+    command = [sys.executable, "-m", "reconstruct.bench.trial", str(order), str(answer)]
     with open(folder / "log.txt", "w+b") as log:
         try:
             code = subprocess.run(command, stdout=log, stderr=log, timeout=one.budget_s + PATIENCE_S, check=False).returncode
         except subprocess.TimeoutExpired:
             code = None
         log.seek(0)
-        words = log.read().decode(errors="replace").strip().splitlines()
+        lines = log.read().decode(errors="replace").strip().splitlines()
     if code != 0 or not answer.is_file():
-        last = words[-1] if words else "no word"
+        last = lines[-1] if lines else "no output"
         raise KoalaError("trial failed", where=one.name, why="took too long" if code is None else last[:200])
     shutil.rmtree(folder / "run", ignore_errors=True)
     found = files.read_json(answer, kind=trial.KIND, version=trial.VERSION)
@@ -94,7 +92,7 @@ def _in_a_process(one: Trial, place: Path, folder: Path) -> dict[str, Any]:
 
 
 def profiles(out: Path) -> dict[str, Any]:
-    """Profiles by the trial's name; none where none were made."""
+    """Profiles by the trial's name; empty without any."""
     path = out / PROFILES
     return files.read_json(path, kind=PROFILES_FORMAT, version=PROFILES_VERSION)["profiles"] if path.is_file() else {}
 

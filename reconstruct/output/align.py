@@ -1,12 +1,13 @@
 """Alignment of a view's pose to a trained model: the field is frozen, the camera moves until the picture fits.
 
-For pictures that took no part in the training, so that an error of their poses can be told from one of the model. The twist x of the
-pose (see `twists`) minimises
+For pictures that took no part in the training, so that an error of their poses can be told from one of the model. The twist
+x of the pose (see `twists`) minimises
 
     sum_i w_i |r_i(x)|^2 / (2 s^2) + |x / sigma|^2 / 2
 
-by Levenberg's and Marquardt's method: r the colours' errors on some of the view's pixels, w weights that let no pixel count by more
-than a few standard deviations (Huber 1964), s the robust spread of the first errors, sigma the poses' accuracy as calibrated.
+by Levenberg's and Marquardt's method: r the colours' errors on some of the view's pixels, w weights that let no pixel count
+by more than a few standard deviations (Huber 1964), s the robust spread of the first errors, sigma the poses' accuracy as
+calibrated.
 """
 
 from dataclasses import dataclass, replace

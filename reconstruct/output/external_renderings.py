@@ -3,7 +3,8 @@
 DIR/rgb/NAME.png (or DIR/NAME.png) is needed of every view; NAME.exr or NAME.png in DIR/normals_exr, DIR/normals, DIR/normals_pred,
 DIR/depth, DIR/opacity, DIR/diffuse and DIR/specular is compared where it is there: the layout of 'reconstruct render'.
 
-8-bit pictures hold sRGB, normals as (n + 1) / 2; EXR files hold linear light, unit normals, depth along z [m, or the scene's unit].
+8-bit pictures hold sRGB, normals as (n + 1) / 2; EXR files hold linear light, unit normals, depth along z [m, or the
+scene's unit].
 """
 
 from pathlib import Path

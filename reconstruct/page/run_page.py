@@ -1,7 +1,7 @@
 """The page of a run: fly through the model while it trains and afterwards.
 
-The newest checkpoint is rendered wherever a browser looks, coarse at once and finer while it holds still; a newer checkpoint takes
-its place. Rendering runs in this process, training in its own.
+The newest checkpoint is rendered wherever a browser looks, coarse at once and finer while it holds still; a newer
+checkpoint takes its place. Rendering runs in this process, training in its own.
 """
 
 import logging
