@@ -93,7 +93,7 @@ def sweep(
     """Train and evaluate every model on every scene; write a table."""
     from reconstruct.studies import sweep
 
-    jobs = sweep.jobs(scenes, models, preset, set_ or (), budget, out, seeds or ())
+    jobs = sweep.plan(scenes, models, preset, set_ or (), budget, out, seeds or ())
     _report_table(sweep.run(jobs, out, use_ray=ray or address is not None, ray_address=address), out, as_json)
 
 

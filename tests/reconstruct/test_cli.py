@@ -57,7 +57,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("train", tmp_path): "give the folder of the run: --out DIR",
         ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
         ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
-        ("table", run): "was not measured yet",
+        ("table", run): "has not been evaluated",
         ("film", run, "--out", tmp_path / "film.avi"): "end --out in .mp4",
         ("ablate", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
         ("sweep", "--out", tmp_path / "r", "--scene", tmp_path, "--model", "surfnrf"): "did you mean 'surfnerf'",
