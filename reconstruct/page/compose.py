@@ -1,4 +1,4 @@
-"""Pictures for the page of a run: what a browser's camera sees of each channel, and a photograph seen from there."""
+"""Pictures for the page of a run: each channel from a browser's viewpoint, and a photograph warped to it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,25 +12,26 @@ from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.scene import View
 from reconstruct.output.export import brightness_of_depth
+from reconstruct.scene.rays import over
 
 Values = dict[str, NDArray[np.float32]]
 
-CHANNELS = {
-    "rgb": "rgb", "diffuse": "diffuse", "specular": "specular", "normals": "normals", "normals (predicted)": "normals_pred",
-    "depth": "depth", "opacity": "opacity", "roughness": "roughness",
-}  # fmt: skip
-"""What can be looked at, and what the renderer calls it."""
 NORMALS = "normals"
-"""The one that costs a second pass through the field."""
-SEEN = 0.5
-"""Opacity from which on a pixel has a depth that hides what is behind it."""
+"""The channel that requires a second pass through the field."""
+SHADED = ("rgb", "diffuse", "specular", NORMALS)
+CHANNELS = (
+    {name: name for name in SHADED} | {"normals (predicted)": "normals_pred"} | {n: n for n in ("depth", "opacity", "roughness")}
+)
+"""Names on the page, and the renderer's names."""
+OPAQUE = 0.5
+"""Opacity above which a pixel hides what is behind it."""
 BEHIND_ALL = 160.0
 """Depth of pixels that hide nothing: the page's depth ends at 167."""
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Where a browser looks from."""
+    """The camera of a browser."""
 
     world_from_camera: NDArray[np.float64]
     """(4, 4), OpenCV camera axes."""
@@ -40,15 +41,15 @@ class Viewpoint:
     """Width by height."""
 
     def camera(self, rays: int) -> Camera:
-        """A pinhole of about so many pixels."""
+        """A pinhole camera with about `rays` pixels."""
         width = max(2, round(float(np.sqrt(rays * self.aspect))))
         height = max(2, rays // width)
         focal = 0.5 * height / np.tan(0.5 * self.fov)
         return Camera(width, height, focal, focal * 1.0, width / 2, height / 2)
 
     def view(self, camera: Camera) -> View:
-        """The same as a view of a scene, for the renderer."""
-        return View("eye", camera, self.world_from_camera, "test", Path())
+        """The viewpoint as a view of a scene, for the renderer."""
+        return View("browser", camera, self.world_from_camera, "test", Path())
 
 
 def picture_of(channel: str, values: Values) -> NDArray[np.float32]:
@@ -56,7 +57,7 @@ def picture_of(channel: str, values: Values) -> NDArray[np.float32]:
 
     Args:
         channel: a key of `CHANNELS`.
-        values: (height, width, channels) by the renderer's names, light linear and premultiplied but for "rgb".
+        values: (height, width, channels) by the renderer's names; light is linear and premultiplied, except "rgb".
     """
     name = CHANNELS[channel]
     shown = values[name]
@@ -73,47 +74,44 @@ def picture_of(channel: str, values: Values) -> NDArray[np.float32]:
 
 
 def hiding_depth(values: Values) -> NDArray[np.float32]:
-    """(height, width) depth along z [world unit] for what stands among the picture: far away where nothing solid is seen."""
+    """(height, width) depth along z [world unit] that hides objects behind it; far where the pixel is transparent."""
     depth = values["depth"][..., 0]
-    return np.where((values["opacity"][..., 0] > SEEN) & (depth > 0), depth, BEHIND_ALL).astype(np.float32)
+    return np.where((values["opacity"][..., 0] > OPAQUE) & (depth > 0), depth, BEHIND_ALL).astype(np.float32)
 
 
-def nearest_view(eye: Viewpoint, views: tuple[View, ...], reach: float) -> View:
-    """The view that is nearest to where somebody looks from: `reach` [world unit] counts as much as a radian."""
+def nearest_view(viewpoint: Viewpoint, views: tuple[View, ...], reach: float) -> View:
+    """The view nearest to a viewpoint: a distance of `reach` [world unit] counts as much as a radian."""
     matrices = np.stack([view.world_from_camera for view in views])
-    distance, _ = pose.difference(matrices, eye.world_from_camera[None])
-    turn = np.arccos(np.clip(matrices[:, :3, 2] @ eye.world_from_camera[:3, 2], -1, 1))
+    distance, _ = pose.difference(matrices, viewpoint.world_from_camera[None])
+    turn = np.arccos(np.clip(matrices[:, :3, 2] @ viewpoint.world_from_camera[:3, 2], -1, 1))
     return views[int(np.argmin(distance / reach + turn))]
 
 
-def seen_from(eye: Viewpoint, camera: Camera, view: View, photograph: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A photograph turned to where somebody looks: (height, width, 3) of `camera`; grey where it shows nothing.
+def warped(viewpoint: Viewpoint, camera: Camera, view: View, photograph: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A photograph rotated to a viewpoint: (height, width, 3) of `camera`; grey outside the photograph.
 
-    Exact for what is far away, or from where it was taken; the parallax in between stays.
+    Exact for distant objects, or at the photograph's own position; parallax is ignored.
 
     Args:
-        eye: where somebody looks from.
-        camera: pinhole of the result.
+        viewpoint: position and direction of the result.
+        camera: pinhole camera of the result.
         view: of the photograph, with its lens.
         photograph: (height, width, 3 or 4) sRGB.
     """
-    turn = view.world_from_camera[:3, :3].T @ eye.world_from_camera[:3, :3]
+    turn = view.world_from_camera[:3, :3].T @ viewpoint.world_from_camera[:3, :3]
     directions = camera.directions(camera.pixel_centres()) @ turn.T
     ahead = directions[..., 2] > 1e-3
     pixels = view.camera.project(np.where(ahead[..., None], directions, [0.0, 0.0, 1.0]))
     scale = photograph.shape[1] / view.camera.width
     inside = ahead & (pixels >= 0).all(-1) & (pixels <= [view.camera.width, view.camera.height]).all(-1)
     places = (scale * pixels - 0.5).astype(np.float32)
-    flat = (
-        photograph[..., :3] if photograph.shape[-1] == 3 else photograph[..., :3] * photograph[..., 3:] + 1 - photograph[..., 3:]
-    )
-    sampled = cv2.remap(np.ascontiguousarray(flat, np.float32), places[..., 0], places[..., 1], cv2.INTER_LINEAR,
-                        borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
+    flat = np.ascontiguousarray(over(photograph), np.float32)
+    sampled = cv2.remap(flat, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.where(inside[..., None], sampled, 0.5).astype(np.float32)
 
 
 def wiped(left: NDArray[np.float32], right: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    """The left `share` of one picture and the rest of another of the same size, with a white line between."""
+    """The left `share` of one picture and the rest of another of the same size, separated by a white line."""
     edge = round(share * left.shape[1])
     joined = np.concatenate([left[:, :edge], right[:, edge:]], axis=1)
     joined[:, max(edge - 1, 0) : edge + 1] = 1.0
@@ -121,7 +119,7 @@ def wiped(left: NDArray[np.float32], right: NDArray[np.float32], share: float) -
 
 
 def enlarged(picture: NDArray[np.float32], width: int) -> NDArray[np.float32]:
-    """A picture brought to at least `width` pixels across, smoothly."""
+    """A picture enlarged to at least `width` pixels, by linear interpolation."""
     if picture.shape[1] >= width:
         return picture
     height = max(1, round(picture.shape[0] * width / picture.shape[1]))

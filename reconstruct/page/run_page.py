@@ -1,7 +1,7 @@
-"""The page of a run: fly through the model while it trains and afterwards.
+"""The page of a run: explore the model during training and afterwards.
 
-The newest checkpoint is rendered wherever a browser looks, coarse at once and finer while it holds still; a newer
-checkpoint takes its place. Rendering runs in this process, training in its own.
+The newest checkpoint is rendered from each browser's viewpoint, first coarse, then finer while the camera rests. This process
+renders; training runs in its own.
 """
 
 import logging
@@ -29,7 +29,7 @@ from reconstruct.page.compose import (
     hiding_depth,
     nearest_view,
     picture_of,
-    seen_from,
+    warped,
     wiped,
 )
 from reconstruct.page.path_editor import PathEditor
@@ -44,23 +44,23 @@ if TYPE_CHECKING:
     import trimesh
 
 SLICE = 2048
-"""Rays between two looks at whether a picture is still wanted; one compiled program serves all sizes."""
+"""Rays per call of the renderer, after which a picture can be cancelled; one compiled program serves all sizes."""
 WIDTH = 640
-"""Pictures are sent at least this wide: coarse ones enlarged [px]."""
+"""Smallest width of the pictures that are sent; coarse ones are enlarged [px]."""
 POLL_S = 1.0
-"""Between two looks at the run's folder."""
+"""Seconds between checks for a new checkpoint."""
 MESH_RESOLUTION = 128
 PATH = "path.yaml"
-"""In the run's folder: what the path editor writes."""
+"""File of the path editor in the run's folder."""
 DEPTHS = (0.01, 50.0)
-"""Distances of cameras from what they look at [world unit] whose depths the browser can tell apart; it counts to 167 in steps of 1e-5."""
+"""Camera distances [world unit] whose depths the browser resolves; its depth goes to 167 in steps of 1e-5."""
 NOTHING = "nothing"
-"""Channel that leaves the page to cameras and mesh."""
+"""Channel that shows only cameras and mesh."""
 logger = logging.getLogger(__name__)
 
 
 class RunPage:
-    """What is on the page of one run."""
+    """The page of one run."""
 
     def __init__(self, page: Page, run: Run, mesh: Path | None) -> None:
         self.page, self.run, self.scene = page, run, run.scene()
@@ -73,9 +73,9 @@ class RunPage:
         self._photograph: tuple[str, NDArray[np.float32]] | None = None
         self._surface: viser.SceneNodeHandle | None = None
         self._sending = threading.Lock()
-        """Held while a picture is sent, or taken away: none arrives after its channel was left."""
+        """Held while a picture is sent or removed, so that none arrives after its channel was left."""
         self.guest, self.training = Guest(run.path), is_training(run)
-        self.eyes = RenderLoop(page, self._paint, moved=self._moved)
+        self.loop = RenderLoop(page, self._paint, moved=self._moved)
         first = self.train_views[0]
         self.page.look(first.world_from_camera[:3, 3], self.centre, up=shapes.upright(list(matrices)), size=self.reach)
         self._panel()
@@ -87,9 +87,9 @@ class RunPage:
         self.channel = gui.add_dropdown("channel", (*CHANNELS, NOTHING))
         self.sharpest = gui.add_slider("sharpness", 1, len(LEVELS), 1, 4)
         self.sharpest_training = gui.add_slider(
-            "sharpness while it trains", 0, len(LEVELS), 1, 2, hint="less leaves more to training"
+            "sharpness while it trains", 0, len(LEVELS), 1, 2, hint="a lower value leaves more time for training"
         )
-        self.pace = gui.add_slider("training while I move [%]", 0, 100, 10, 30, hint="0 pauses it, 100 lets it be")
+        self.pace = gui.add_slider("training while I move [%]", 0, 100, 10, 30, hint="0 pauses it, 100 does not slow it down")
         self.wipe = gui.add_checkbox("wipe against the nearest training image", False)
         self.share = gui.add_slider("wipe at", 0.0, 1.0, 0.01, 0.5)
         for element in (self.channel, self.sharpest, self.sharpest_training, self.wipe, self.share):
@@ -99,7 +99,7 @@ class RunPage:
         unit = " [m]" if self.scene.metric else ""
         self.cut = gui.add_slider(f"cut away nearer than{unit}", 0.0, furthest, step, 0.0)
         self.beyond = gui.add_slider(
-            f"cut away beyond{unit}", 0.0, furthest, step, furthest, hint="at its end nothing is cut away"
+            f"cut away beyond{unit}", 0.0, furthest, step, furthest, hint="the maximum cuts nothing away"
         )
         for element in (self.cut, self.beyond):
             element.on_update(lambda event: self._changed())
@@ -115,36 +115,39 @@ class RunPage:
         self._curve: viser.GuiUplotHandle | None = None
         with self._log_folder:
             self._log = gui.add_markdown("")
-        with gui.add_folder("Left out, and why", expand_by_default=False):
-            self._skips = gui.add_markdown("*nothing is noted*")
+        with gui.add_folder("Skipped, and why", expand_by_default=False):
+            self._skips = gui.add_markdown("*nothing recorded*")
 
     def _changed(self) -> None:
-        self.eyes.levels = self._levels()
+        self.loop.levels = self._levels()
         if self.channel.value == NOTHING:
             with self._sending:
                 for client in self.page.server.get_clients().values():
                     client.scene.set_background_image(None)
-        self.eyes.again()
+        self.loop.restart()
 
     def _moved(self) -> None:
-        """Somebody moves: a training that is under way gives way as far as the slider says."""
+        """A browser's camera moves: slow a running training down as the slider says."""
         if self.training:
             self.guest.moving(self.pace.value / 100)
 
     def _levels(self) -> int:
-        """How sharp pictures become: a training that is under way shares the processor with them."""
+        """Number of levels to render; a running training shares the processor."""
         if self.channel.value == NOTHING:
             return 0
         self.training = is_training(self.run)
         return min(self.sharpest.value, self.sharpest_training.value) if self.training else self.sharpest.value
 
     def _draw(self, mesh: Path | None) -> None:
-        """Bounds, cameras, and the mesh of a file where one is given."""
+        """Draw bounds, cameras and the given mesh."""
         shapes.add_box(self.page, "/bounds", self.scene.box, colour=shapes.COLOURS["box"])
         self._frusta = []
         for view in self.scene.views:
-            handle = shapes.add_camera(self.page, f"/cameras/{view.split}/{view.name}", view.world_from_camera, view.camera,
-                                       colour=shapes.colour_of(view.split), length=0.08 * self.reach)  # fmt: skip
+            name, style = (
+                f"/cameras/{view.split}/{view.name}",
+                {"colour": shapes.colour_of(view.split), "length": 0.08 * self.reach},
+            )
+            handle = shapes.add_camera(self.page, name, view.world_from_camera, view.camera, **style)
             handle.on_click(lambda event, view=view: self._chosen(event.client, view))
             self._frusta.append(handle)
         if mesh is not None:
@@ -153,7 +156,7 @@ class RunPage:
             self._add_mesh(trimesh.load_mesh(mesh, process=False))
 
     def _add_mesh(self, surface: "trimesh.Trimesh") -> None:
-        """Put a surface in world coordinates on the page, in place of the one before, and let it be switched off."""
+        """Show a surface in world coordinates, replacing an earlier one, and its checkbox."""
         self._surface = self.page.scene.add_mesh_trimesh("/mesh", surface)
         self.mesh.visible, self.mesh.value = True, True
 
@@ -176,7 +179,7 @@ class RunPage:
             self._chosen(client, nearest_view(viewpoint_of(client), self.train_views, self.reach))
 
     def _extract(self) -> None:
-        """Put the model's surface on the page, as it is now."""
+        """Extract and show the surface of the current model."""
         from reconstruct.output.mesh import extraction
 
         if self.trained is None:
@@ -187,48 +190,43 @@ class RunPage:
         finally:
             self._mesh_button.disabled = False
 
-    def render(self, eye: Viewpoint, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
-        """What the model shows of an eye in about so many pixels, (height, width, channels) by the renderer's names.
+    def render(self, viewpoint: Viewpoint, rays: int, *, normals: bool, cancelled: Cancelled = lambda: False) -> Values | None:
+        """Render a viewpoint with about `rays` pixels: (height, width, channels) by the renderer's names.
 
-        What is nearer or further than the page's cutting planes is left out. Depth is in world units. None where it was cancelled, or there is no model yet.
+        The page's cutting planes apply. Depth is in world units. None if it was cancelled or there is no model yet.
         """
         trained = self.trained
         if trained is None:
             return None
-        camera = eye.camera(rays)
-        origins, directions, radii = view_rays(eye.view(camera), trained.functions.normalisation, camera)
-        cut = max(self.cut.value * trained.functions.normalisation.scale - trained.functions.normalisation.near, 0.0)
-        origins = origins + np.float32(cut) * directions  # rays begin at the plane: their z is 1
-        beyond = (
-            np.inf if self.beyond.value >= self.beyond.max else self.beyond.value * trained.functions.normalisation.scale - cut
-        )
+        camera, normalisation = viewpoint.camera(rays), trained.run.normalisation
+        origins, directions, radii = view_rays(viewpoint.view(camera), normalisation, camera)
+        cut = max(self.cut.value * normalisation.scale - normalisation.near, 0.0)
+        origins = origins + np.float32(cut) * directions  # rays start at the plane: their z is 1
+        beyond = np.inf if self.beyond.value >= self.beyond.max else self.beyond.value * normalisation.scale - cut
+        renderer, state = trained.renderer, trained.state
         parts: list[Values] = []
         for start in range(0, len(origins), SLICE):
             if cancelled():
                 return None
             rows = np.minimum(np.arange(start, start + SLICE), len(origins) - 1)
-            parts.append(
-                trained.renderer.rays(
-                    trained.state, origins[rows], directions[rows], radii[rows], normals=normals, furthest=beyond
-                )
-            )
+            slices = (origins[rows], directions[rows], radii[rows])
+            parts.append(renderer.rays(state, *slices, normals=normals, furthest=beyond))
         joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
         shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}
-        shaped["depth"] = ((shaped["depth"] + cut) * (shaped["depth"] > 0) / trained.functions.normalisation.scale).astype(
-            np.float32
-        )
+        depth = (shaped["depth"] + cut) * (shaped["depth"] > 0) / normalisation.scale
+        shaped["depth"] = depth.astype(np.float32)
         return shaped
 
-    def _paint(self, client: viser.ClientHandle, eye: Viewpoint, rays: int, cancelled: Cancelled) -> None:
+    def _paint(self, client: viser.ClientHandle, viewpoint: Viewpoint, rays: int, cancelled: Cancelled) -> None:
         channel = self.channel.value
         if channel == NOTHING:
             return
-        values = self.render(eye, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
+        values = self.render(viewpoint, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
         if values is None or cancelled():
             return
         picture = enlarged(picture_of(channel, values), WIDTH)
         if self.wipe.value:
-            picture = wiped(picture, self._photograph_from(eye, picture), self.share.value)
+            picture = wiped(picture, self._photograph_from(viewpoint, picture), self.share.value)
         shown = (255 * picture + 0.5).astype(np.uint8)
         depth = hiding_depth(values) if DEPTHS[0] < self.reach < DEPTHS[1] else None
         with self._sending:
@@ -236,30 +234,30 @@ class RunPage:
                 client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
         client.flush()
 
-    def _photograph_from(self, eye: Viewpoint, like: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The nearest training image as if it had been turned to where `eye` looks, of the size of another picture."""
-        view = nearest_view(eye, self.train_views, self.reach)
+    def _photograph_from(self, viewpoint: Viewpoint, like: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The nearest training image warped to a viewpoint, of the size of another picture."""
+        view = nearest_view(viewpoint, self.train_views, self.reach)
         if self._photograph is None or self._photograph[0] != view.name:
             self._photograph = (view.name, view.read())
         height, width = like.shape[:2]
-        camera = eye.camera(width * height).scaled(width, height)
-        return seen_from(eye, camera, view, self._photograph[1])
+        camera = viewpoint.camera(width * height).scaled(width, height)
+        return warped(viewpoint, camera, view, self._photograph[1])
 
     def follow(self) -> None:
-        """Take the newest checkpoint whenever there is one, and keep the curves up to date, until the page ends."""
+        """Load new checkpoints and update the curves until the page ends."""
         newest = None
         while not self.page.stopping.is_set():
             found = checkpoint.steps(self.run.path / CHECKPOINTS)
             if found and found[-1] != newest and self._take():
                 newest = found[-1]
                 self._changed()
-            elif self.eyes.levels != self._levels():
-                self._changed()  # the training has ended, or goes on
-            self._say()
+            elif self.loop.levels != self._levels():
+                self._changed()  # the training has stopped or resumed
+            self._update_status()
             self.page.stopping.wait(POLL_S)
 
     def _take(self) -> bool:
-        """Load the newest checkpoint. False where it went away meanwhile: a running training keeps the last two."""
+        """Load the newest checkpoint. False if it was deleted meanwhile: a running training keeps the last two."""
         try:
             if self.trained is None:
                 self.trained = TrainedModel.open(self.run.path)
@@ -271,16 +269,16 @@ class RunPage:
             return False
         return True
 
-    def _say(self) -> None:
-        """Step, error and what was left out, in words and as curves."""
+    def _update_status(self) -> None:
+        """Update step, status, curves and skips."""
         log = self.run.log()
         if self.trained is not None:
             self._state.content = f"**{self.scene.name}**, {self.run.config.model}, step {int(self.trained.state.step)}"
-        self._skips.content = skips_text(self.run) or "*nothing is noted*"
-        words = status_text(log, self.run)
-        if words == self._log.content:
+        self._skips.content = skips_text(self.run) or "*nothing recorded*"
+        text = status_text(log, self.run)
+        if text == self._log.content:
             return
-        self._log.content = words
+        self._log.content = text
         if len(log) < 2:
             return
         data, series = curves(log)
@@ -292,20 +290,20 @@ class RunPage:
 
 
 def rounded_up(length: float) -> tuple[float, float]:
-    """A length that a slider can end at, of two digits, and a step of a hundredth to a thousandth of it."""
+    """A length rounded up to two digits for a slider, and a step of a hundredth to a thousandth of it."""
     step = 10.0 ** np.floor(np.log10(length) - 2)
     return float(np.ceil(length / (10 * step)) * 10 * step), float(step)
 
 
 def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunPage:
-    """Put a run on a page; the model follows as soon as it is loaded.
+    """Show a run on a page; the model appears once it is loaded.
 
     Args:
         page: to draw on.
-        run: finished, or one that another process trains.
-        mesh: file of a mesh in world coordinates to lay over it.
+        run: finished, or trained by another process.
+        mesh: file of a mesh in world coordinates to overlay.
     """
     shown = RunPage(page, run, mesh)
     page.in_background(shown.follow)
-    page.in_background(shown.eyes.run)
+    page.in_background(shown.loop.run)
     return shown

@@ -17,14 +17,14 @@ from reconstruct.page.compose import (
     hiding_depth,
     nearest_view,
     picture_of,
-    seen_from,
+    warped,
     wiped,
 )
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
 
 
-def eye(matrix: np.ndarray, fov_deg: float = 40.0, aspect: float = 1.5) -> Viewpoint:
+def viewpoint(matrix: np.ndarray, fov_deg: float = 40.0, aspect: float = 1.5) -> Viewpoint:
     return Viewpoint(matrix, float(np.deg2rad(fov_deg)), aspect)
 
 
@@ -37,7 +37,7 @@ def values(height: int = 4, width: int = 6, opacity: float = 1.0) -> dict[str, n
 @pytest.mark.parametrize("rays", [2048, 8192, 131072])
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.4])
 def test_pictures_have_the_field_of_view_and_about_as_many_pixels_as_asked(rays: int, aspect: float) -> None:
-    camera = eye(np.eye(4), 40.0, aspect).camera(rays)
+    camera = viewpoint(np.eye(4), 40.0, aspect).camera(rays)
     assert 0.95 * rays < camera.width * camera.height <= 1.05 * rays
     assert camera.width / camera.height == pytest.approx(aspect, rel=0.05)
     assert 2 * np.arctan(0.5 * camera.height / camera.fy) == pytest.approx(np.deg2rad(40.0))
@@ -62,14 +62,14 @@ def test_only_what_is_solid_hides_the_cameras() -> None:
     assert (hiding_depth(values(opacity=0.2)) == np.float32(BEHIND_ALL)).all()
 
 
-def test_a_photograph_seen_from_its_own_place_is_itself(far_wall: Callable[[Camera, np.ndarray], np.ndarray]) -> None:
-    """Lens and turning are exact for what is far away: the wall at infinity looks the same through the eye's own pinhole."""
+def test_a_photograph_warped_its_own_place_is_itself(far_wall: Callable[[Camera, np.ndarray], np.ndarray]) -> None:
+    """Lens and turning are exact for what is far away: the wall at infinity looks the same through the viewpoint's own pinhole."""
     matrix = pose.look_at((0.4, 0.1, 0.2), (0, 0, 0))
     view = View("v", LENS, matrix, "train", Path())
     turned = matrix @ pose.from_rotation_vector([0.03, -0.05, 0.4])
-    watcher = eye(turned, 25.0, 1.3)
+    watcher = viewpoint(turned, 25.0, 1.3)
     camera = watcher.camera(8192)
-    got = seen_from(watcher, camera, view, far_wall(LENS, matrix).astype(np.float32))
+    got = warped(watcher, camera, view, far_wall(LENS, matrix).astype(np.float32))
     inside = (np.abs(got - 0.5) > 1e-6).any(-1)
     assert inside.mean() > 0.9
     error = np.abs(got - far_wall(camera, turned))[inside]
@@ -78,14 +78,14 @@ def test_a_photograph_seen_from_its_own_place_is_itself(far_wall: Callable[[Came
 
 def test_a_photograph_behind_shows_nothing() -> None:
     view = View("v", LENS, np.eye(4), "train", Path())
-    watcher = eye(pose.from_rotation_vector([0, np.pi, 0]))
-    assert (seen_from(watcher, watcher.camera(2048), view, np.ones((72, 96, 3), np.float32)) == 0.5).all()
+    watcher = viewpoint(pose.from_rotation_vector([0, np.pi, 0]))
+    assert (warped(watcher, watcher.camera(2048), view, np.ones((72, 96, 3), np.float32)) == 0.5).all()
 
 
 def test_alpha_is_laid_over_white() -> None:
-    view, watcher = View("v", LENS, np.eye(4), "train", Path()), eye(np.eye(4), 10.0)
+    view, watcher = View("v", LENS, np.eye(4), "train", Path()), viewpoint(np.eye(4), 10.0)
     photograph = np.concatenate([np.zeros((72, 96, 3)), np.full((72, 96, 1), 0.25)], -1).astype(np.float32)
-    assert np.allclose(seen_from(watcher, watcher.camera(2048), view, photograph), 0.75)
+    assert np.allclose(warped(watcher, watcher.camera(2048), view, photograph), 0.75)
 
 
 def test_the_nearest_view_is_near_in_place_and_direction() -> None:
@@ -93,7 +93,7 @@ def test_the_nearest_view_is_near_in_place_and_direction() -> None:
                   for i, a in enumerate(np.arange(0, 6, 0.5)))  # fmt: skip
     for view in views:
         moved = view.world_from_camera @ pose.from_rotation_vector([0.05, -0.1, 0.0], [0.02, 0, 0.03])
-        assert nearest_view(eye(moved), views, 1.0) is view
+        assert nearest_view(viewpoint(moved), views, 1.0) is view
 
 
 def test_the_wipe_is_one_picture_on_the_left_and_the_other_on_the_right() -> None:

@@ -44,7 +44,7 @@ class Painter:
         self.through = threading.Semaphore(0)
         self.at_once = True
 
-    def __call__(self, client: Any, eye: Any, rays: int, cancelled: Callable[[], bool]) -> None:
+    def __call__(self, client: Any, viewpoint: Any, rays: int, cancelled: Callable[[], bool]) -> None:
         self.begun.release()
         while not self.at_once and not self.through.acquire(timeout=0.01):
             if cancelled():
@@ -55,9 +55,9 @@ class Painter:
 @pytest.fixture
 def made() -> Any:
     page, painter = MadeUp(), Painter()
-    eyes = RenderLoop(page, painter)
-    thread = threading.Thread(target=eyes.run, daemon=True)
-    yield page, painter, eyes, thread
+    loop = RenderLoop(page, painter)
+    thread = threading.Thread(target=loop.run, daemon=True)
+    yield page, painter, loop, thread
     page.stopping.set()
     if thread.is_alive():
         thread.join(10)
@@ -72,8 +72,8 @@ def wait_for(holds: Callable[[], bool]) -> None:
 
 
 def test_pictures_get_finer_up_to_the_level_that_is_wanted(made: Any) -> None:
-    page, painter, eyes, thread = made
-    eyes.levels = 3
+    page, painter, loop, thread = made
+    loop.levels = 3
     page.browser(7)
     thread.start()
     wait_for(lambda: len(painter.shown) == 3)
@@ -82,7 +82,7 @@ def test_pictures_get_finer_up_to_the_level_that_is_wanted(made: Any) -> None:
 
 
 def test_who_moves_gets_a_coarse_picture_first_and_the_fine_one_is_given_up(made: Any) -> None:
-    page, painter, eyes, thread = made
+    page, painter, loop, thread = made
     client = page.browser(1)
     painter.at_once = False
     thread.start()
@@ -93,8 +93,8 @@ def test_who_moves_gets_a_coarse_picture_first_and_the_fine_one_is_given_up(made
     client.move()
     wait_for(lambda: painter.given_up == [(1, LEVELS[1])])
     painter.at_once = True
-    wait_for(lambda: len(painter.shown) == 1 + eyes.levels)
-    assert painter.shown[1:] == [(1, rays) for rays in LEVELS[: eyes.levels]]
+    wait_for(lambda: len(painter.shown) == 1 + loop.levels)
+    assert painter.shown[1:] == [(1, rays) for rays in LEVELS[: loop.levels]]
 
 
 def test_the_coarsest_picture_is_finished_even_while_somebody_moves(made: Any) -> None:
@@ -110,8 +110,8 @@ def test_the_coarsest_picture_is_finished_even_while_somebody_moves(made: Any) -
 
 
 def test_two_browsers_both_get_a_coarse_picture_before_either_gets_a_fine_one(made: Any) -> None:
-    page, painter, eyes, thread = made
-    eyes.levels = 2
+    page, painter, loop, thread = made
+    loop.levels = 2
     page.browser(1), page.browser(2)
     thread.start()
     wait_for(lambda: len(painter.shown) == 4)
@@ -119,8 +119,8 @@ def test_two_browsers_both_get_a_coarse_picture_before_either_gets_a_fine_one(ma
 
 
 def test_a_browser_that_goes_away_while_its_picture_is_made_holds_nobody_up(made: Any) -> None:
-    page, painter, eyes, thread = made
-    eyes.levels = 1
+    page, painter, loop, thread = made
+    loop.levels = 1
     leaving = page.browser(1)
     painter.at_once = False
     thread.start()
@@ -133,19 +133,19 @@ def test_a_browser_that_goes_away_while_its_picture_is_made_holds_nobody_up(made
 
 
 def test_a_new_model_is_shown_to_all(made: Any) -> None:
-    page, painter, eyes, thread = made
-    eyes.levels = 1
+    page, painter, loop, thread = made
+    loop.levels = 1
     page.browser(1), page.browser(2)
     thread.start()
     wait_for(lambda: len(painter.shown) == 2)
-    eyes.again()
+    loop.restart()
     wait_for(lambda: len(painter.shown) == 4)
     assert sorted(painter.shown) == [(1, LEVELS[0])] * 2 + [(2, LEVELS[0])] * 2
 
 
 def test_no_level_no_pictures(made: Any) -> None:
-    page, painter, eyes, thread = made
-    eyes.levels = 0
+    page, painter, loop, thread = made
+    loop.levels = 0
     page.browser(1)
     thread.start()
     time.sleep(0.4)

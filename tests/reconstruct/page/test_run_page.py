@@ -53,13 +53,13 @@ def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ba
 def test_what_is_cut_away_opens_the_ball(shown: Any, ball: TrainedModel) -> None:
     """Through a plane in the ball's middle its far wall is seen from inside (the grid holds the wall alone); behind it there is nothing."""
     _, view = shown
-    eye, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
-    reach = float((centre - eye.world_from_camera[:3, 3]) @ eye.world_from_camera[:3, 2])
-    whole = view.render(eye, 2048, normals=False)
+    viewpoint, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
+    reach = float((centre - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, 2])
+    whole = view.render(viewpoint, 2048, normals=False)
     view.cut.value = reach
-    opened = view.render(eye, 2048, normals=False)
+    opened = view.render(viewpoint, 2048, normals=False)
     view.cut.value = reach + 0.1
-    behind = view.render(eye, 2048, normals=False)
+    behind = view.render(viewpoint, 2048, normals=False)
     row, column = (side // 2 for side in whole["depth"].shape[:2])
     assert whole["depth"][row, column, 0] == pytest.approx(reach - 0.08, abs=4e-3)  # the ball's radius; steps of the sampler
     wall = 3 / 32 * 0.1  # of the grid's cells that the fixture marks, at the scale of the scene
@@ -73,19 +73,19 @@ def test_what_is_cut_away_opens_the_ball(shown: Any, ball: TrainedModel) -> None
 def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: TrainedModel) -> None:
     """Only the ball's front before the middle plane is left, and in front of that nothing; at its end the slider changes nothing."""
     _, view = shown
-    eye, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
-    reach = float((centre - eye.world_from_camera[:3, 3]) @ eye.world_from_camera[:3, 2])
-    whole = view.render(eye, 2048, normals=False)
+    viewpoint, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
+    reach = float((centre - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, 2])
+    whole = view.render(viewpoint, 2048, normals=False)
     view.beyond.value = reach - 0.06
-    front = view.render(eye, 2048, normals=False)
+    front = view.render(viewpoint, 2048, normals=False)
     view.beyond.value = reach - 0.1
-    nothing = view.render(eye, 2048, normals=False)
+    nothing = view.render(viewpoint, 2048, normals=False)
     row, column = (side // 2 for side in whole["depth"].shape[:2])
     assert front["depth"][row, column, 0] == pytest.approx(whole["depth"][row, column, 0], abs=2e-3)
     assert (front["opacity"] > 0.5).sum() < 0.7 * (whole["opacity"] > 0.5).sum() and front["depth"].max() < reach - 0.05
     assert nothing["opacity"].max() < 0.01
     view.beyond.value, view.cut.value = reach + 0.03, reach  # a slice through the ball's inside, which is hollow
-    assert view.render(eye, 2048, normals=False)["opacity"][row, column, 0] < 0.01
+    assert view.render(viewpoint, 2048, normals=False)["opacity"][row, column, 0] < 0.01
 
 
 def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: TrainedModel) -> None:
@@ -113,7 +113,7 @@ def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable
         later = eqx.tree_at(lambda state: state.step, view.trained.state, jax.numpy.asarray(41, jax.numpy.int32))
         checkpoint.save(run.path / CHECKPOINTS, later, {"seconds": 3.0})
         assert view._take() and int(view.trained.state.step) == 41
-        view._say()
+        view._update_status()
         assert "step 41" in view._state.content
 
 
@@ -152,10 +152,10 @@ def middle(picture: np.ndarray) -> np.ndarray:
     return np.median(picture[height // 2 - 12 : height // 2 + 12, width // 2 - 12 : width // 2 + 12], axis=(0, 1))
 
 
-def run_eyes(page: Page, view: RunPage) -> None:
+def start_rendering(page: Page, view: RunPage) -> None:
     view.sharpest.value = 2
     view.cameras.value = False
-    page.in_background(view.eyes.run)
+    page.in_background(view.loop.run)
 
 
 def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: TrainedModel, browse: Callable[[str], Any]) -> None:
@@ -167,7 +167,7 @@ def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: TrainedModel, br
     with open_page("ball", 0) as page:
         view = RunPage(page, ball.run, None)
         view.trained = ball
-        run_eyes(page, view)
+        start_rendering(page, view)
         window, leaving = browse(page.url), browse(page.url)
         seen = lambda picture: np.abs(middle(picture) - colour).max() < 12  # noqa: E731
         first = window.until(seen, "the ball")
@@ -199,7 +199,7 @@ def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
     with open_page("ball", 0) as page:
         view = RunPage(page, ball.run, None)
         view.trained = ball
-        run_eyes(page, view)
+        start_rendering(page, view)
         window = browse(page.url)
         window.until(lambda picture: (middle(picture) < 200).all(), "the ball")
         view.sharpest.value = 5
