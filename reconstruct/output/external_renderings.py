@@ -1,10 +1,10 @@
-"""Measure pictures that another program rendered, with the same ruler as our own.
+"""Evaluate images that another program rendered, with the same metrics as our own.
 
-DIR/rgb/NAME.png (or DIR/NAME.png) is needed of every view; NAME.exr or NAME.png in DIR/normals_exr, DIR/normals, DIR/normals_pred,
-DIR/depth, DIR/opacity, DIR/diffuse and DIR/specular is compared where it is there: the layout of 'reconstruct render'.
+DIR/rgb/NAME.png (or DIR/NAME.png) is required for every view. NAME.exr or NAME.png in DIR/normals_exr, DIR/normals,
+DIR/normals_pred, DIR/depth, DIR/opacity, DIR/diffuse and DIR/specular are optional: the layout of 'reconstruct render'.
 
-8-bit pictures hold sRGB, normals as (n + 1) / 2; EXR files hold linear light, unit normals, depth along z [m, or the
-scene's unit].
+8-bit images hold sRGB, normals as (n + 1) / 2; EXR files hold linear light, unit normals, depth along z [m, or the scene's
+unit].
 """
 
 from pathlib import Path
@@ -19,12 +19,12 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.formats.koala import file_name
 from datasets.imaging import images
 from datasets.scene import Scene, View
-from reconstruct.output.evaluate import FORMAT, VERSION, compare, definitions, mean, read_truth, source_of
+from reconstruct.output.evaluate import compare, read_truth, summary
 from reconstruct.output.lpips import Lpips
 
-FOLDERS = {"rgb": ("rgb", "."), "normals": ("normals_exr", "normals"), "normals_pred": ("normals_pred",), "depth": ("depth",),
-           "opacity": ("opacity",), "diffuse": ("diffuse",), "specular": ("specular",)}  # fmt: skip
-"""Where each map may lie, first found first taken."""
+SINGLE = ("normals_pred", "depth", "opacity", "diffuse", "specular")
+FOLDERS = {"rgb": ("rgb", "."), "normals": ("normals_exr", "normals"), **{name: (name,) for name in SINGLE}}
+"""Folders of each map; the first match is used."""
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MAPS = {"depth": 1, "opacity": 1}
 """Channels of a map; the others have three."""
@@ -33,17 +33,17 @@ MAPS = {"depth": 1, "opacity": 1}
 def measure(
     folder: Path, scene: Scene, *, split: str = "test", out: Path | None = None, lpips: Lpips | None = None
 ) -> dict[str, Any]:
-    """Figures of the renderings in `folder` of the scene's views of one split; written to `out` (JSON) where that is given.
+    """Metrics of the images in `folder` for the scene's views of one split, written to `out` (JSON) if given.
 
     Args:
-        lpips: measure the perceptual distance too.
+        lpips: also compute the perceptual distance.
 
     Raises:
-        UsageError: no such folder, no such views, a view's rendering is missing, or `out` exists.
-        DatasetError: a rendering has another shape than its view.
+        UsageError: no such folder or views, an image is missing, or `out` exists.
+        DatasetError: an image has another aspect ratio than its view.
     """
     if not folder.is_dir():
-        raise UsageError("is not a folder", where=folder, remedy="give the folder with the renderings")
+        raise UsageError("is not a folder", where=folder, remedy="give the folder with the rendered images")
     if out is not None:
         files.refuse_existing(out)
     views, measured, sizes = scene.split(split), [], set()
@@ -55,8 +55,7 @@ def measure(
             truth = read_truth(view, view.camera.scaled(width, height))
             measured.append({"name": view.name, **compare(maps, truth, metric=scene.metric, lpips=lpips)})
             shown.advance()
-    result = {"format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "size": list(max(sizes)),
-              "renders": str(folder), "mean": mean(measured), "per_view": measured, "definitions": definitions(), **source_of(lpips)}  # fmt: skip
+    result = summary(split, measured, list(max(sizes)), lpips) | {"renders": str(folder)}
     if out is not None:
         files.write_json(out, result)
     return result
@@ -70,16 +69,16 @@ def read_rendering(folder: Path, view: View) -> dict[str, NDArray[np.float32]]:
         if path is not None:
             found[name] = _decoded(name, path)
     if "rgb" not in found:
-        raise UsageError(f"has no rendering of view {view.name}", where=folder,
-                     remedy=f"name it rgb/{file_name(view)}.png, at the scene's size or a share of it")  # fmt: skip
+        advice = f"name it rgb/{file_name(view)}.png, at the scene's size or a fraction of it"
+        raise UsageError(f"has no rendering of view {view.name}", where=folder, remedy=advice)
     height, width = found["rgb"].shape[:2]
     if abs(width * view.camera.height - height * view.camera.width) > max(view.camera.width, view.camera.height):
-        raise DatasetError(f"rendering of view {view.name} has another shape than the view", where=folder,
-                           why=f"{width}x{height}, the view has {view.camera.width}x{view.camera.height}")  # fmt: skip
+        why = f"{width}x{height}, the view has {view.camera.width}x{view.camera.height}"
+        raise DatasetError(f"rendering of view {view.name} has another aspect ratio than the view", where=folder, why=why)
     for name, values in found.items():
         if values.shape[:2] != (height, width):
-            raise DatasetError(f"{name} of view {view.name} has another size than its colour", where=folder,
-                               why=f"{values.shape[1]}x{values.shape[0]} beside {width}x{height}")  # fmt: skip
+            why = f"{values.shape[1]}x{values.shape[0]}, colour has {width}x{height}"
+            raise DatasetError(f"{name} of view {view.name} has another size than its colour", where=folder, why=why)
     return found
 
 
@@ -88,15 +87,15 @@ def _file(folder: Path, view: View) -> Path | None:
 
 
 def _decoded(name: str, path: Path) -> NDArray[np.float32]:
-    values, numbers = images.read(path), path.suffix == ".exr"
+    values, linear = images.read(path), path.suffix == ".exr"
     if name in MAPS:
         return values[..., :1]
     if name == "rgb":
         alpha = values[..., 3:] if values.shape[-1] == 4 else np.ones_like(values[..., :1])
         colour = np.broadcast_to(values[..., :3], (*values.shape[:2], 3))
-        return (images.srgb_from_linear(np.maximum(colour, 0)) if numbers else colour) * alpha + 1 - alpha
+        return (images.srgb_from_linear(np.maximum(colour, 0)) if linear else colour) * alpha + 1 - alpha
     if name in ("diffuse", "specular"):
-        return values[..., :3] if numbers else images.linear_from_srgb(values[..., :3])
-    vectors = values[..., :3] if numbers else 2 * values[..., :3] - 1
+        return values[..., :3] if linear else images.linear_from_srgb(values[..., :3])
+    vectors = values[..., :3] if linear else 2 * values[..., :3] - 1
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.where(length > 0.5, vectors / np.maximum(length, 1e-6), 0).astype(np.float32)  # grey: nothing is seen
+    return np.where(length > 0.5, vectors / np.maximum(length, 1e-6), 0).astype(np.float32)  # grey: background

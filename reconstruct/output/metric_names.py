@@ -1,4 +1,4 @@
-"""Names, units and definitions of all metrics where a person reads them; files keep the keys of `metrics` and `surface_distance`."""
+"""Names, units and definitions of all metrics for people; files keep the keys of `metrics` and `surface_distance`."""
 
 from reconstruct.output import metrics
 from reconstruct.output.mesh import surface_distance

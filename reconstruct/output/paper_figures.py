@@ -1,7 +1,7 @@
-"""The figures of the paper's supplement, drawn from the code that trains and from a trained run.
+"""The figures of the paper's supplement, drawn from the training code and a trained run.
 
 OUT/sphere.png     A.1: directions, samples on their shells, their polar map, density of each shell
-OUT/weights.png    B.1: weights along one ray while a fresh model learns, and where the first surface is
+OUT/weights.png    B.1: weights along one ray during a new training, and the first surface
 OUT/bias.png       C.1: diffuse and specular colour over the visible hemisphere of surface points, and their constant part
 OUT/graph.png      D.1: the directions of one surface point, flipped into the hemisphere, with their nearest neighbours
 """
@@ -33,8 +33,8 @@ from reconstruct.training.loop import start
 
 STEPS = 600
 """Steps of the short training for B.1."""
-LOOKS = 6
-"""States of it that are drawn."""
+STATES = 6
+"""States of that training that are drawn."""
 SAMPLES = 96
 """Samples along the ray."""
 HEMISPHERE = 2048
@@ -44,7 +44,7 @@ POINTS = 3
 
 
 def draw_all(trained: TrainedModel, out: Path, *, steps: int = STEPS) -> dict[str, Any]:
-    """Write all figures into the new folder `out`; B.1 trains the run's model afresh for `steps` steps, in memory."""
+    """Write all figures into the new folder `out`; B.1 trains a new model for `steps` steps in memory."""
     files.refuse_existing(out)
     surface = trained.run.config.surface
     point = surface_points(trained)[0]
@@ -61,7 +61,7 @@ def draw_all(trained: TrainedModel, out: Path, *, steps: int = STEPS) -> dict[st
 
 
 def draw_sphere(count: int, kappa: float = 0.0) -> Figure:
-    """A.1: the lattice on the sphere, on its shells, as a polar map, and how dense each shell is."""
+    """A.1: the lattice on the sphere, on its shells and as a polar map, and the density of each shell."""
     directions, radii = sphere_directions(count, kappa), shell_radii(count)
     figure = Figure(figsize=(16, 4), layout="constrained")
     for index, (title, points) in enumerate((("directions", directions), ("samples on shells", directions * radii[:, None]))):
@@ -95,17 +95,17 @@ def shell_density(radii: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 
 def surface_points(trained: TrainedModel) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """(position, unit normal) [scene unit] of a few points that the first test view (or else the first view) sees clearly."""
+    """(position, unit normal) [scene unit] of a few points that are opaque in the first test view (or the first view)."""
     view = _some_view(trained)
     camera = trained.camera(view)
     picture = trained.picture(view)
-    sure = (picture.opacity[..., 0] > 0.5) & (np.linalg.norm(picture.normals, axis=-1) > 0.5) & (picture.depth[..., 0] > 0)
+    opaque = (picture.opacity[..., 0] > 0.5) & (np.linalg.norm(picture.normals, axis=-1) > 0.5) & (picture.depth[..., 0] > 0)
     box = np.asarray(trained.scene.box)
     in_camera = camera.directions(camera.pixel_centres()) * picture.depth
     world = in_camera @ view.world_from_camera[:3, :3].T + view.world_from_camera[:3, 3]
-    sure &= ((world > box[0]) & (world < box[1])).all(-1)
-    rows = np.flatnonzero(sure.reshape(-1))
-    if not len(rows):  # nothing solid yet: the middle of the box stands for a point
+    opaque &= ((world > box[0]) & (world < box[1])).all(-1)
+    rows = np.flatnonzero(opaque.reshape(-1))
+    if not len(rows):  # nothing is opaque yet: use the centre of the box
         return [(np.zeros(3, np.float32), np.array([0, 0, 1], np.float32))] * POINTS
     chosen = rows[np.linspace(0, len(rows) - 1, POINTS + 2).astype(int)[1:-1]]
     normalisation = trained.run.normalisation
@@ -114,10 +114,10 @@ def surface_points(trained: TrainedModel) -> list[tuple[NDArray[np.float32], NDA
 
 
 def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int], NDArray, NDArray, NDArray]:
-    """Weights along the ray through the middle of what the run sees, at `LOOKS` states of a fresh training.
+    """Weights along the ray through the middle surface point at `STATES` states of a new training.
 
     Returns:
-        Steps (looks); depths (samples) [scene unit]; weights (looks, samples); index of the first surface (looks).
+        Steps (states); depths (samples) [scene unit]; weights (states, samples); index of the first surface (states).
     """
     position, _ = surface_points(trained)[POINTS // 2]
     view = _some_view(trained)
@@ -128,7 +128,7 @@ def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int]
     t = np.linspace(0.5, 1.5, SAMPLES).astype(np.float32)
     points = jnp.asarray(origin[:, None] + direction[:, None] * t)
     evaluate = jax.jit(lambda field: _ray_weights(field, points, (t[1] - t[0]) * length, normalisation.bounded))
-    wanted = np.unique(np.geomspace(max(1, steps // 2 ** (LOOKS - 1)), steps, LOOKS).astype(int))
+    wanted = np.unique(np.geomspace(max(1, steps // 2 ** (STATES - 1)), steps, STATES).astype(int))
     seen, weights = [], []
     with tempfile.TemporaryDirectory() as folder:
         config = trained.run.config.model_copy(update={"train": trained.run.config.train.model_copy(update={"steps": steps})})
@@ -171,10 +171,10 @@ def draw_weights(steps: Sequence[int], depth: NDArray, weights: NDArray, first: 
 
 
 def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray) -> dict[str, NDArray]:
-    """What a surface point sends into the directions of its visible hemisphere.
+    """Radiance of a surface point over its visible hemisphere.
 
     Returns:
-        outward: (n, 3) unit directions to where it is seen from; specular: (n, 3) linear; diffuse: (3,) linear.
+        outward: (n, 3) unit directions away from the surface; specular: (n, 3) linear; diffuse: (3,) linear.
     """
     outward = sphere_directions(HEMISPHERE)
     outward = outward[outward @ normal > 0.02]
@@ -186,26 +186,31 @@ def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray
 
 
 def draw_bias(trained: TrainedModel) -> Figure:
-    """C.1: per surface point the specular colour over the hemisphere, its constant part (what every direction has), the diffuse."""
+    """C.1: per surface point, the specular colour over the hemisphere, its minimum over directions, and the diffuse colour."""
     points = surface_points(trained)
     figure = Figure(figsize=(13, 3.4 * len(points)), layout="constrained")
     for row, (position, normal) in enumerate(points):
-        seen = hemisphere_colours(trained, position, normal)
+        light = hemisphere_colours(trained, position, normal)
         across, up = _tangents(normal)
-        place = np.stack([seen["outward"] @ across, seen["outward"] @ up], -1)
-        constant = seen["specular"].min(0)
-        specular, diffuse = seen["specular"], np.broadcast_to(seen["diffuse"], seen["specular"].shape)
-        panels = {"colour": specular + diffuse, "specular": specular, "specular less its constant part": specular - constant,
-                  "diffuse": diffuse, "diffuse plus that part": diffuse + constant}  # fmt: skip
-        for column, (title, light) in enumerate(panels.items()):
+        place = np.stack([light["outward"] @ across, light["outward"] @ up], -1)
+        constant = light["specular"].min(0)
+        specular, diffuse = light["specular"], np.broadcast_to(light["diffuse"], light["specular"].shape)
+        panels = {
+            "colour": specular + diffuse,
+            "specular": specular,
+            "specular less its constant part": specular - constant,
+            "diffuse": diffuse,
+            "diffuse plus that part": diffuse + constant,
+        }
+        for column, (title, colour) in enumerate(panels.items()):
             axes = figure.add_subplot(len(points), len(panels), row * len(panels) + column + 1)
-            axes.scatter(*place.T, c=np.clip(images.srgb_from_linear(np.maximum(light, 0)), 0, 1), s=40)
+            axes.scatter(*place.T, c=np.clip(images.srgb_from_linear(np.maximum(colour, 0)), 0, 1), s=40)
             axes.set(title=title, aspect="equal", xticks=[], yticks=[])
     return figure
 
 
 def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angular", seed: int = 0) -> Figure:
-    """D.1: directions flipped into the visible hemisphere, as a polar map about the normal and from above, with their graph."""
+    """D.1: directions flipped into the visible hemisphere and their graph, as a polar map about the normal and from above."""
     drawn, _ = ball_samples(jax.random.key(seed), 1, count, 0.0, "lattice")
     directions = np.asarray(drawn[0], np.float64)
     flipped = (directions @ normal) < 0
@@ -220,7 +225,7 @@ def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angula
         axes = figure.add_subplot(1, 2, index + 1)
         for i, others in enumerate(nearest):
             for j in others:
-                if index == 1 or abs(x[i] - x[j]) < 180:  # a line around the map's edge would cross all of it
+                if index == 1 or abs(x[i] - x[j]) < 180:  # lines across the map's edge are omitted
                     axes.plot([x[i], x[j]], [y[i], y[j]], color="0.8", linewidth=0.8, zorder=0)
         axes.scatter(x[~flipped], y[~flipped], color="#2f6fde", label="as drawn")
         axes.scatter(x[flipped], y[flipped], color="#d98324", label="flipped")
@@ -232,7 +237,7 @@ def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angula
 
 
 def _tangents(normal: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors across a unit normal."""
+    """Two unit vectors perpendicular to a unit normal."""
     rotation = pose.look_at(-np.asarray(normal, np.float64), np.zeros(3), up=(0, 0, 1) if abs(normal[2]) < 0.9 else (0, 1, 0))
     return rotation[:3, 0], -rotation[:3, 1]
 

@@ -1,4 +1,4 @@
-"""A trained model ready for use: the run, its scene, its newest state and a renderer."""
+"""A trained model ready for use: the run, its scene, its newest checkpoint and a renderer."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,21 +17,21 @@ from reconstruct.training.step import StepFunctions, TrainState
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """What a run has come to so far."""
+    """The newest state of a run."""
 
     run: Run
     scene: Scene
-    """With the training views' poses as they were refined, where they were."""
+    """With refined poses of the training views, if the run refined them."""
     functions: StepFunctions
     state: TrainState
     renderer: Renderer
 
     @classmethod
     def open(cls, path: Path) -> "TrainedModel":
-        """The newest checkpoint of a run.
+        """Load the newest checkpoint of a run.
 
         Raises:
-            UsageError: `path` is no run, or its scene is gone.
+            UsageError: `path` is not a run, or its scene is missing.
             ReconstructError: it has no checkpoint yet.
         """
         run = Run.open(path)
@@ -42,11 +42,11 @@ class TrainedModel:
         return cls(run, scene, functions, state, Renderer(functions))
 
     def camera(self, view: View) -> Camera:
-        """A view's camera at the size that the run was trained at."""
+        """A view's camera at the scale of the training."""
         return scaled_camera(view, self.run.config.scale)
 
     def picture(self, view: View) -> Picture:
-        """Everything that the model sees in a view, at the size that the run was trained at."""
+        """Render all channels of a view at the scale of the training."""
         return self.renderer.picture(self.state, view, self.camera(view))
 
     def warm_up(self, view: View) -> None:

@@ -112,7 +112,7 @@ def summary(surface: "trimesh.Trimesh", scene: Scene) -> tuple[dict[str, Any], s
 def sides_reached(surface: "trimesh.Trimesh", box: Float[np.ndarray, "2 3"]) -> list[str]:
     """Sides of the object's box, such as "-z", at which the surface ends: the box cuts the object, or surroundings are included.
 
-    A side counts where open edges of the surface lie at it, to a thousandth of the box's longest side, or beyond, as the grid does.
+    A side counts if open edges of the surface lie beyond it, or within a thousandth of the box's longest side.
     """
     from trimesh.grouping import group_rows
 

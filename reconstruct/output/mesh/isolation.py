@@ -1,7 +1,7 @@
-"""What in a grid of densities is the object, and what reaches into its box from outside.
+"""Isolates the object in a grid of densities from surroundings that enter its box.
 
-Words: `solid` are the cells denser than the surface and what they shut in; `depth` is how far a cell is from the nearest that is
-not solid, in cells; a side of the box is "-x", "+x" and so on.
+`solid` cells are denser than the surface or enclosed by such cells; `depth` is the distance of a solid cell from the nearest
+other cell, in cells; a side of the box is "-x", "+x" and so on.
 """
 
 import numpy as np
@@ -10,16 +10,16 @@ from jaxtyping import Bool, Float
 SIDES = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "-+")
 """Sides of a box, in the order of its axes."""
 CORE = (0.5, 0.25, 0.125)
-"""The object's core is at least so deep, in the depth of the deepest cell; the first that gives one counts."""
+"""Minimum depth of the object's core, as shares of the largest depth, tried in this order."""
 TABLE_TOP = 1 / 128
-"""How far above its side of the box a table's reconstructed top may be, in the longest side of the grid."""
+"""Largest height of a reconstructed table top above its side of the box, in the longest side of the grid."""
 
 
 def fill_interior(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:
-    """The density with solid matter wherever the surface and the sides of the box shut it in.
+    """The density with the interior of the surface filled.
 
-    Nobody sees the inside of a solid, so that a model may leave it empty; where the object is cut by a side of the box, what its
-    outline there encloses is its inside.
+    Models may leave the inside of a solid empty, since no camera sees it. Where a side of the box cuts the object, the area
+    inside its outline belongs to the interior.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -32,16 +32,15 @@ def fill_interior(density: Float[np.ndarray, "x y z"], threshold: float) -> Floa
 
 
 def isolate_object(density: Float[np.ndarray, "x y z"], threshold: float, stands_on: str) -> Float[np.ndarray, "x y z"]:
-    """The density without the table's top, and without what reaches into the box through another side than the table's.
+    """The density without the table top, and without anything that enters the box through another side than the table's.
 
-    A short training leaves a sheet of table or wall that hangs on to the object by a thin bridge. Solid matter is divided
-    between the object's core and those other sides where it is thinnest in between (watershed of the depth, Meyer 1994). Nothing
-    else is left out where the sides are not reached, or where there is no core apart from them: an object that the box cuts
-    through stays whole.
+    After a short training, thin bridges connect sheets of table or wall with the object. The solid is divided between the
+    object's core and those sides where it is thinnest (watershed of the depth, Meyer 1994). If no solid reaches these sides, or
+    no core is separate from them, only the table top is removed: an object that the box cuts stays whole.
 
     Args:
         threshold: density of the surface [1 / scene unit].
-        stands_on: the side that the object stands on, of `SIDES`.
+        stands_on: the side of `SIDES` that the object stands on.
     """
     from scipy.ndimage import distance_transform_edt
     from skimage.segmentation import watershed
@@ -67,10 +66,10 @@ def isolate_object(density: Float[np.ndarray, "x y z"], threshold: float, stands
 def _without_table_top(
     density: Float[np.ndarray, "x y z"], solid: Bool[np.ndarray, "x y z"], stands_on: str
 ) -> Float[np.ndarray, "x y z"]:
-    """The density without solid cells beside the object that rise no higher than `TABLE_TOP` over the side that it stands on.
+    """The density without columns of solid cells that rise no higher than `TABLE_TOP` above the side that the object stands on.
 
-    Where the box begins at the table, noise decides whether a sheet of its top, a cell or two thick, lies inside. What rises
-    higher, and all below it, is the object's. Where nothing does, the density is returned as it is.
+    If the box ends at the table, noise decides whether a layer of its top, one or two cells thick, lies inside. Higher columns
+    belong to the object. If there are none, the density is returned unchanged.
     """
     layers, axis, upwards = round(TABLE_TOP * max(density.shape)), "xyz".index(stands_on[1]), 1 if stands_on[0] == "-" else -1
     from_table = np.moveaxis(solid, axis, 0)[::upwards]
@@ -83,7 +82,7 @@ def _without_table_top(
 
 
 def _core(depth: Float[np.ndarray, "x y z"], outside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"] | None:
-    """The largest deep piece that is apart from `outside`; None where there is none."""
+    """The largest deep piece that is separate from `outside`; None without any."""
     from scipy.ndimage import label
 
     for share in CORE:
@@ -98,5 +97,5 @@ def _core(depth: Float[np.ndarray, "x y z"], outside: Bool[np.ndarray, "x y z"])
 
 
 def _face(side: str) -> tuple[slice | int, ...]:
-    """Index of the outermost cells at a side."""
+    """Index of the cells at a side."""
     return tuple((0 if side[0] == "-" else -1) if axis == side[1] else slice(None) for axis in "xyz")

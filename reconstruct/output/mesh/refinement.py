@@ -1,15 +1,15 @@
-"""A mesh whose slopes follow given normals: positions decide its course at large, normals its detail.
+"""Refinement of a mesh by given normals: positions determine its overall shape, normals its detail.
 
-A level of density is right on average and rough in detail; predicted normals are smooth, and in detail nearer to the truth.
-Each vertex v_i is moved along its normal n_i by the distance d_i that minimises
+A level set of the density is accurate on average but rough; predicted normals are smooth and more accurate in detail. Each
+vertex v_i is moved along its normal n_i by the distance d_i that minimises
 
     sum_i A_i d_i^2 + L^2 sum_ij c_ij w_ij (n_ij . (v_j + d_j n_j - v_i - d_i n_i))^2
 
 over vertices and edges, with the mean normal n_ij of an edge. It is the combination of positions and normals by Nehab,
 Rusinkiewicz, Davis and Ramamoorthi (2005), "Efficiently combining positions and normals for precise 3D geometry", with
-displacements along normals for unknowns. Areas A and cotangents c (Pinkall and Polthier 1993) make it the same on any
-triangulation. The weight w is Cauchy's: where normals contradict the mesh altogether, at edges of the object and where no
-picture has taught them anything, the mesh stays as it is.
+displacements along normals as unknowns. Areas A and cotangents c (Pinkall and Polthier 1993) make it independent of the
+triangulation. The weight w is Cauchy's: the mesh stays unchanged where normals contradict it, at edges of the object and in
+places that no image shows.
 """
 
 import numpy as np
@@ -20,25 +20,25 @@ from reconstruct.errors import ReconstructError
 CREASE = 0.25
 """Slope of the mesh against its normals at which an edge counts half."""
 COTANGENTS = (0.05, 3.0)
-"""Least and greatest weight for an edge's shape: obtuse triangles must not make it negative, nor needles all there is."""
+"""Bounds of an edge's cotangent weight: obtuse triangles must not make it negative, nor needles dominate."""
 TOLERANCE = 1e-4
-"""Residual of the solution against the right side: a ten-thousandth of displacements of a few thousandths of the box."""
+"""Relative residual of the solution."""
 STEPS = 10_000
-"""Steps of conjugate gradients after which the solution is given up; 300 are usual."""
+"""Maximum number of conjugate gradient steps; 300 are usual."""
 ROUNDS = 20
-"""Times that triangles which fold over are looked for; after a few there are hardly any."""
+"""Maximum number of rounds to correct folded triangles; few are needed."""
 
 
 def follow_normals(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], normals: Float[np.ndarray, "v 3"], *, over: float
 ) -> Float[np.ndarray, "v 3"]:
-    """Vertices moved along their normals so that the surface between them is at right angles to the normals.
+    """Vertices moved along their normals so that the surface between them is perpendicular to the normals.
 
     Args:
         vertices: in any unit of length; every one belongs to a face.
-        faces: indices of vertices.
+        faces: vertex indices.
         normals: outward, of unit length, one for each vertex.
-        over: L, the length over which slopes are believed more than positions, in the unit of the vertices.
+        over: L, the length below which slopes count more than positions, in the unit of the vertices.
 
     Raises:
         ReconstructError: normals or vertices are not finite, or so uneven that there is no solution within `STEPS`.
@@ -52,15 +52,15 @@ def follow_normals(
             raise _refusal(f"{wrong} of its {len(values)} {name} are not finite")
     areas, (start, end), cotangents = _areas_and_cotangents(vertices, faces)
     along, between = vertices[end] - vertices[start], normals[start] + normals[end]
-    between /= np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)  # opposite normals: no slope, hence no pull
+    between /= np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)  # opposite normals: no slope
     rise = np.sum(between * along, axis=-1)
     length = np.linalg.norm(along, axis=-1)
     slope = np.divide(rise, length, out=np.zeros_like(rise), where=length > 0)
     weights = over**2 * cotangents / (1 + (slope / CREASE) ** 2)
     edges = np.arange(len(rise))
-    change = sparse.csr_matrix(
-        (np.concatenate([-np.sum(between * normals[start], -1), np.sum(between * normals[end], -1)]),
-         (np.concatenate([edges, edges]), np.concatenate([start, end]))), shape=(len(rise), len(vertices)))  # fmt: skip
+    slopes = np.concatenate([-np.sum(between * normals[start], -1), np.sum(between * normals[end], -1)])
+    places = (np.concatenate([edges, edges]), np.concatenate([start, end]))
+    change = sparse.csr_matrix((slopes, places), shape=(len(rise), len(vertices)))
     pull = change.T @ sparse.diags(weights)
     system = sparse.diags(areas) + pull @ change
     distance, failed = cg(system, -pull @ rise, rtol=TOLERANCE, maxiter=STEPS, M=sparse.diags(1 / system.diagonal()))
@@ -90,14 +90,14 @@ def _unfolded(
 
 
 def _doubled_areas(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:
-    """Normals of the triangles, twice as long as their areas."""
+    """Normals of the triangles with twice their area as length."""
     first, second, third = (vertices[faces[:, k]] for k in range(3))
     return np.cross(second - first, third - first)
 
 
 def _refusal(why: str) -> ReconstructError:
-    return ReconstructError("the mesh cannot be made to follow the predicted normals", where="the mesh", why=why,
-                            remedy="reconstruct mesh --density-only leaves it as it is")  # fmt: skip
+    problem, advice = "the mesh cannot follow the predicted normals", "reconstruct mesh --density-only keeps it unchanged"
+    return ReconstructError(problem, where="the mesh", why=why, remedy=advice)
 
 
 def _areas_and_cotangents(

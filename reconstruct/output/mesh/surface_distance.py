@@ -1,7 +1,6 @@
-"""How far a reconstructed surface is from the true one, where cameras can see it.
+"""Distance of a reconstructed surface from the true one, where cameras see it.
 
-Surface that no camera sees (the underside, the inside of a hollow solid) is not compared: nobody asked for it. Nor is the
-floor of the object's box, on which the object stands.
+Surface that no camera sees (the underside, the inside of a hollow solid) is not compared, nor is the floor of the object's box.
 """
 
 from dataclasses import dataclass
@@ -18,13 +17,13 @@ if TYPE_CHECKING:
 POINTS = 100_000
 """Points drawn on each surface."""
 FLOOR = 0.02
-"""This share of the box's height, at its floor, is not compared."""
+"""Share of the box's height, at its floor, that is not compared."""
 HIDDEN_PX = 4.0
-"""A point is seen if it is less than so many pixels' width behind the nearest point at its pixel and the eight around."""
+"""A point is visible if it is less than this many pixel widths behind the nearest point at its pixel and the eight around."""
 PICTURE_PX = 160
-"""Longer side of the pictures in which it is decided what hides what."""
+"""Longer side of the depth maps that determine visibility."""
 CANDIDATES = 4
-"""So many triangles of each kind are tried for the true distance."""
+"""Number of triangles of each kind that are tried for the true distance."""
 DEFINITIONS = {
     "chamfer_mm": "mean of accuracy and completeness",
     "accuracy_mm": "mean distance from points of the mesh to the true surface",
@@ -32,12 +31,12 @@ DEFINITIONS = {
     "f_score": "harmonic mean of the shares of both kinds of points that are closer than the threshold",
     "threshold_mm": "1 % of the diagonal of the true surface's bounding box",
 }
-"""What the figures mean; all of them are of surface that cameras see, above the floor of the object's box."""
+"""Meaning of the metrics; all refer to surface that cameras see, above the floor of the object's box."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh, points all over it, and which of them lie on surface that counts."""
+    """A mesh, points drawn on it, and which of them are compared."""
 
     mesh: "trimesh.Trimesh"
     points: NDArray[np.float64]
@@ -45,17 +44,17 @@ class Surface:
     faces: NDArray[np.int64]
     """(n,) triangle of each point."""
     counts: NDArray[np.bool_]
-    """(n,) True inside the box, above its floor, where a camera sees it."""
+    """(n,) True inside the box, above its floor, and visible to a camera."""
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS) -> "Surface":
-        """Points on `mesh`; those count that are inside `box`, above its floor, and seen by one of the `views`."""
+        """Points on `mesh`; those inside `box`, above its floor and visible in one of the `views` are compared."""
         from trimesh.sample import sample_surface
 
         points, faces = sample_surface(mesh, count, seed=0)
         low, high = box
         counts = ((points >= low) & (points <= high)).all(-1) & (points[:, 2] > low[2] + FLOOR * (high[2] - low[2]))
-        counts &= seen(points, views)
+        counts &= visible(points, views)
         return cls(mesh, np.asarray(points), np.asarray(faces), counts)
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -76,9 +75,10 @@ class Surface:
         return found
 
 
-def compare(mesh: "trimesh.Trimesh", truth: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64],
-            *, count: int = POINTS) -> dict[str, float] | None:  # fmt: skip
-    """Figures of `DEFINITIONS` of a mesh [m]; None where no part of it or of the truth counts."""
+def compare(
+    mesh: "trimesh.Trimesh", truth: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS
+) -> dict[str, float] | None:
+    """Metrics of `DEFINITIONS` of a mesh [m]; None if no part of it or of the truth can be compared."""
     found, true = (Surface.of(surface, views, box, count=count) for surface in (mesh, truth))
     if not (found.counts.any() and true.counts.any()):
         return None
@@ -87,15 +87,17 @@ def compare(mesh: "trimesh.Trimesh", truth: "trimesh.Trimesh", views: tuple[View
     precision, recall = float(np.mean(accuracy < threshold)), float(np.mean(completeness < threshold))
     return {
         "chamfer_mm": 1e3 * float(accuracy.mean() + completeness.mean()) / 2,
-        "accuracy_mm": 1e3 * float(accuracy.mean()), "completeness_mm": 1e3 * float(completeness.mean()),
-        "f_score": 2 * precision * recall / max(precision + recall, 1e-12), "threshold_mm": 1e3 * threshold,
-    }  # fmt: skip
+        "accuracy_mm": 1e3 * float(accuracy.mean()),
+        "completeness_mm": 1e3 * float(completeness.mean()),
+        "f_score": 2 * precision * recall / max(precision + recall, 1e-12),
+        "threshold_mm": 1e3 * threshold,
+    }
 
 
-def seen(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.bool_]:
-    """(n,) True for points of a surface that a view sees: in its picture and not behind others of the points.
+def visible(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.bool_]:
+    """(n,) True for points that a view sees: inside its image and not behind other points.
 
-    The points stand for the surface, about one to a pixel or more: larger pictures are taken at `PICTURE_PX`.
+    There must be about one point per pixel or more: larger images are reduced to `PICTURE_PX`.
     """
     from scipy.ndimage import minimum_filter
 

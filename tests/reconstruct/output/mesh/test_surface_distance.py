@@ -65,6 +65,6 @@ def test_large_pictures_hide_as_small_ones_do() -> None:
     points, _ = trimesh.sample.sample_surface(ball(), 40_000, seed=0)
     view = around()[0]
     large = View("large", CAMERA.scaled(2000, 2000), view.world_from_camera, "train", None)  # type: ignore[arg-type]
-    small = surface_distance.seen(points, (view,))
+    small = surface_distance.visible(points, (view,))
     assert 0.2 < small.mean() < 0.5, "less than half of a ball is seen from one side, less what is seen at a grazing angle"
-    assert np.mean(surface_distance.seen(points, (large,)) == small) > 0.95
+    assert np.mean(surface_distance.visible(points, (large,)) == small) > 0.95
