@@ -39,7 +39,8 @@ def _type_name(annotation: Any) -> str:
         return "|".join("null" if one is NoneType else _type_name(one) for one in inner)
     if origin is tuple:
         return f"[{', '.join('...' if one is Ellipsis else _type_name(one) for one in inner)}]"
-    return {bool: "true|false", str: "text"}.get(annotation, annotation.__name__)
+    names = {bool: "true|false", str: "text", int: "int", float: "float"}
+    return names[annotation]
 
 
 def _bounds(field: FieldInfo) -> str:

@@ -34,8 +34,9 @@ def bench_command(
     from reconstruct.bench import peers
     from reconstruct.bench import suite as suites
 
-    chosen = (scenes, scales, models, presets, budgets, seeds)
-    trials = suites.plan(suite, suites.Choice(*(tuple(values or ()) for values in chosen)))
+    names, kinds, levels = (tuple(values or ()) for values in (scenes, models, presets))
+    choice = suites.Choice(names, tuple(scales or ()), kinds, levels, tuple(budgets or ()), tuple(seeds or ()))
+    trials = suites.plan(suite, choice)
     if plan_only:
         total = sum(trial.budget_s for trial in trials)
         lines = [trial.name for trial in trials] + [f"{len(trials)} trials, {total:.0f} s of training"]

@@ -137,7 +137,8 @@ def _resampled(channel: str, values: NDArray[np.float32], camera: Camera) -> NDA
     if channel == "depth":
         known = (values[..., :1] > 0).astype(np.float32)
         share = images.resize(known, camera.width, camera.height, srgb=False)
-        return images.resize(values[..., :1] * known, camera.width, camera.height, srgb=False) / np.maximum(share, 1e-6)
+        total = images.resize(values[..., :1] * known, camera.width, camera.height, srgb=False)
+        return (total / np.maximum(share, 1e-6)).astype(np.float32)
     small = images.resize(values, camera.width, camera.height, srgb=False)
     if channel == "alpha":
         return small[..., :1]

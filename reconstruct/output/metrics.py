@@ -4,6 +4,8 @@ All functions take numpy arrays of one image and return a float, or None if ther
 of every file of results.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
@@ -62,7 +64,8 @@ def ssim(rendered: Picture, truth: Picture) -> float | None:
         return None
     clipped = (np.clip(picture, 0, 1).astype(np.float64) for picture in (rendered, truth))
     options = {"data_range": 1.0, "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    return float(structural_similarity(*clipped, **options))
+    similarity: Any = structural_similarity(*clipped, **options)
+    return float(similarity)
 
 
 def angles_deg(first: Picture, second: Picture) -> NDArray[np.float64]:

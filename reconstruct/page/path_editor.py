@@ -18,7 +18,7 @@ from reconstruct.page.render_loop import viewpoint_of
 
 COLOUR = (230, 120, 20)
 """sRGB of the path."""
-NONE = "none"
+NONE: str = "none"
 """The only entry of an empty list of stops."""
 LEG_S, FPS = 2.0, 30.0
 """Time between two stops [s], and frames per second."""

@@ -107,7 +107,7 @@ def _in_turn(todo: Sequence[Job]) -> Iterator[tuple[Job, str]]:
 def _on_ray(todo: Sequence[Job], address: str | None) -> Iterator[tuple[Job, str]]:
     """The same as Ray tasks, in the order in which they end."""
     try:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports] (optional)
     except ImportError:
         raise UsageError("Ray is not installed", remedy="pip install 'koala-capture[sweep]', or sweep without --ray") from None
     ray.init(address=address, log_to_driver=False)

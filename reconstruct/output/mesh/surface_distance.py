@@ -51,7 +51,7 @@ class Surface:
         """Points on `mesh`; those inside `box`, above its floor and visible in one of the `views` are compared."""
         from trimesh.sample import sample_surface
 
-        points, faces = sample_surface(mesh, count, seed=0)
+        points, faces = sample_surface(mesh, count, seed=0)[:2]
         low, high = box
         counts = ((points >= low) & (points <= high)).all(-1) & (points[:, 2] > low[2] + FLOOR * (high[2] - low[2]))
         counts &= visible(points, views)
@@ -63,12 +63,12 @@ class Surface:
         Exact where the nearest triangle is among those of the `CANDIDATES` nearest drawn points, which finds large
         triangles, and those of the nearest centroids, which finds small ones.
         """
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
         from trimesh.triangles import closest_point
 
         found = np.full(len(points), np.inf)
         for places, faces in ((self.points, self.faces), (self.mesh.triangles_center, np.arange(len(self.mesh.faces)))):
-            _, nearest = cKDTree(places).query(points, k=min(CANDIDATES, len(places)))
+            _, nearest = KDTree(places).query(points, k=min(CANDIDATES, len(places)))
             for candidate in faces[nearest].reshape(len(points), -1).T:
                 on_triangle = closest_point(self.mesh.triangles[candidate], points)
                 found = np.minimum(found, np.linalg.norm(on_triangle - points, axis=-1))

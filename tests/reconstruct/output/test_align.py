@@ -54,7 +54,7 @@ def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
     assert off["psnr"] > plain["per_view"][0]["psnr"] + 6 and right["psnr"] > plain["per_view"][1]["psnr"] - 0.1
     assert off["pixels"] == min(PIXELS, 48 * 40 // 2), "at most every other pixel decides"
     assert set(both["aligned"]["definitions"]) >= {"aligned", "moved_mm", "turned_deg", "moved_px"}
-    assert "PSNR [dB], each pose aligned" in evaluate.table(both) and "aligned" not in evaluate.table(plain)
+    assert "PSNR [dB], poses aligned" in evaluate.table(both) and "aligned" not in evaluate.table(plain)
     aligned = Aligner(trained)(views[0]).view
     apart = [poses.change(scene.views[0], view, box)["moved_px"] for view in (views[0], aligned)]
     assert apart[0] > 0.15 and apart[1] < 0.2 * apart[0], apart  # what the steps along each ray of 2 mm leave

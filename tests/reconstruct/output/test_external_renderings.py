@@ -47,7 +47,7 @@ def test_what_is_wrong_is_named(ball: TrainedModel, folder: Path, tmp_path: Path
     with pytest.raises(UsageError, match=r"no rendering of view 003; name it rgb/003\.png"):
         external_renderings.measure(folder, ball.scene)
     images.write(folder / "rgb" / "003.png", np.zeros((40, 40, 3)))
-    with pytest.raises(DatasetError, match="view 003 has another shape than the view"):
+    with pytest.raises(DatasetError, match="view 003 has another aspect ratio than the view"):
         external_renderings.measure(folder, ball.scene)
     shutil.copy(tmp_path / "003.png", folder / "rgb" / "003.png")
     images.write(folder / "depth" / "003.exr", np.zeros((20, 24, 1), np.float32))

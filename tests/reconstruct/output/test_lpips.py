@@ -107,7 +107,7 @@ def test_what_cannot_be_compared_is_told(lpips: Lpips) -> None:
     assert lpips(first, second) is not None
     assert lpips(first[1:], second[1:]) is None, "the last layer would have no pixel"
     for other in (first[1:], first[..., :1], first[..., 0]):
-        with pytest.raises(UsageError, match="two colour pictures of one size"):
+        with pytest.raises(UsageError, match="two colour images of the same size"):
             lpips(first, other)
 
 

@@ -86,4 +86,4 @@ def test_what_was_skipped_is_listed(ball: TrainedModel, tmp_path: Path) -> None:
     finally:
         path.unlink()
     page = (tmp_path / "report" / "index.html").read_text()
-    assert "<td>distortion</td><td>left out</td><td>the lens is a pinhole</td>" in page
+    assert "<td>distortion</td><td>skipped</td><td>the lens is a pinhole</td>" in page
