@@ -76,7 +76,7 @@ class Watched:
     """The page of a run in this process, with the times at which pictures were sent."""
 
     def __init__(self, page: Any, path: Path) -> None:
-        from reconstruct.page.page import show
+        from reconstruct.page.run_page import show
         from reconstruct.run import Run
 
         self.sent: list[tuple[float, int]] = []

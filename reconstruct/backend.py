@@ -1,17 +1,17 @@
-"""Settings of JAX that a command wants and a library must not impose."""
+"""Settings of JAX that commands make; a library must not impose them."""
 
 import os
 from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Where to keep what can be made again: KOALA_CACHE, else below the user's cache folder."""
+    """Folder for reproducible files: KOALA_CACHE, or below the user's cache folder."""
     default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koala"
     return Path(os.environ.get("KOALA_CACHE") or default)
 
 
 def cache_compilations() -> None:
-    """Keep compiled programs on disk (`cache_folder`), so that the next start is quick."""
+    """Keep compiled programs in `cache_folder`, so that the next start is quick."""
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))

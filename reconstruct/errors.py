@@ -4,4 +4,4 @@ from datasets.core.errors import KoalaError
 
 
 class ReconstructError(KoalaError):
-    """Training or evaluation cannot go on."""
+    """Training or evaluation cannot continue."""

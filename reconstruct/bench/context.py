@@ -1,4 +1,4 @@
-"""Where a measurement was made: machine, versions, state of the code."""
+"""Context of a measurement: machine, versions, state of the code."""
 
 import os
 import platform
@@ -10,16 +10,21 @@ from typing import Any
 
 
 def describe() -> dict[str, Any]:
-    """Machine, cores, memory, versions, commit, load and time of now, by the names of `records.CONTEXT`."""
+    """Machine, cores, memory, versions, commit, load and current time, by the names of `records.CONTEXT`."""
     return {
-        "machine": processor(), "cores": len(os.sched_getaffinity(0)), "memory_gb": round(_memory_gb(), 1), "load": round(os.getloadavg()[0], 2),
-        "python": platform.python_version(), "jax": version("jax"), "jaxlib": version("jaxlib"), "numpy": version("numpy"),
-        "commit": commit(), "when": datetime.now(UTC).isoformat(timespec="seconds"),
-    }  # fmt: skip
+        "machine": processor(),
+        "cores": len(os.sched_getaffinity(0)),
+        "memory_gb": round(_memory_gb(), 1),
+        "load": round(os.getloadavg()[0], 2),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("jax", "jaxlib", "numpy")},
+        "commit": commit(),
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
 
 
 def processor() -> str:
-    """Name of the processor, as the kernel has it."""
+    """Name of the processor as the kernel reports it."""
     for line in _lines("/proc/cpuinfo"):
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()
@@ -27,18 +32,18 @@ def processor() -> str:
 
 
 def commit() -> str:
-    """Short name of the commit that the code is of, with a + where files differ from it; "" outside a repository."""
+    """Short hash of the code's commit, with a + if files are modified; "" outside a repository."""
     root = Path(__file__).parents[2]
-    told = [_git(root, "rev-parse", "--short", "HEAD"), _git(root, "status", "--porcelain", "--untracked-files=no")]
-    return "" if told[0] is None else told[0] + ("+" if told[1] else "")
+    head, modified = _git(root, "rev-parse", "--short", "HEAD"), _git(root, "status", "--porcelain", "--untracked-files=no")
+    return "" if head is None else head + ("+" if modified else "")
 
 
 def _git(root: Path, *words: str) -> str | None:
     try:
-        told = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, timeout=20, check=True)
+        done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, timeout=20, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
-    return told.stdout.strip()
+    return done.stdout.strip()
 
 
 def _memory_gb() -> float:

@@ -1,4 +1,4 @@
-"""Results as lines of a CSV file, each on the disk before the next trial begins."""
+"""Results as lines of a CSV file; each is on disk before the next trial starts."""
 
 import csv
 import io
@@ -10,27 +10,28 @@ from typing import Any
 
 from datasets.core.errors import DatasetError
 from reconstruct.bench.suite import Trial
-from reconstruct.output import metrics, surface_distance
+from reconstruct.output import metrics
+from reconstruct.output.mesh import surface_distance
 
 KEY = tuple(field.name for field in fields(Trial))
-FIGURES = (*metrics.DEFINITIONS, *surface_distance.DEFINITIONS)
-"""Errors, as `reconstruct eval` has them; `seconds` is the time per test view."""
-WORK = ("steps", "rays_per_s", "samples_per_s", "training_s", "preparation_s", "compilation_s", "cold", "peak_memory_mb",
-        "cores_used", "skipped_steps", "occupied")  # fmt: skip
-"""What it took. `cold`: 1 where programs had to be compiled, 0 where they were on the disk."""
-CONTEXT = ("width", "height", "train_views", "load", "machine", "cores", "memory_gb", "device", "python", "jax", "jaxlib", "numpy",
-           "commit", "when")  # fmt: skip
-"""Where and when it was measured. `load`: processes that wanted to run when it began."""
-COLUMNS = (*KEY, "status", *FIGURES, *WORK, *CONTEXT)
+METRICS = (*metrics.DEFINITIONS, *surface_distance.DEFINITIONS)
+"""Metrics of `reconstruct eval`; `seconds` is the time per test view."""
+TIMES = ("steps", "rays_per_s", "samples_per_s", "training_s", "preparation_s", "compilation_s", "cold")
+WORK = (*TIMES, "peak_memory_mb", "cores_used", "skipped_steps", "occupied")
+"""Time, memory and work. `cold`: 1 if programs were compiled, 0 if they were loaded from the cache."""
+VERSIONS = ("python", "jax", "jaxlib", "numpy", "commit", "when")
+CONTEXT = ("width", "height", "train_views", "load", "machine", "cores", "memory_gb", "device", *VERSIONS)
+"""Where and when it was measured. `load`: load average at the start."""
+COLUMNS = (*KEY, "status", *METRICS, *WORK, *CONTEXT)
 DONE = "done"
 DEFINITIONS = {
-    "rays_per_s": "rays drawn per second of training, those that meet nothing included",
-    "samples_per_s": "entries of the list of samples per second of training, filled or not",
-    "training_s": "seconds in training steps: the budget",
-    "preparation_s": "seconds to read the pictures and probe the scene",
+    "rays_per_s": "rays drawn per second of training, including those that miss the object",
+    "samples_per_s": "samples per second of training, including unused capacity",
+    "training_s": "seconds spent in training steps: the budget",
+    "preparation_s": "seconds to read the images and analyse the scene",
     "compilation_s": "seconds to compile the training step, or to load it",
-    "peak_memory_mb": "largest resident set of the process, evaluation included",
-    "cores_used": "processor time over time on the clock, while training",
+    "peak_memory_mb": "largest resident set of the process, including evaluation",
+    "cores_used": "CPU time per elapsed time while training",
 }
 Row = dict[str, Any]
 
@@ -43,26 +44,26 @@ class Records:
         self.path = path
 
     def rows(self) -> list[Row]:
-        """All whole lines; numbers as numbers, what is not known as None. A line cut off by a kill does not count.
+        """All complete lines, unknown values as None. A last line without its end, left by a kill, is ignored.
 
         Raises:
-            DatasetError: the file is of another kind.
+            DatasetError: the columns differ.
         """
         text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
         whole = text[: text.rfind("\n") + 1]
         reader = csv.DictReader(io.StringIO(whole))
         if whole and tuple(reader.fieldnames or ()) != COLUMNS:
-            missing = set(COLUMNS) ^ set(reader.fieldnames or ())
-            raise DatasetError("holds other columns than this version writes", where=self.path, why=f"{sorted(missing)[:4]}",
-                               remedy="choose another --out")  # fmt: skip
+            different = sorted(set(COLUMNS) ^ set(reader.fieldnames or ()))[:4]
+            advice = "choose another --out"
+            raise DatasetError("columns differ from this version's", where=self.path, why=f"{different}", remedy=advice)
         return [{name: _number(value) if name not in _TEXT else value for name, value in row.items()} for row in reader]
 
     def done(self) -> set[tuple[str, ...]]:
-        """Keys of the trials that were finished."""
+        """Keys of the finished trials."""
         return {key_of(row) for row in self.rows() if row["status"] == DONE}
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Add a line and bring it to the disk."""
+        """Append a line and flush it to disk."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         text = self.path.read_bytes() if self.path.is_file() else b""
         buffer = io.StringIO()
@@ -71,16 +72,14 @@ class Records:
             writer.writeheader()
         writer.writerow({name: "" if row.get(name) is None else row[name] for name in COLUMNS})
         with open(self.path, "r+b" if text else "wb") as file:
-            file.seek(text.rfind(b"\n") + 1)  # over a line that was cut off
+            file.seek(text.rfind(b"\n") + 1)  # overwrites an incomplete line
             file.truncate()
             file.write(buffer.getvalue().encode())
             file.flush()
             os.fsync(file.fileno())
 
 
-_TEXT = frozenset(
-    {"kind", "scene", "model", "preset", "status", "machine", "device", "python", "jax", "jaxlib", "numpy", "commit", "when"}
-)
+_TEXT = frozenset({"kind", "scene", "model", "preset", "status", "machine", "device", *VERSIONS})
 
 
 def _number(text: str | None) -> float | None:
@@ -96,5 +95,5 @@ def key_of(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def latest(rows: Iterable[Row]) -> list[Row]:
-    """The finished rows, of each trial the last."""
+    """The last finished row of each trial."""
     return list({key_of(row): row for row in rows if row["status"] == DONE}.values())

@@ -1,7 +1,7 @@
 """What the benchmark trains: frozen lists, so that two results can be laid beside each other.
 
-Each trial is one training with a budget of its own, whose schedules end with it, as `reconstruct train --budget` has them: a long training
-looked at early would be worse at that moment than one that was meant to end there.
+Each trial is one training whose schedules end with its budget, as those of `reconstruct train --budget` do: a longer
+training is worse at the same moment, because its schedules are not finished.
 """
 
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ from reconstruct.bench.scenes import make
 from reconstruct.bench.scenes.shiny import SCENES
 
 QUALITY, COST, PROFILE = "quality", "cost", "profile"
-"""Kinds of trials: error after a budget; time and memory alone, against the amount of pictures; where the time of a step goes."""
+"""Kinds of trials: error after a budget; time and memory for a number of images; profile of a step."""
 BUDGETS_S = (15.0, 30.0, 60.0, 120.0, 300.0)
 REAL = ("lego400", "mold_gold_cape")
-"""Scenes that are taken where they are to be had."""
+"""Scenes that are used if they are found."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One training, named by what it is."""
+    """One training."""
 
     kind: str
     scene: str
     scale: float
-    """Pictures are resampled to this share of their size."""
+    """Images are resampled by this factor."""
     views: int
-    """Training views that are used; 0 for all."""
+    """Number of training views; 0 for all."""
     model: str
     preset: str
     budget_s: float
@@ -39,18 +39,18 @@ class Trial:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What tells it apart from others, as text."""
+        """Identifies the trial, as text."""
         return tuple(f"{value:g}" if isinstance(value, float) else str(value) for value in asdict(self).values())
 
     @property
     def name(self) -> str:
-        """The same as the name of a folder."""
+        """The key as the name of a folder."""
         return "-".join(self.key)
 
 
 @dataclass(frozen=True)
 class Block:
-    """All combinations of what it lists."""
+    """All combinations of the listed values."""
 
     scenes: tuple[tuple[str, float], ...]
     """Name and scale."""
@@ -62,13 +62,16 @@ class Block:
     views: tuple[int, ...] = (0,)
 
     def trials(self) -> list[Trial]:
-        """Them, the shortest first and seed by seed, so that a benchmark that is broken off has something to show."""
+        """The trials, shortest first and seed by seed, so that an interrupted benchmark has results."""
         every = product(self.seeds, self.budgets_s, self.scenes, self.models, self.presets, self.views)
-        return [Trial(self.kind, name, scale, views, model, preset, budget, seed)
-                for seed, budget, (name, scale), model, preset, views in every]  # fmt: skip
+        return [
+            Trial(self.kind, name, scale, views, model, preset, budget, seed)
+            for seed, budget, (name, scale), model, preset, views in every
+        ]
 
 
 SHINY = tuple((name, 1.0) for name in SCENES)
+LEGO, CAPE = tuple(("lego400", scale) for scale in (0.25, 0.5, 1.0)), ("mold_gold_cape", 0.5)
 SUITES: dict[str, tuple[Block, ...]] = {
     "quick": (
         Block((("gold_rings", 1.0), ("lego400", 0.5)), budgets_s=(15.0, 30.0), seeds=(0, 1)),
@@ -77,19 +80,18 @@ SUITES: dict[str, tuple[Block, ...]] = {
         Block((("gold_rings", 1.0),), budgets_s=(15.0,), seeds=(0,), kind=PROFILE),
     ),
     "full": (
-        Block((*SHINY, ("lego400", 0.5), ("lego400", 1.0), ("mold_gold_cape", 0.5)),
-              models=("surfnerf", "lattice_refnerf", "zip_refnerf", "zipnerf")),
+        Block((*SHINY, *LEGO[1:], CAPE), models=("surfnerf", "lattice_refnerf", "zip_refnerf", "zipnerf")),
         Block((("gold_rings", 1.0), ("lego400", 0.5)), presets=("paper",), budgets_s=(300.0,), seeds=(0,)),
-        Block((("lego400", 0.25), ("lego400", 0.5), ("lego400", 1.0)), budgets_s=(10.0,), seeds=(0, 1), kind=COST, views=(25, 50, 0)),
-        Block((("gold_rings", 1.0), ("lego400", 0.5), ("mold_gold_cape", 0.5)), budgets_s=(30.0,), seeds=(0,), kind=PROFILE),
+        Block(LEGO, budgets_s=(10.0,), seeds=(0, 1), kind=COST, views=(25, 50, 0)),
+        Block((("gold_rings", 1.0), ("lego400", 0.5), CAPE), budgets_s=(30.0,), seeds=(0,), kind=PROFILE),
     ),
-}  # fmt: skip
+}
 """quick: within ten minutes on two cores. full: about eighteen hours."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What of a suite is wanted; empty takes all."""
+    """Selection from a suite; empty selects all."""
 
     scenes: tuple[str, ...] = ()
     scales: tuple[float, ...] = ()
@@ -100,10 +102,10 @@ class Choice:
 
 
 def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
-    """The trials of a suite. Models and budgets that it does not have are trained on its scenes as well.
+    """The selected trials of a suite. Models and budgets that it lacks are added.
 
     Raises:
-        UsageError: there is no such suite, or it has no such scene, or none of that scale or preset.
+        UsageError: unknown suite or scene, or no trial has that scale or preset.
     """
     if suite not in SUITES:
         raise UsageError(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
@@ -116,13 +118,13 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     if not trials:
         scales = sorted({f"{scale:g}" for block in blocks for _, scale in block.scenes})
         presets = sorted({preset for block in blocks for preset in block.presets})
-        raise UsageError(f"suite {suite} has no such trial", where="--scale, --preset",
-                     why=f"scales are {', '.join(scales)}, presets {', '.join(presets)}", remedy="choose among these")  # fmt: skip
+        why = f"scales are {', '.join(scales)}, presets {', '.join(presets)}"
+        raise UsageError(f"suite {suite} has no such trial", where="--scale, --preset", why=why, remedy="choose among these")
     return sorted(trials, key=lambda trial: trial.seed)
 
 
 def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
-    """Blocks with what the choice says in place of their own; of other kinds than `QUALITY` those that it leaves whole."""
+    """The blocks with the chosen values instead of their own; blocks of other kinds than `QUALITY` only without a choice."""
     if choice == Choice():
         return list(blocks)
     found = []
@@ -133,18 +135,18 @@ def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
         named = tuple(scene for scene in block.scenes if not choice.scenes or scene[0] in choice.scenes)
         missing = tuple((name, 1.0) for name in choice.scenes if name in SCENES and name not in dict(block.scenes))
         sized = tuple(scene for scene in named + missing if not choice.scales or scene[1] in choice.scales)
-        found.append(replace(block, scenes=sized, models=choice.models or block.models, presets=presets,
-                             budgets_s=choice.budgets_s or block.budgets_s, seeds=choice.seeds or block.seeds))  # fmt: skip
+        lists = {name: getattr(choice, name) or getattr(block, name) for name in ("models", "budgets_s", "seeds")}
+        found.append(replace(block, scenes=sized, presets=presets, **lists))
     return [block for block in found if block.scenes]
 
 
 def folders(trials: Sequence[Trial], made_in: Path, data: Path | None, rendered: Any = None) -> dict[str, Path]:
-    """Folder of each scene that can be had. Shiny ones are rendered where they are missing.
+    """Folder of each scene that is found. Missing shiny scenes are rendered.
 
     Args:
-        made_in: where shiny scenes are kept.
-        data: where real ones lie; else they are looked for as everywhere.
-        rendered: called with the name of each scene that is about to be rendered.
+        made_in: folder of the shiny scenes.
+        data: folder of the real scenes; default: the usual places.
+        rendered: called with the name of each scene before it is rendered.
     """
     found = {}
     for name in dict.fromkeys(trial.scene for trial in trials):

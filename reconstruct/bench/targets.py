@@ -1,4 +1,4 @@
-"""What the fast preset is meant to reach on two cores, and how far a benchmark is from it."""
+"""Targets of the fast preset on two cores, and whether a benchmark meets them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,18 +7,18 @@ import numpy as np
 
 from reconstruct.bench.records import Row
 from reconstruct.bench.scenes.shiny import SCENES
-from reconstruct.studies.table import HIGHER_IS_BETTER
+from reconstruct.output.metric_names import HIGHER_IS_BETTER
 
 
 @dataclass(frozen=True)
 class Target:
-    """A figure that is to be reached after a budget, as the mean over scenes and seeds."""
+    """A value to be reached after a budget, as the mean over scenes and seeds."""
 
-    words: str
+    name: str
     scenes: tuple[str, ...]
     scale: float
     budget_s: float
-    figure: str
+    metric: str
     value: float
 
 
@@ -27,37 +27,37 @@ TARGETS = (
     Target("lego at 200x200 after 60 s", ("lego400",), 0.5, 60, "psnr", 29.0),
     Target("lego at 200x200 after 120 s", ("lego400",), 0.5, 120, "psnr", 31.0),
     Target("lego at 400x400 after 300 s", ("lego400",), 1.0, 300, "psnr", 31.0),
-    Target("density normals of the shiny scenes at 200x200 after 120 s", SHINY, 1.0, 120, "normal_mae_alpha_acc_deg", 8.0),
-    Target("the same, weighted by alpha alone", SHINY, 1.0, 120, "normal_mae_deg", 8.0),
-    Target("predicted normals of the same", SHINY, 1.0, 120, "normal_pred_mae_alpha_acc_deg", 8.0),
+    Target("density normals, shiny scenes at 200x200 after 120 s", SHINY, 1.0, 120, "normal_mae_alpha_acc_deg", 8.0),
+    Target("density normals, weighted by alpha only", SHINY, 1.0, 120, "normal_mae_deg", 8.0),
+    Target("predicted normals, shiny scenes at 200x200 after 120 s", SHINY, 1.0, 120, "normal_pred_mae_alpha_acc_deg", 8.0),
     Target("rendering a view of 200x200, lego", ("lego400",), 0.5, 60, "seconds", 0.5),
 )
-"""Of the model surfnerf, training time alone, mean of the test views."""
+"""For the model surfnerf; mean over the test views."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A target and what was reached."""
+    """A target and the value that was reached."""
 
     target: Target
     reached: float | None
-    """Mean over the scenes and seeds that were measured."""
+    """Mean over the measured scenes and seeds."""
     scenes: tuple[str, ...]
-    """Those that were measured."""
+    """The measured ones."""
     seeds: int
-    """Fewest seeds of any of them."""
+    """Smallest number of seeds over these scenes."""
 
     @property
     def met(self) -> bool | None:
-        """Whether it is met; None where not every scene was measured."""
+        """Whether the target is met; None if some scenes were not measured."""
         if self.reached is None or len(self.scenes) < len(self.target.scenes):
             return None
-        higher = self.target.figure in HIGHER_IS_BETTER
+        higher = self.target.metric in HIGHER_IS_BETTER
         return self.reached >= self.target.value if higher else self.reached <= self.target.value
 
 
 def outcomes(rows: Sequence[Row], model: str = "surfnerf", preset: str = "fast") -> list[Outcome]:
-    """Of every target that anything was measured for."""
+    """Outcomes of the targets for which anything was measured."""
     found = []
     for target in TARGETS:
         by_scene: dict[str, list[float]] = {}
@@ -65,7 +65,7 @@ def outcomes(rows: Sequence[Row], model: str = "surfnerf", preset: str = "fast")
             place = (row["kind"], row["model"], row["preset"], row["scale"], row["budget_s"])
             if place != ("quality", model, preset, target.scale, target.budget_s) or row["scene"] not in target.scenes:
                 continue
-            if (value := row.get(target.figure)) is not None:
+            if (value := row.get(target.metric)) is not None:
                 by_scene.setdefault(row["scene"], []).append(value)
         if by_scene:
             reached = float(np.mean([np.mean(values) for values in by_scene.values()]))

@@ -1,6 +1,6 @@
 """One trial in a process of its own: `python -m reconstruct.bench.trial ORDER.json RESULT.json`.
 
-A process of its own, so that its memory is its own, and so that a crash costs one trial.
+Its memory can be measured then, and a crash costs one trial only.
 """
 
 import resource
@@ -19,12 +19,12 @@ KIND, VERSION = "koala-bench-trial", 1
 
 
 def order(trial: Trial, scene: Path, run: Path) -> dict[str, Any]:
-    """What the process is to do, for `main`."""
+    """The order for `main`."""
     return {"format": KIND, "version": VERSION, "trial": asdict(trial), "scene": str(scene), "run": str(run)}
 
 
 def main(arguments: list[str]) -> None:
-    """Do what the order in the first file says and write the result into the second."""
+    """Execute the order in the first file and write the result to the second."""
     from reconstruct.backend import cache_compilations, cache_folder
 
     content = files.read_json(Path(arguments[0]), kind=KIND, version=VERSION)
@@ -44,7 +44,7 @@ def _entries(cache: Path) -> int:
 
 
 def chosen_views(scene: Scene, count: int) -> Scene:
-    """The scene with `count` of its training views, evenly chosen; all of them for 0."""
+    """The scene with `count` of its training views, evenly spaced; all for 0."""
     train = scene.split("train")
     if not count or count >= len(train):
         return scene
@@ -52,8 +52,8 @@ def chosen_views(scene: Scene, count: int) -> Scene:
     return scene.with_views(tuple(view for view in scene.views if view.split != "train" or view.name in kept))
 
 
-def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
-    """Train; what it took, by the names of `records.WORK`."""
+def trained_work(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+    """Train, and measure the work, by the names of `records.WORK`."""
     from reconstruct.models import load_config
     from reconstruct.run import Run
     from reconstruct.scene.rays import scaled_camera
@@ -68,31 +68,29 @@ def trained(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any
     functions = StepFunctions(run.config, run.normalisation)
     rate = found["steps"] / max(found["training_s"], 1e-9)
     camera = scaled_camera(scene.split("train")[0], trial.scale)
-    return {
-        **{name: found[name] for name in ("steps", "training_s", "preparation_s", "compilation_s", "skipped_steps")},
-        "rays_per_s": rate * functions.rays_per_step, "samples_per_s": rate * functions.samples_per_step,
-        "cores_used": processor / elapsed, "occupied": run.log()[-1].get("occupied"),
-        "width": camera.width, "height": camera.height, "train_views": len(scene.split("train")),
-        "device": run.content.get("device"),
-    }  # fmt: skip
+    kept = ("steps", "training_s", "preparation_s", "compilation_s", "skipped_steps")
+    rates = {"rays_per_s": rate * functions.rays_per_step, "samples_per_s": rate * functions.samples_per_step}
+    images = {"width": camera.width, "height": camera.height, "train_views": len(scene.split("train"))}
+    machine = {"cores_used": processor / elapsed, "device": run.content.get("device")}
+    return {**{name: found[name] for name in kept}, **rates, **images, **machine, "occupied": run.log()[-1].get("occupied")}
 
 
 def quality(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
-    """Train and measure on the test views."""
+    """Train and evaluate on the test views."""
     from reconstruct.output.evaluate import evaluate
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
-    found = trained(trial, scene, place, out)
-    measured = evaluate(Trained.open(out))
+    found = trained_work(trial, scene, place, out)
+    measured = evaluate(TrainedModel.open(out))
     return {**found, **measured["mean"], **(measured.get("mesh") or {})}
 
 
 def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
-    """Train and render one test view: time and memory alone."""
-    from reconstruct.output.restored import Trained
+    """Train and render one test view: time and memory only."""
+    from reconstruct.output.trained_model import TrainedModel
 
-    found = trained(trial, scene, place, out)
-    ready = Trained.open(out)
+    found = trained_work(trial, scene, place, out)
+    ready = TrainedModel.open(out)
     view = ready.scene.split("test")[0]
     ready.warm_up(view)
     start = time.perf_counter()
@@ -101,12 +99,12 @@ def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
 
 
 def profile(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
-    """Train, then look where the time of the steps goes that would follow."""
+    """Train, then profile further steps."""
     from reconstruct.bench.cost.profile import step_profile
-    from reconstruct.output.restored import Trained
+    from reconstruct.output.trained_model import TrainedModel
 
-    found = trained(trial, scene, place, out)
-    return {**found, "profile": step_profile(Trained.open(out), scene)}
+    found = trained_work(trial, scene, place, out)
+    return {**found, "profile": step_profile(TrainedModel.open(out), scene)}
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Alignment of a view's pose to a trained model: the field is frozen, the camera moves until the picture fits.
+"""Alignment of a view's pose to a trained model: the field is frozen and the camera moves until the rendering fits the image.
 
-For pictures that took no part in the training, so that an error of their poses can be told from one of the model. The twist x of the
-pose (see `twists`) minimises
+Applied to test views, it separates errors of their poses from errors of the model. The twist x of the pose (see `twists`)
+minimises
 
     sum_i w_i |r_i(x)|^2 / (2 s^2) + |x / sigma|^2 / 2
 
-by Levenberg's and Marquardt's method: r the colours' errors on some of the view's pixels, w weights that let no pixel count by more
-than a few standard deviations (Huber 1964), s the robust spread of the first errors, sigma the poses' accuracy as calibrated.
+by the method of Levenberg and Marquardt: r the colour errors at some pixels of the view, w robust weights (Huber 1964), s the
+robust spread of the first errors, sigma the accuracy of the poses as calibrated.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from datasets.scene import View
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import cloud_of, render
 from reconstruct.rendering.pictures import sampled_rays
 from reconstruct.scene.poses import corrected
@@ -28,23 +28,23 @@ from reconstruct.scene.twists import moved
 from reconstruct.training.step import StepFunctions, TrainState
 
 PIXELS = 2048
-"""So many pixels of a view, at most: of each two, one decides and the other does not."""
+"""Maximum number of pixels used for the alignment; at most half of the view's."""
 STEPS = 30
-"""At most so many steps, accepted or not."""
+"""Maximum number of steps, accepted or not."""
 SETTLED = 1e-3
-"""A step shorter than this ends the alignment [standard deviation of the pose]."""
+"""The alignment ends with a step shorter than this [standard deviation of the pose]."""
 HUBER = 2.0
-"""Errors beyond so many standard deviations count linearly."""
+"""Errors beyond this many standard deviations count linearly."""
 
 
 @dataclass(frozen=True)
 class Aligned:
-    """A view whose pose was aligned."""
+    """A view with an aligned pose."""
 
     view: View
-    """The view with its new pose."""
+    """The view with the new pose."""
     pixels: int
-    """How many of its pixels decided."""
+    """Number of pixels used for the alignment."""
     steps: int
 
 
@@ -52,17 +52,17 @@ class Aligned:
 class Aligner:
     """Aligns views to one trained model. Compiles once."""
 
-    trained: Trained
+    trained: TrainedModel
 
     def __post_init__(self) -> None:
         functions, behind = self.trained.functions, jnp.asarray(self.trained.renderer.behind)
         self._linearised = eqx.filter_jit(lambda state, rays, twist: _linearised(functions, state, rays, twist, behind))
 
     def __call__(self, view: View) -> Aligned:
-        """Align one view to its picture."""
+        """Align a view to its image."""
         trained, camera = self.trained, self.trained.camera(view)
         picture = read_scaled(view, trained.run.config.scale).reshape(camera.height * camera.width, -1)
-        colour = np.clip(over(picture), 0, 1)  # brighter than white is shown as white, and measured so
+        colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
         origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
         rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))
@@ -71,12 +71,12 @@ class Aligner:
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)
 
     def _solved(self, rays: Rays, target: NDArray[np.float32]) -> tuple[NDArray[np.float64], int]:
-        """The twist, and in how many steps it was found."""
+        """The twist, and the number of steps."""
         sigma = np.array(self.trained.run.config.poses.sigma(self.trained.run.normalisation.scale))
         twist, damping = np.zeros(6), 1e-3
         error, slopes = self._errors(rays, target, twist * sigma, sigma)
-        telling = np.abs(error[np.any(slopes != 0, -1)])
-        spread = max(1.4826 * float(np.median(telling)), 1e-3) if len(telling) else 1.0
+        sensitive = np.abs(error[np.any(slopes != 0, -1)])
+        spread = max(1.4826 * float(np.median(sensitive)), 1e-3) if len(sensitive) else 1.0
         cost = _cost(error, twist, spread)
         steps = 0
         while steps < STEPS:
@@ -95,14 +95,14 @@ class Aligner:
         return twist * sigma, steps
 
     def _errors(self, rays: Rays, target: NDArray[np.float32], twist: NDArray[np.float64], sigma: NDArray[np.float64]):
-        """(n,) errors of the colours, and (n, 6) their slopes per standard deviation of the pose; zeros where rays found no room."""
+        """(n,) colour errors and (n, 6) their slopes per standard deviation of the pose; zeros for dropped rays."""
         rgb, slopes, used = (np.asarray(v) for v in self._linearised(self.trained.state, rays, jnp.asarray(twist, jnp.float32)))
         error = (rgb - target) * used[:, None]
         return error.reshape(-1).astype(np.float64), (slopes * used[:, None, None]).reshape(-1, 6) * sigma
 
 
 def _cost(error: NDArray[np.float64], twist: NDArray[np.float64], spread: float) -> float:
-    """Huber's loss of the errors, and the twist's own cost."""
+    """Huber loss of the errors plus the cost of the twist."""
     size = np.abs(error) / spread
     return float(np.sum(np.where(size < HUBER, size**2 / 2, HUBER * (size - HUBER / 2))) + np.sum(twist**2) / 2)
 
@@ -110,7 +110,7 @@ def _cost(error: NDArray[np.float64], twist: NDArray[np.float64], spread: float)
 def _linearised(
     functions: StepFunctions, state: TrainState, rays: Rays, twist: Float[Array, " 6"], behind: Float[Array, " 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 6"], Array]:
-    """Colours of rays after a twist, their derivative to a further one, and which rays found room.
+    """Colours of rays after a twist, their derivative with respect to a further twist, and which rays were not dropped.
 
     A ray's colour depends on no other ray: one backward pass per colour gives its slopes along every ray at once.
     """
@@ -118,10 +118,14 @@ def _linearised(
     samples, footprint, fits = sampled_rays(functions, state, rays)
 
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        seen = Rays(origins, directions, rays.radii)
-        cloud = cloud_of(seen, samples, bounded=functions.normalisation.bounded, footprint=footprint)
+        shifted = Rays(origins, directions, rays.radii)
+        cloud = cloud_of(shifted, samples, bounded=functions.normalisation.bounded, footprint=footprint)
         rendered, _ = render(
-            state.model.field, seen, samples, replace(cloud, followed=True), deferred=functions.config.field.shading == "deferred"
+            state.model.field,
+            shifted,
+            samples,
+            replace(cloud, followed=True),
+            deferred=functions.config.field.shading == "deferred",
         )
         return jnp.clip(rendered.over(behind[None]), 0, 1)
 

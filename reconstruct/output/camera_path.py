@@ -1,4 +1,4 @@
-"""Camera paths for films: an orbit around the object, or a smooth way through poses that a person wrote down.
+"""Camera paths for films: an orbit around the object, or a smooth curve through given poses.
 
     fps: 30
     seconds: 6
@@ -26,11 +26,11 @@ Vector = tuple[float, float, float]
 
 
 class KeyPose(Schema):
-    """Where the camera is and where it looks."""
+    """Position and target of the camera."""
 
-    position: Vector = Field(description="Place of the camera, in world coordinates.")
-    target: Vector = Field(description="Point that it looks at.")
-    up: Vector = Field(default=(0, 0, 1), description="Direction that is up in the picture.")
+    position: Vector = Field(description="Position of the camera in world coordinates.")
+    target: Vector = Field(description="Point that the camera looks at.")
+    up: Vector = Field(default=(0, 0, 1), description="Up direction of the image.")
 
 
 class PathFile(Schema):
@@ -39,38 +39,38 @@ class PathFile(Schema):
     fps: float = Field(default=30, gt=0, le=240, description="Frames per second.")
     seconds: float = Field(default=6, gt=0, le=3600, description="Length of the film.")
     closed: bool = Field(default=False, description="Whether the last pose leads back to the first.")
-    poses: tuple[KeyPose, ...] = Field(min_length=2, description="Poses that the camera passes, at equal times.")
+    poses: tuple[KeyPose, ...] = Field(min_length=2, description="Poses along the path, at equal times.")
 
 
 def from_file(path: Path) -> tuple[list[NDArray[np.float64]], float]:
     """`world_from_camera` of each frame, and frames per second.
 
     Raises:
-        UsageError: the file is missing, or holds something else; a camera would look straight along its up direction.
+        UsageError: the file is missing or invalid, or a camera would look along its up direction.
     """
     content = load_yaml(path, PathFile)
     return frames_of(content, where=path), content.fps
 
 
 def frames_of(content: PathFile, *, where: object = "") -> list[NDArray[np.float64]]:
-    """(4, 4) `world_from_camera` of each frame of a path. Raises UsageError where a camera would look straight along its up direction."""
+    """(4, 4) `world_from_camera` of each frame of a path. Raises UsageError if a camera would look along its up direction."""
     keys = content.poses + (content.poses[:1] if content.closed else ())
     columns = np.array([[*key.position, *key.target, *key.up] for key in keys], np.float64)
-    way = CubicSpline(np.arange(len(keys)), columns, bc_type="periodic" if content.closed else "natural")
+    curve = CubicSpline(np.arange(len(keys)), columns, bc_type="periodic" if content.closed else "natural")
     count = max(2, round(content.seconds * content.fps))
     at = np.linspace(0, len(keys) - 1, count, endpoint=not content.closed)
     frames = []
-    for values in way(at):
+    for values in curve(at):
         position, target, up = values[:3], values[3:6], values[6:]
         if np.linalg.norm(np.cross(target - position, up)) < 1e-6:
-            raise UsageError("camera looks along its up direction, or at its own place", where=where, why=f"at {position.round(3).tolist()}",
-                         remedy="move the pose, or give another up")  # fmt: skip
+            why, advice = f"at {position.round(3).tolist()}", "move the pose, or give another up"
+            raise UsageError("camera looks along its up direction, or at its own position", where=where, why=why, remedy=advice)
         frames.append(pose.look_at(position, target, up))
     return frames
 
 
 def orbit(scene: Scene, count: int) -> list[NDArray[np.float64]]:
-    """`world_from_camera` of `count` frames on a circle around the middle of the object's box.
+    """`world_from_camera` of `count` frames on a circle around the centre of the object's box.
 
     The circle has the training cameras' mean distance, elevation and up direction.
     """

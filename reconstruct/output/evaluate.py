@@ -1,6 +1,6 @@
-"""Measure a run on views that it was not trained on: renders each, compares it with the truth, averages.
+"""Evaluate a run: render each view of a split, compare it with the truth, average.
 
-RUN/metrics.json    each figure per view and on average, what it means, and the time per view
+RUN/metrics.json    metrics per view and on average, their definitions, and the time per view
 """
 
 import time
@@ -18,64 +18,62 @@ from datasets.formats import find
 from datasets.imaging import images
 from datasets.scene import View
 from reconstruct.errors import ReconstructError
-from reconstruct.output import mesh, metrics, surface_distance, words
+from reconstruct.output import metric_names, metrics
 from reconstruct.output.align import Aligner
 from reconstruct.output.lpips import Lpips
-from reconstruct.output.restored import Trained
+from reconstruct.output.mesh import extraction, surface_distance
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene import poses
 from reconstruct.scene.rays import over, read_scaled
 
 FORMAT, VERSION = "koala-metrics", 1
 METRICS = "metrics.json"
 ALIGNED = {
-    "aligned": "figures of the same views after each one's pose was aligned by itself to the model, which stayed as it was; neither the training nor "
-               "any other figure knows of it, and the pixels that decided are measured with the others",
-    "pixels": "pixels of the view that decided its pose, drawn at random",
-    "steps": "steps of Levenberg's and Marquardt's method",
-}  # fmt: skip
-"""What figures of aligned views are."""
+    "aligned": "metrics of the same views after the pose of each was aligned to the fixed model; training and all other metrics "
+    "use the original poses; pixels used for the alignment are included",
+    "pixels": "number of pixels used for the alignment, drawn at random",
+    "steps": "steps of the method of Levenberg and Marquardt",
+}
+"""Definitions for aligned views."""
 ALIGNED_SHOWN = ("psnr", "ssim", "lpips")
-"""Those of them that a person is shown."""
+"""Metrics of aligned views in the summary."""
 TRUE_SURFACE = "truth/object.ply"
-"""Where a simulated scene keeps the object's true mesh [m]."""
+"""True mesh [m] of the object in a simulated scene."""
 
 
 def evaluate(
-    trained: Trained, *, split: str = "test", lpips: Lpips | None = None, align: bool = False, stands_on: str | None = None
+    trained: TrainedModel, *, split: str = "test", lpips: Lpips | None = None, align: bool = False, stands_on: str | None = None
 ) -> dict[str, Any]:
-    """Measure a trained model on the views of one split and write `metrics.json` into its run.
+    """Evaluate a trained model on the views of one split and write `metrics.json` into its run.
 
     Args:
-        lpips: measure the perceptual distance too.
-        align: beside the figures of the views as they are, those after each view's pose was aligned to the model.
-        stands_on: measure the mesh of what stands on this side of the box, see `mesh.extract`.
+        lpips: also compute the perceptual distance.
+        align: also evaluate after aligning the pose of each view to the model.
+        stands_on: side of the box that the object stands on, for its mesh, see `extraction.extract`.
 
     Raises:
-        UsageError: its scene has no such views.
+        UsageError: the scene has no such views.
     """
     views = trained.scene.split(split)
     start = time.perf_counter()
     trained.warm_up(views[0])
     compilation_s = time.perf_counter() - start
     measured = _measured(trained, views, lpips)
-    result = {
-        "format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "scale": trained.run.config.scale,
-        "size": [trained.camera(views[0]).width, trained.camera(views[0]).height], "steps": int(trained.state.step),
-        "mean": mean(measured), "per_view": measured, "compilation_s": compilation_s, "definitions": definitions(),
-        **source_of(lpips),
-    }  # fmt: skip
+    camera, steps = trained.camera(views[0]), int(trained.state.step)
+    result = summary(split, measured, [camera.width, camera.height], lpips)
+    result |= {"scale": trained.run.config.scale, "steps": steps, "compilation_s": compilation_s}
     if align:
         result |= {"aligned": _aligned(trained, views, lpips)}
     truth_mesh = find(trained.run.scene_path) / TRUE_SURFACE
     if truth_mesh.is_file() and trained.scene.metric:
-        result |= {"mesh": compare_surface(trained, truth_mesh, stands_on), "mesh_stands_on": stands_on,
-                   "mesh_definitions": surface_distance.DEFINITIONS}  # fmt: skip
+        result |= {"mesh": compare_surface(trained, truth_mesh, stands_on), "mesh_stands_on": stands_on}
+        result |= {"mesh_definitions": surface_distance.DEFINITIONS}
     files.write_json(trained.run.path / METRICS, result)
     return result
 
 
-def _measured(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> list[dict[str, Any]]:
-    """Figures of each view as it is rendered from its pose."""
+def _measured(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) -> list[dict[str, Any]]:
+    """Metrics of each view."""
     measured: list[dict[str, Any]] = []
     with progress("evaluating", len(views), "views") as shown:
         for view in views:
@@ -90,8 +88,8 @@ def _measured(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> l
     return measured
 
 
-def _aligned(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> dict[str, Any]:
-    """The same after each view's pose was aligned by itself, how far that moved it, and what that means."""
+def _aligned(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) -> dict[str, Any]:
+    """Metrics after aligning the pose of each view, the change of each pose, and definitions."""
     aligner, found = Aligner(trained), []
     with progress("aligning", len(views), "views") as shown:
         for view in views:
@@ -99,27 +97,29 @@ def _aligned(trained: Trained, views: Sequence[View], lpips: Lpips | None) -> di
             shown.advance()
     measured = _measured(trained, [one.view for one in found], lpips)
     moved = [poses.change(view, one.view, trained.scene.box) for view, one in zip(views, found, strict=True)]
-    per_view = [{**figures, **size, "pixels": one.pixels, "steps": one.steps}
-                for figures, size, one in zip(measured, moved, found, strict=True)]  # fmt: skip
+    per_view = [
+        {**values, **change, "pixels": one.pixels, "steps": one.steps}
+        for values, change, one in zip(measured, moved, found, strict=True)
+    ]
     return {"mean": mean(measured), "per_view": per_view, "definitions": ALIGNED | poses.DEFINITIONS}
 
 
-def compare_surface(trained: Trained, truth: Path, stands_on: str | None = None) -> dict[str, float] | None:
-    """Distance of the model's surface, see `mesh.extract`, from a true mesh [m], see `surface_distance`; None where it has none."""
+def compare_surface(trained: TrainedModel, truth: Path, stands_on: str | None = None) -> dict[str, float] | None:
+    """Distance of the model's surface from a true mesh [m], see `surface_distance`; None if the model has no surface."""
     import trimesh
 
     try:
-        surface = mesh.extract(trained, stands_on=stands_on)
+        surface = extraction.extract(trained, stands_on=stands_on)
     except ReconstructError:
         return None
     return surface_distance.compare(surface, trimesh.load_mesh(truth), trained.scene.views, trained.scene.box)
 
 
 def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
-    """All truth maps of a view at the size of `camera`, and "rgb": its picture in sRGB, over white where it has an alpha.
+    """All true maps of a view at the size of `camera`, and "rgb": its image in sRGB, over white if it has an alpha.
 
-    Each new pixel is the mean of what it covers: normals as vectors, then brought to unit length; depth over those pixels
-    that have one. "alpha" is there wherever it can be known: from the truth, the picture's own, or where a depth is given.
+    Each new pixel is the mean over the pixels it covers; normals are normalised afterwards, depth is averaged where it is known.
+    "alpha" comes from the truth, from the image, or from the pixels with a depth.
     """
     scale = camera.width / view.camera.width
     picture = read_scaled(view, scale)
@@ -137,7 +137,8 @@ def _resampled(channel: str, values: NDArray[np.float32], camera: Camera) -> NDA
     if channel == "depth":
         known = (values[..., :1] > 0).astype(np.float32)
         share = images.resize(known, camera.width, camera.height, srgb=False)
-        return images.resize(values[..., :1] * known, camera.width, camera.height, srgb=False) / np.maximum(share, 1e-6)
+        total = images.resize(values[..., :1] * known, camera.width, camera.height, srgb=False)
+        return (total / np.maximum(share, 1e-6)).astype(np.float32)
     small = images.resize(values, camera.width, camera.height, srgb=False)
     if channel == "alpha":
         return small[..., :1]
@@ -154,13 +155,13 @@ def compare(
     metric: bool,
     lpips: Lpips | None = None,
 ) -> dict[str, float | None]:
-    """Figures of `metrics.DEFINITIONS` for one picture, as far as there is something to compare.
+    """The metrics of `metrics.DEFINITIONS` for one image, as far as both sides have the maps.
 
     Args:
-        shown: the maps of a `Picture` by name, as many as there are; "rgb" at least.
+        shown: the maps of a `Picture` by name; "rgb" is required.
         truth: from `read_truth`.
         metric: whether depths are in metres.
-        lpips: measure the perceptual distance too.
+        lpips: also compute the perceptual distance.
     """
     found: dict[str, float | None] = {
         "psnr": metrics.psnr(shown["rgb"], truth["rgb"]),
@@ -171,7 +172,7 @@ def compare(
     opacity = shown.get("opacity", np.ones_like(truth["rgb"][..., :1]))
     alpha = truth.get("alpha", np.ones_like(opacity))
     for name, channel in {"normal": "normals", "normal_pred": "normals_pred"}.items():
-        if "normals" in truth and channel in shown and np.any(shown[channel]):  # a model may predict none
+        if "normals" in truth and channel in shown and np.any(shown[channel]):  # some models predict none
             for ending, weight in {"mae_alpha_acc_deg": alpha * opacity, "mae_deg": alpha}.items():
                 found[f"{name}_{ending}"] = metrics.normal_mae_deg(shown[channel], truth["normals"], weight)
     if "depth" in truth and "depth" in shown:
@@ -187,18 +188,20 @@ def compare(
     return found
 
 
+def summary(split: str, measured: list[dict[str, Any]], size: list[int], lpips: Lpips | None) -> dict[str, Any]:
+    """The content of a file of results: metrics per view and their means."""
+    weights = {} if lpips is None else {"lpips_weights": {"file": lpips.file, "sha256": lpips.sha256}}
+    head = {"format": FORMAT, "version": VERSION, "split": split, "views": len(measured), "size": size}
+    return {**head, "mean": mean(measured), "per_view": measured, "definitions": definitions(), **weights}
+
+
 def definitions() -> dict[str, str]:
-    """Meaning and unit of each figure of a view, as every file of results has them."""
+    """Meaning and unit of each metric of a view, for a file of results."""
     return {name: f"{meaning} [{unit or '1'}]" for name, (unit, meaning) in metrics.DEFINITIONS.items()}
 
 
-def source_of(lpips: Lpips | None) -> dict[str, dict[str, str]]:
-    """Where the weights of the perceptual distance are from, for a file of results; nothing where it was not measured."""
-    return {} if lpips is None else {"lpips_weights": {"file": lpips.file, "sha256": lpips.sha256}}
-
-
 def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:
-    """Average of each figure over the views that have it."""
+    """Mean of each metric over the views that have it."""
     found: dict[str, float | None] = {}
     for name in metrics.DEFINITIONS:
         values = [view[name] for view in measured if view.get(name) is not None]
@@ -208,14 +211,14 @@ def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The averages for a person, a line each, with units."""
+    """The means as text, a line each, with units."""
     trained = f", after {result['steps']} steps" if "steps" in result else ""
     lines = [f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}{trained}"]
-    figures = [(words.heading(name), name, value) for name, value in result["mean"].items()]
-    aligned = result.get("aligned", {}).get("mean", {})
-    figures += [(f"{words.heading(name)}, each pose aligned", name, aligned[name]) for name in ALIGNED_SHOWN if name in aligned]
-    figures += [(words.heading(name), name, value) for name, value in (result.get("mesh") or {}).items()]
-    lines += [f"  {heading:<50}{words.rounded(name, value):>8}" for heading, name, value in figures]
+    aligned = {name: value for name, value in result.get("aligned", {}).get("mean", {}).items() if name in ALIGNED_SHOWN}
+    blocks = (("", result["mean"]), (", poses aligned", aligned), ("", result.get("mesh") or {}))
+    for ending, values in blocks:
+        for name, value in values.items():
+            lines.append(f"  {metric_names.heading(name) + ending:<50}{metric_names.rounded(name, value):>8}")
     if side := result.get("mesh_stands_on"):
-        lines.append(f"  ({words.mesh_without(side)})")
+        lines.append(f"  ({metric_names.mesh_note(side)})")
     return "\n".join(lines)

@@ -1,13 +1,13 @@
-"""Rendered views as files that any viewer and any other program can read.
+"""Rendered views as image files.
 
 DIR/rgb/NAME.png         sRGB
 DIR/diffuse/NAME.png     sRGB of the diffuse part
 DIR/specular/NAME.png    sRGB of the specular part
-DIR/normals/NAME.png     (n + 1) / 2, world frame, from the density's gradient; grey where nothing is seen
-DIR/normals_exr/NAME.exr  the same as numbers: unit vectors, zero where nothing is seen
+DIR/normals/NAME.png     (n + 1) / 2, world frame, from the density's gradient; grey for the background
+DIR/normals_exr/NAME.exr  the same as unit vectors; zero for the background
 DIR/normals_pred/NAME.png  (n + 1) / 2 of the predicted normals
-DIR/depth/NAME.exr       along z [m, or the scene's unit]; 0 where nothing is seen
-DIR/depth_view/NAME.png  the same to look at: near is bright, nothing is black
+DIR/depth/NAME.exr       along z [m, or the scene's unit]; 0 for the background
+DIR/depth_view/NAME.png  the same for viewing: near is bright, the background black
 DIR/opacity/NAME.png     0..1
 DIR/roughness/NAME.png   0..1, clipped
 """
@@ -24,18 +24,18 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.formats.links import file_name
 from datasets.imaging import images
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.pictures import Picture
 
-NUMBERS = {"depth", "normals_exr"}
+EXR = {"depth", "normals_exr"}
 """Channels written as EXR, unscaled."""
 
 
-def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any]:
-    """Render the views of one split into the new folder `out`, all or nothing.
+def render(trained: TrainedModel, out: Path, *, split: str = "test") -> dict[str, Any]:
+    """Render the views of one split into the new folder `out`, all or none.
 
     Raises:
-        UsageError: the scene has no such views, or `out` holds something.
+        UsageError: the scene has no such views, or `out` is not empty.
     """
     files.refuse_existing(out)
     views = trained.scene.split(split)
@@ -43,33 +43,33 @@ def render(trained: Trained, out: Path, *, split: str = "test") -> dict[str, Any
     return {"out": str(out), "split": split, "views": len(views)}
 
 
-def render_along(trained: Trained, frames: Sequence[NDArray[np.float64]], out: Path) -> dict[str, Any]:
+def render_along(trained: TrainedModel, frames: Sequence[NDArray[np.float64]], out: Path) -> dict[str, Any]:
     """Render (4, 4) `world_from_camera` poses with the first view's camera, without its distortion, into the new folder `out`.
 
-    Files are named by the number of the frame, from 0000 on.
+    Files are named by frame number, from 0000.
 
     Raises:
-        UsageError: `out` holds something.
+        UsageError: `out` is not empty.
     """
     files.refuse_existing(out)
     view = trained.scene.views[0]
     camera = trained.camera(view).undistorted()
-    seen = (trained.renderer.picture(trained.state, replace(view, world_from_camera=frame), camera) for frame in frames)
-    _write(((f"{number:04d}", picture) for number, picture in enumerate(seen)), len(frames), out)
+    pictures = (trained.renderer.picture(trained.state, replace(view, world_from_camera=frame), camera) for frame in frames)
+    _write(((f"{number:04d}", picture) for number, picture in enumerate(pictures)), len(frames), out)
     return {"out": str(out), "views": len(frames)}
 
 
 def _write(pictures: Iterable[tuple[str, Picture]], count: int, out: Path) -> None:
-    """Every channel of named pictures into a folder each, all or nothing."""
+    """Write each channel of named pictures into a folder, all or none."""
     with files.atomic_folder(out) as folder, progress("rendering", count, "views") as shown:
         for name, picture in pictures:
             for channel, values in channels(picture).items():
-                images.write(folder / channel / f"{name}{'.exr' if channel in NUMBERS else '.png'}", values)
+                images.write(folder / channel / f"{name}{'.exr' if channel in EXR else '.png'}", values)
             shown.advance()
 
 
 def channels(picture: Picture) -> dict[str, NDArray[np.floating]]:
-    """What is written of a picture, by folder: (height, width, 1 or 3), 0..1 but for `NUMBERS`."""
+    """The channels of a picture by folder: (height, width, 1 or 3), 0..1 except `EXR`."""
     return {
         "rgb": picture.rgb,
         "diffuse": images.srgb_from_linear(np.maximum(picture.diffuse, 0)),
@@ -85,7 +85,7 @@ def channels(picture: Picture) -> dict[str, NDArray[np.floating]]:
 
 
 def brightness_of_depth(depth: NDArray[np.float32], limits: tuple[float, float] | None = None) -> NDArray[np.float32]:
-    """(height, width, 1) 1 at the nearest depth, 0.1 at the furthest, 0 where there is none.
+    """(height, width, 1) 1 at the nearest depth, 0.1 at the furthest, 0 without depth.
 
     Args:
         limits: nearest and furthest depth; None takes the 1st and 99th percentile of the picture.

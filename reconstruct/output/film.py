@@ -12,20 +12,20 @@ from datasets.core.console import progress
 from datasets.core.errors import UsageError, nearest
 from datasets.core.files import atomic_path, refuse_existing
 from datasets.imaging import images
-from reconstruct.output.export import NUMBERS, brightness_of_depth, channels
-from reconstruct.output.restored import Trained
+from reconstruct.output.export import EXR, brightness_of_depth, channels
+from reconstruct.output.trained_model import TrainedModel
 
 CHANNELS = ("rgb", "diffuse", "specular", "normals", "normals_pred", "depth_view", "opacity", "roughness")
-"""What can be shown."""
+"""Channels for `shown`."""
 
 
 def film(
-    trained: Trained, frames: Sequence[NDArray[np.float64]], out: Path, *, shown: Sequence[str] = ("rgb",), fps: float = 30.0
+    trained: TrainedModel, frames: Sequence[NDArray[np.float64]], out: Path, *, shown: Sequence[str] = ("rgb",), fps: float = 30.0
 ) -> dict[str, Any]:
     """Render `world_from_camera` poses with the first view's camera and write them to `out`.
 
     Raises:
-        UsageError: an unknown channel, `out` does not end in .mp4 or exists.
+        UsageError: an unknown channel, or `out` does not end in .mp4 or exists.
     """
     for name in shown:
         if name not in CHANNELS:
@@ -39,8 +39,8 @@ def film(
     return {"out": str(out), "frames": len(frames), "size": list(size), "fps": fps, "channels": list(shown)}
 
 
-def _pictures(trained: Trained, frames, shown: Sequence[str], bar) -> Iterator[NDArray[np.uint8]]:
-    """Each frame's channels side by side; depth over the range of the first frame, so that brightness does not flicker."""
+def _pictures(trained: TrainedModel, frames, shown: Sequence[str], bar) -> Iterator[NDArray[np.uint8]]:
+    """The channels of each frame side by side; depth over the range of the first frame, to prevent flicker."""
     view = trained.scene.views[0]
     camera, limits = trained.camera(view).undistorted(), None
     for world_from_camera in frames:
@@ -49,13 +49,13 @@ def _pictures(trained: Trained, frames, shown: Sequence[str], bar) -> Iterator[N
             known = picture.depth[picture.depth > 0]
             limits = tuple(np.percentile(known, [1, 99]).tolist()) if known.size else (0.0, 1.0)
         maps = channels(picture) | {"depth_view": brightness_of_depth(picture.depth, limits)}
-        parts = [np.broadcast_to(np.clip(maps[name], 0, 1), (*picture.rgb.shape[:2], 3)) for name in shown if name not in NUMBERS]
+        parts = [np.broadcast_to(np.clip(maps[name], 0, 1), (*picture.rgb.shape[:2], 3)) for name in shown if name not in EXR]
         yield images.to_uint8(np.concatenate(parts, axis=1))
         bar.advance()
 
 
 def write(pictures: Iterable[NDArray[np.uint8]], path: Path, fps: float) -> tuple[int, int]:
-    """Encode (height, width, 3) pictures of one size; an odd row or column is cut off, which the format cannot hold.
+    """Encode (height, width, 3) pictures of one size; an odd row or column is dropped, as the format requires.
 
     Returns:
         (width, height) of the film.

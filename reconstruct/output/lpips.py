@@ -1,11 +1,14 @@
-"""Learned perceptual distance of two pictures (LPIPS: Zhang et al. 2018), with AlexNet, version 0.1 of its weights.
+"""Learned perceptual distance of two images (LPIPS: Zhang et al. 2018), with AlexNet, version 0.1 of its weights.
 
-Pictures go through the convolutions of AlexNet. The features of each of its five layers are brought to unit length per pixel; the
-distance is the sum over layers of the mean over pixels of a weighted squared difference (their equation 1).
+The features of AlexNet's five convolutions are normalised per pixel; the distance is the sum over layers of the mean over pixels
+of a weighted squared difference (their equation 1).
 
-The weights belong to others and are not part of Koala: they come from a .npz file that has the names of the published program's
-own state, see `WEIGHTS` and docs/numbers.md.
+The weights are not part of Koala. They come from an .npz file with the names of the published program's state, see `WEIGHTS` and
+docs/numbers.md.
 """
+
+# Our own AlexNet instead of the package `lpips`: that needs torch, which installs more than 2 GB with CUDA from PyPI, for five
+# convolutions that JAX computes as well.
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,18 +27,18 @@ Picture = Float[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True)
 class Layer:
-    """One convolution of AlexNet, and what comes before it."""
+    """One convolution of AlexNet, and the pooling before it."""
 
     name: str
-    """Of its weights in the file."""
+    """Name of its weights in the file."""
     inputs: int
     outputs: int
     size: int
-    """Of its square kernel [px]."""
+    """Side of the square kernel [px]."""
     stride: int
     padding: int
     pooled: bool
-    """Whether the largest of each 3x3 pixels, every second one, goes in."""
+    """Whether max pooling (3x3, stride 2) comes first."""
 
 
 LAYERS = (
@@ -50,13 +53,13 @@ WEIGHTS: dict[str, tuple[int, ...]] = {
     **{f"{layer.name}.bias": (layer.outputs,) for layer in LAYERS},
     **{f"lin{index}.model.1.weight": (1, layer.outputs, 1, 1) for index, layer in enumerate(LAYERS)},
 }
-"""Names and shapes of the arrays that are read; others in the file are left alone."""
+"""Names and shapes of the required arrays; others in the file are ignored."""
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-"""Of the colours from -1 to 1 before the first layer, as the published program has them."""
+"""Normalisation of colours in -1..1 before the first layer, from the published program."""
 SMALLEST = 31
-"""Sides of a picture from which on every layer has a pixel."""
+"""Smallest image side for which every layer has a pixel."""
 SHORTEST = 1e-10
-"""Added to the length of features before they are divided by it."""
+"""Added to the length of features before the division."""
 
 
 class Lpips(eqx.Module):
@@ -67,17 +70,17 @@ class Lpips(eqx.Module):
     shares: tuple[Float[Array, " outputs"], ...]
     """Weight of each channel's squared difference, per layer; at least 0."""
     file: str = eqx.field(static=True, default="")
-    """Where the weights are from."""
+    """File of the weights."""
     sha256: str = eqx.field(static=True, default="")
-    """Of that file: figures may be compared where this is the same."""
+    """Hash of that file: only values with the same hash are comparable."""
 
     @classmethod
     def load(cls, path: Path) -> "Lpips":
         """Read the weights.
 
         Raises:
-            UsageError: there is no such file, or it does not hold the arrays of `WEIGHTS`.
-            DatasetError: it is no file of plain arrays.
+            UsageError: the file is missing, or lacks an array of `WEIGHTS`.
+            DatasetError: it is not a file of plain arrays.
         """
         found = arrays.read_npz(path, tuple(f"{name}.npy" for name in WEIGHTS))
         advice = "make it as docs/numbers.md says"
@@ -88,23 +91,22 @@ class Lpips(eqx.Module):
                 )
             array = found[name]
             if array.shape != shape or array.dtype.kind != "f":
-                raise UsageError(f"array {name} has another shape than AlexNet's", where=path,
-                             why=f"{array.shape} of {array.dtype}, not {shape}", remedy=advice)  # fmt: skip
+                why = f"{array.shape} of {array.dtype}, not {shape}"
+                raise UsageError(f"array {name} has another shape than AlexNet's", where=path, why=why, remedy=advice)
             if not np.isfinite(array).all():
                 raise UsageError(f"array {name} holds values that are not finite", where=path, remedy=advice)
         get = lambda name: jnp.asarray(found[name], jnp.float32)  # noqa: E731
         shares = tuple(get(f"lin{index}.model.1.weight").reshape(-1) for index in range(len(LAYERS)))
         if any((share < 0).any() for share in shares):
-            raise UsageError(
-                "weighs differences with negative numbers", where=path, why="the published ones are at least 0", remedy=advice
-            )
-        return cls(tuple(get(f"{layer.name}.weight") for layer in LAYERS), tuple(get(f"{layer.name}.bias") for layer in LAYERS),
-                   shares, path.name, files.sha256(path))  # fmt: skip
+            why = "the published ones are at least 0"
+            raise UsageError("weighs differences with negative numbers", where=path, why=why, remedy=advice)
+        kernels, biases = (tuple(get(f"{layer.name}.{part}") for layer in LAYERS) for part in ("weight", "bias"))
+        return cls(kernels, biases, shares, path.name, files.sha256(path))
 
     def __call__(self, rendered: Picture, truth: Picture) -> float | None:
-        """Distance of two sRGB pictures after clipping to 0..1: 0 for equal ones; None below `SMALLEST` pixels."""
+        """Distance of two sRGB images after clipping to 0..1: 0 for equal ones; None below `SMALLEST` pixels."""
         if rendered.shape != truth.shape or rendered.shape[-1] != 3:
-            raise UsageError("LPIPS compares two colour pictures of one size", why=f"{rendered.shape} and {truth.shape}")
+            raise UsageError("LPIPS compares two colour images of the same size", why=f"{rendered.shape} and {truth.shape}")
         if min(truth.shape[:2]) < SMALLEST:
             return None
         return float(_distance(self, *(jnp.asarray(np.clip(picture, 0, 1), jnp.float32) for picture in (rendered, truth))))
@@ -112,7 +114,7 @@ class Lpips(eqx.Module):
 
 @eqx.filter_jit
 def _distance(weights: Lpips, first: Float[Array, "height width 3"], second: Float[Array, "height width 3"]) -> Float[Array, ""]:
-    """Sum over layers. Each picture goes through by itself, so that equal ones have equal features to the last bit."""
+    """Sum over layers. The images are processed one by one, so that equal images have exactly equal features."""
     features = jax.lax.map(lambda picture: _features(weights, picture), jnp.stack([first, second]))
     total = jnp.zeros(())
     for (one, other), share in zip(features, weights.shares, strict=True):
@@ -121,7 +123,7 @@ def _distance(weights: Lpips, first: Float[Array, "height width 3"], second: Flo
 
 
 def _features(weights: Lpips, picture: Float[Array, "height width 3"]) -> list[Float[Array, "channels _ _"]]:
-    """What each layer says of a picture, every pixel brought to unit length."""
+    """Features of each layer, normalised per pixel."""
     channels = jnp.moveaxis(2 * picture - 1, -1, 0)
     features, found = (channels - jnp.asarray(SHIFT)[:, None, None]) / jnp.asarray(SCALE)[:, None, None], []
     for layer, kernel, bias in zip(LAYERS, weights.kernels, weights.biases, strict=True):
@@ -131,7 +133,7 @@ def _features(weights: Lpips, picture: Float[Array, "height width 3"]) -> list[F
 
 
 def _convolved(features: Float[Array, "inputs h w"], kernel: Array, bias: Array, layer: Layer) -> Float[Array, "outputs _ _"]:
-    """Convolution (no kernel is turned, as in all networks), then what is negative is cut off; full float32 on any device."""
+    """Convolution (without flipping the kernel) and ReLU, in full float32 on any device."""
     around = [(layer.padding, layer.padding)] * 2
     sums = jax.lax.conv_general_dilated(features[None], kernel, (layer.stride, layer.stride), around, precision="highest")[0]
     return jax.nn.relu(sums + bias[:, None, None])

@@ -1,8 +1,10 @@
-"""Figures of merit: how far a rendered picture is from the truth.
+"""Metrics: the error of a rendered image.
 
-All functions take numpy arrays of one picture and return a plain float; None where there is nothing to measure. What each
-figure means is in `DEFINITIONS`, which goes along with every file of results.
+All functions take numpy arrays of one image and return a float, or None if there is nothing to compare. `DEFINITIONS` is part
+of every file of results.
 """
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,34 +13,41 @@ from numpy.typing import NDArray
 Picture = Float[np.ndarray, "height width channels"]
 Map = Float[np.ndarray, "height width 1"]
 
+_ANGLE, _WEIGHTS = (
+    "mean angle between {} and true normals, weighted by {}",
+    ("true alpha times rendered opacity", "true alpha only"),
+)
+_PART = "PSNR of the {} part in clipped sRGB, over the object (true alpha > 0.5; everything if alpha is unknown)"
 DEFINITIONS = {
-    "psnr": ("dB", "-10 log10 of the mean squared error of clipped sRGB, over white where the picture has an alpha"),
-    "ssim": ("", "structural similarity of the same pictures: Gaussian window 11x11, sigma 1.5, mean over pixels and channels"),
-    "lpips": ("", "learned perceptual distance of the same pictures (Zhang et al. 2018): AlexNet, version 0.1, mean over pixels, summed over "
-                  "layers; its weights are those of the file whose SHA-256 stands under lpips_weights"),
-    "normal_mae_alpha_acc_deg": ("deg", "mean angle between rendered and true normals, weighted by true alpha times rendered opacity; "
-                                        "normals from the density's gradient"),
-    "normal_mae_deg": ("deg", "the same, weighted by true alpha alone"),
-    "normal_pred_mae_alpha_acc_deg": ("deg", "mean angle between predicted and true normals, weighted by true alpha times rendered opacity"),
-    "normal_pred_mae_deg": ("deg", "the same, weighted by true alpha alone"),
+    "psnr": ("dB", "-10 log10 of the mean squared error of clipped sRGB, over white where the image has an alpha"),
+    "ssim": ("", "structural similarity of the same images: Gaussian window 11x11, sigma 1.5, mean over pixels and channels"),
+    "lpips": (
+        "",
+        "learned perceptual distance of the same images (Zhang et al. 2018): AlexNet, version 0.1, mean over pixels, summed over "
+        "layers; lpips_weights has the SHA-256 of the weights",
+    ),
+    "normal_mae_alpha_acc_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[0]) + "; normals from the density's gradient"),
+    "normal_mae_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[1]) + "; normals from the density's gradient"),
+    "normal_pred_mae_alpha_acc_deg": ("deg", _ANGLE.format("predicted", _WEIGHTS[0])),
+    "normal_pred_mae_deg": ("deg", _ANGLE.format("predicted", _WEIGHTS[1])),
     "disparity_rmse": ("", "root mean square error of 1 / (1 + t), t the depth along z in world units, where true alpha > 0.5"),
     "depth_rmse_mm": ("mm", "root mean square error of the depth along z, where true alpha > 0.5 (metric scenes)"),
-    "depth_median_mm": ("mm", "median absolute error of the same"),
-    "diffuse_psnr": ("dB", "PSNR of the diffuse part, in clipped sRGB, over the object (true alpha > 0.5, everything where it is not known)"),
-    "specular_psnr": ("dB", "PSNR of the specular part, in clipped sRGB, over the same pixels as that of the diffuse part"),
-    "seconds": ("s", "time to render the view, all channels; compilation not counted"),
-}  # fmt: skip
-"""Unit and meaning of each figure of a view."""
+    "depth_median_mm": ("mm", "median absolute error of the depth along z, where true alpha > 0.5 (metric scenes)"),
+    "diffuse_psnr": ("dB", _PART.format("diffuse")),
+    "specular_psnr": ("dB", _PART.format("specular")),
+    "seconds": ("s", "time to render the view, all channels, without compilation"),
+}
+"""Unit and meaning of each metric of a view."""
 
 BEST_MSE = 1e-10
-"""Smaller mean squared errors count as this: 100 dB."""
+"""Lower bound of the mean squared error: 100 dB."""
 
 
 def psnr(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = None) -> float | None:
-    """Peak signal-to-noise ratio [dB] of two pictures after clipping to 0..1; at most 100.
+    """Peak signal-to-noise ratio [dB] of two images after clipping to 0..1; at most 100.
 
     Args:
-        shown: (height, width) pixels that count; None counts all. Where none does, there is no ratio.
+        shown: (height, width) pixels to compare; None for all.
     """
     error = np.clip(rendered, 0, 1).astype(np.float64) - np.clip(truth, 0, 1)
     error = error if shown is None else error[shown]
@@ -48,13 +57,15 @@ def psnr(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = No
 
 
 def ssim(rendered: Picture, truth: Picture) -> float | None:
-    """Structural similarity (Wang et al. 2004) of two pictures after clipping to 0..1; None below 11 pixels."""
+    """Structural similarity (Wang et al. 2004) of two images after clipping to 0..1; None below 11 pixels."""
     from skimage.metrics import structural_similarity
 
     if min(truth.shape[:2]) < 11:
         return None
-    return float(structural_similarity(np.clip(rendered, 0, 1).astype(np.float64), np.clip(truth, 0, 1).astype(np.float64),
-                                       data_range=1.0, channel_axis=-1, gaussian_weights=True, sigma=1.5, use_sample_covariance=False))  # fmt: skip
+    clipped = (np.clip(picture, 0, 1).astype(np.float64) for picture in (rendered, truth))
+    options = {"data_range": 1.0, "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    similarity: Any = structural_similarity(*clipped, **options)
+    return float(similarity)
 
 
 def angles_deg(first: Picture, second: Picture) -> NDArray[np.float64]:
@@ -71,7 +82,7 @@ def normal_mae_deg(rendered: Picture, truth: Picture, weight: Map) -> float | No
     """Mean angle [deg] between unit normals.
 
     Args:
-        weight: at least 0; pixels whose true normal is zero do not count, whatever their weight.
+        weight: at least 0; pixels without a true normal are ignored.
     """
     weight = np.asarray(weight, np.float64)[..., 0] * (np.linalg.norm(truth, axis=-1) > 0.5)
     total = weight.sum()
@@ -79,7 +90,7 @@ def normal_mae_deg(rendered: Picture, truth: Picture, weight: Map) -> float | No
 
 
 def disparity_rmse(rendered: Map, truth: Map, shown: NDArray[np.bool_]) -> float | None:
-    """Root mean square error of 1 / (1 + depth) over the pixels that are `shown`, (height, width)."""
+    """Root mean square error of 1 / (1 + depth) over the `shown` (height, width) pixels."""
     if not shown.any():
         return None
     first, second = (1 / (1 + np.maximum(values[shown].astype(np.float64), 0)) for values in (rendered, truth))
@@ -87,7 +98,7 @@ def disparity_rmse(rendered: Map, truth: Map, shown: NDArray[np.bool_]) -> float
 
 
 def depth_errors_mm(rendered: Map, truth: Map, shown: NDArray[np.bool_]) -> tuple[float, float] | None:
-    """Root mean square and median absolute error [mm] of depths [m] over the pixels that are `shown`, (height, width)."""
+    """Root mean square and median absolute error [mm] of depths [m] over the `shown` (height, width) pixels."""
     if not shown.any():
         return None
     error = 1e3 * (rendered[shown].astype(np.float64) - truth[shown])

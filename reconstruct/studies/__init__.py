@@ -1,1 +1,1 @@
-"""Many trainings side by side: ablations, sweeps, tables, the cost of each skip."""
+"""Studies of several trainings: ablations, sweeps, tables, the cost of each skip."""

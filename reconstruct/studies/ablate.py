@@ -1,15 +1,14 @@
-"""Ablations: one model trained again and again with one thing changed, into one table and one figure.
+"""Ablations: one model trained repeatedly with one change at a time, into one table and one figure.
 
 OUT/study.json               scene, model, preset, common overrides, and the cells: name and what it changes
 OUT/cells/NAME/seed_N/       a run per cell and seed
 OUT/table.md .csv .tex, OUT/figure.png, OUT/index.html
 
-What was measured is not run again, what was broken off is gone on with, so that a study can be stopped at any time, and
-further cells and seeds can be added to it.
+An interrupted study is resumed; further cells and seeds can be added.
 """
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,49 +16,47 @@ from typing import Any
 import numpy as np
 
 from datasets.core import files
-from datasets.core.console import progress
 from datasets.core.errors import UsageError, nearest
 from datasets.formats import find
 from datasets.reports.drawing import svg_of
 from datasets.reports.html import Number, ReportPage
 from reconstruct.config import Config, LossConfig, SurfaceConfig
+from reconstruct.output import metric_names
 from reconstruct.output.evaluate import METRICS
-from reconstruct.studies import table
-from reconstruct.studies.recipe import Recipe, begin, chosen_seeds, finish
+from reconstruct.studies import results_table
+from reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, chosen_seeds, open_study, run_all
 from reconstruct.studies.results import Row, row_of_seeds
 from reconstruct.studies.seeds import seed_folder, welch
 
 FORMAT, VERSION = "koala-study", 2
-STUDY, CELLS = "study.json", "cells"
-BASE = "base"
-FIGURES = ("psnr", "normal_mae_alpha_acc_deg")
-"""Columns that the figure draws."""
+STUDY = "study.json"
+DRAWN = ("psnr", "normal_mae_alpha_acc_deg")
+"""Columns of the figure."""
 LOSSES = ("density", "normal", "bias", "variation")
 PUBLISHED, REFNERF = SurfaceConfig(), LossConfig()
-"""The weights of both, where nothing else is said."""
+"""Their default weights."""
 NO_PASS = "surface.enabled=false"
 Cells = dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Study:
-    """What an ablation trains."""
+    """Trainings of an ablation."""
 
     recipe: Recipe
     """Common to all cells."""
     seeds: tuple[int, ...]
-    """Each cell is trained with each of them."""
+    """Each cell is trained with each seed."""
     cells: Cells
-    """Overrides of each cell, by its name."""
+    """Overrides of each cell by name."""
 
 
 def grid(base: Config) -> Cells:
-    """The paper's ablations around a configuration, by name; a cell that would repeat the base is left out.
+    """The paper's ablations around a configuration, by name, without cells that would repeat the base.
 
-    Sampling of the sphere, neighbours of the total variation (and as the published implementation has them), frequency of the
-    second pass, form of the density smoothness, each loss without (or, where the base has it off, with the published weight), and
-    the base without hollowness. "no second pass" has none of the four regularisers; "no regulariser" has the losses that Ref-NeRF
-    has, at its weights.
+    Sampling of the sphere, neighbours of the total variation (also as in the published implementation), frequency of the second
+    pass, form of the density smoothness, each loss disabled (or, if the base disables it, enabled with the published weight), and
+    no hollowness. "no second pass" disables the four regularisers; "no regulariser" leaves the losses of Ref-NeRF at its weights.
     """
     cells: Cells = {BASE: ()}
     surface = base.surface
@@ -71,28 +68,20 @@ def grid(base: Config) -> Cells:
     for first, last in ((2048, 16), (512, 4), (256, 2), (16, 16)):
         cells[f"every {first}/{last}"] = (f"surface.first_period={first}", f"surface.last_period={last}")
     for form in ("tangent", "published"):
-        cells[f"{form} density"] = (
-            f"surface.density_form={form}",
-            f"surface.density={surface.density or PUBLISHED.density}",
-        )
+        weight = surface.density or PUBLISHED.density
+        cells[f"{form} density"] = (f"surface.density_form={form}", f"surface.density={weight}")
     cells = {name: changes for name, changes in cells.items() if name == BASE or not _repeats(surface, changes)}
     for loss in LOSSES:
         weight = getattr(surface, loss)
         if weight:
             cells[f"without {loss}"] = (f"surface.{loss}=0",)
-        elif loss != "density":  # its forms are cells already
+        elif loss != "density":  # its forms are cells
             cells[f"with {loss}"] = (f"surface.{loss}={getattr(PUBLISHED, loss)}",)
     if base.losses.hollowness:
         cells["without hollowness"] = ("losses.hollowness=0",)
     cells["no second pass"] = (NO_PASS,)
-    return cells | {
-        "no regulariser": (
-            NO_PASS,
-            "losses.hollowness=0",
-            f"losses.predicted_normals={REFNERF.predicted_normals}",
-            f"losses.density_normals={REFNERF.density_normals}",
-        )
-    }
+    normals = [f"losses.{name}={getattr(REFNERF, name)}" for name in ("predicted_normals", "density_normals")]
+    return cells | {"no regulariser": (NO_PASS, "losses.hollowness=0", *normals)}
 
 
 def _repeats(surface: SurfaceConfig, changes: Sequence[str]) -> bool:
@@ -109,10 +98,10 @@ def plan(
     wanted: Sequence[str],
     seeds: Sequence[int] = (),
 ) -> Study:
-    """The study of the wanted cells (all of `grid` where none is named; the base always) with some seeds, or the model's own.
+    """The study of the wanted cells (default: all of `grid`; always with the base) and seeds (default: the model's own).
 
     Raises:
-        UsageError: unknown scene, model, setting or cell, or a seed twice.
+        UsageError: unknown scene, model, setting or cell, or a seed given twice.
     """
     recipe = Recipe(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s)
     base = recipe.config()
@@ -125,89 +114,97 @@ def plan(
 
 
 def run(study: Study, out: Path) -> dict[str, Any]:
-    """Train and measure every cell with every seed as far as that is not finished, then write the table and the figure.
+    """Run every cell with every seed that is not finished, then write the table, the figure and the report.
 
     Raises:
         UsageError: `out` holds something else, or a study of something else.
     """
     cells = {name: list(changes) for name, changes in study.cells.items()}
-    settled = study.recipe.content("scene", "model", "preset", "overrides", "budget_s")
-    begin(out / STUDY, kind=FORMAT, version=VERSION, settled=settled, growing={"cells": cells})
-    with progress("ablating", len(study.seeds) * len(study.cells), "trainings") as shown:
-        for seed in study.seeds:
-            for name, changes in study.cells.items():
-                shown.note(f"{name}, seed {seed}")
-                finish(out / CELLS / folder_name(name) / seed_folder(seed), study.recipe, [*changes, f"train.seed={seed}"])
-                shown.advance()
-    rows = [replace(row, label=name) for name, row in _finished(out).items()]
-    columns = table.chosen_columns(rows)
-    table.write_all(rows, columns, out)
-    drawn = [name for name in FIGURES if name in columns]
+    settings = study.recipe.content("scene", "model", "preset", "overrides", "budget_s")
+    cells = open_study(out / STUDY, kind=FORMAT, version=VERSION, settings=settings, members={"cells": cells})["cells"]
+    jobs = [
+        Job(out / CELLS / folder_name(name) / seed_folder(seed), study.recipe, (*changes, f"train.seed={seed}"))
+        for seed in study.seeds
+        for name, changes in study.cells.items()
+    ]
+    run_all(jobs, "ablating")
+    rows = [replace(row, label=name) for name, row in _finished(cells, out).items()]
+    columns = results_table.chosen_columns(rows)
+    results_table.write_all(rows, columns, out)
     with files.atomic_path(out / "figure.png") as temporary:
-        draw(rows, drawn).savefig(temporary, dpi=150)
-    files.write_text(out / "index.html", page(rows, columns, study, out, svg_of(draw(rows, drawn))).render())
-    return {"out": str(out), "cells": len(rows), "table": str(out / "table.md"), "figure": str(out / "figure.png"), "report": str(out / "index.html"),
-            "rows": [{"cell": row.label, **row.content(columns)} for row in rows]}  # fmt: skip
+        draw(rows, columns).savefig(temporary, dpi=150)
+    files.write_text(out / "index.html", page(rows, columns, study, cells, out).render())
+    written = {"table": str(out / "table.md"), "figure": str(out / "figure.png"), "report": str(out / "index.html")}
+    content = [{"cell": row.label, **row.content(columns)} for row in rows]
+    return {"out": str(out), "cells": len(rows), **written, "rows": content}
 
 
 def folder_name(cell: str) -> str:
-    """A cell's name as a folder's."""
+    """Folder name of a cell."""
     return cell.replace(" = ", "_").replace(" ", "_").replace("/", "_")
 
 
-def _finished(out: Path) -> dict[str, Row]:
-    """The figures of each cell over the seeds that were measured, by its name; without those of which none was."""
-    cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
+def _finished(cells: Iterable[str], out: Path) -> dict[str, Row]:
+    """Metrics of each cell over its evaluated seeds, by name; without cells that have none."""
     runs = {name: sorted(path.parent for path in (out / CELLS / folder_name(name)).glob(f"*/{METRICS}")) for name in cells}
     return {name: row_of_seeds(paths) for name, paths in runs.items() if paths}
 
 
-def page(rows: Sequence[Row], columns: Sequence[str], study: Study, out: Path, drawing: str) -> ReportPage:
-    """The study as a page: each cell's gain over the base, all figures, what each cell changes."""
+def page(rows: Sequence[Row], columns: Sequence[str], study: Study, cells: Mapping[str, Sequence[str]], out: Path) -> ReportPage:
+    """The report of a study: each cell's gain over the base, all metrics, the changes of each cell."""
     recipe = study.recipe
-    budget = "" if recipe.budget_s is None else f" --budget {recipe.budget_s:g}"
-    common = "".join(f" --set {shlex.quote(override)}" for override in recipe.overrides)
-    cells = files.read_json(out / STUDY, kind=FORMAT, version=VERSION)["cells"]
-    every = set(cells) >= set(grid(recipe.config()))
-    named = "" if every else "".join(f" --cell {shlex.quote(name)}" for name in cells if name != BASE)
-    seeds = "".join(f" --seed {seed}" for seed in study.seeds)
-    command = f"reconstruct ablate {recipe.scene} --model {recipe.model} --preset {recipe.preset}{budget}{common}{seeds}{named} --out {out}"
-    report = ReportPage(f"Ablation of {recipe.model} on {Path(recipe.scene).name}", made_by=[command])
+    report = ReportPage(f"Ablation of {recipe.model} on {Path(recipe.scene).name}", made_by=[_command(study, cells, out)])
     base = next((row for row in rows if row.label == BASE), rows[0])
-    number = lambda row, name: Number(row.values.get(name), std=row.deviations.get(name))  # noqa: E731
-    report.headline(
-        [(table.heading(name), number(base, name)) for name in columns[:4]],
-        f"the base, and {len(rows) - 1} other{'s' if len(rows) > 2 else ''}",
-    )
-    report.section("Gain over the base", f"Better is to the right. {_doubt(rows)}")
-    report.drawing(drawing)
-    report.section("All figures")
-    report.table(("cell", *(table.heading(name) for name in columns), "changes"),
-                 [(row.label, *(number(row, name) for name in columns), " ".join(cells[row.label])) for row in rows])  # fmt: skip
-    report.items(f"{table.heading(name)}: {table.definition(name)}" for name in columns)
+    headings = [metric_names.column_heading(name) for name in columns]
+    headline = zip(headings[:4], (_number(base, name) for name in columns[:4]), strict=True)
+    report.headline(headline, f"the base, and {len(rows) - 1} other{'s' if len(rows) > 2 else ''}")
+    report.section("Gain over the base", f"Better is to the right. {_uncertainty(rows)}")
+    report.drawing(svg_of(draw(rows, columns)))
+    report.section("All metrics")
+    body = [(row.label, *(_number(row, name) for name in columns), " ".join(cells[row.label])) for row in rows]
+    report.table(("cell", *headings, "changes"), body)
+    report.items(f"{heading}: {metric_names.definition(name)}" for heading, name in zip(headings, columns, strict=True))
     return report
 
 
-def _doubt(rows: Sequence[Row]) -> str:
-    """How far the differences can be trusted."""
+def _number(row: Row, name: str) -> Number:
+    return Number(row.values.get(name), std=row.deviations.get(name))
+
+
+def _command(study: Study, cells: Mapping[str, Sequence[str]], out: Path) -> str:
+    """The command line that makes a study."""
+    recipe = study.recipe
+    options = [] if recipe.budget_s is None else [f"--budget {recipe.budget_s:g}"]
+    options += [f"--set {shlex.quote(override)}" for override in recipe.overrides]
+    options += [f"--seed {seed}" for seed in study.seeds]
+    if not set(cells) >= set(grid(recipe.config())):
+        options += [f"--cell {shlex.quote(name)}" for name in cells if name != BASE]
+    return " ".join(
+        [f"reconstruct ablate {recipe.scene} --model {recipe.model} --preset {recipe.preset}", *options, f"--out {out}"]
+    )
+
+
+def _uncertainty(rows: Sequence[Row]) -> str:
+    """How reliable the differences are."""
     if max(row.seeds for row in rows) == 1:
-        return "One seed each: a difference that another seed could make is none."
-    return "Bars are differences of means over seeds, lines their intervals of 95 % confidence (Welch's): one that reaches zero is none."
+        return "One seed each: small differences may be noise."
+    return "Bars: differences of the means over seeds. Lines: 95 % confidence intervals (Welch); one that includes zero is noise."
 
 
 def draw(rows: Sequence[Row], columns: Sequence[str]):
-    """A figure with a panel per column: each cell's distance from the base, better to the right, with its confidence.
+    """A figure with a panel per column of `DRAWN`: each cell's gain over the base with its confidence interval.
 
     Returns:
         A matplotlib Figure.
     """
     from matplotlib.figure import Figure
 
+    columns = [name for name in DRAWN if name in columns]
     figure = Figure(figsize=(5 * max(len(columns), 1), 1 + 0.32 * len(rows)), layout="constrained")
     base = next((row for row in rows if row.label == BASE), rows[0])
     for index, column in enumerate(columns):
         axes = figure.add_subplot(1, len(columns), index + 1)
-        sign = 1 if column in table.HIGHER_IS_BETTER else -1
+        sign = 1 if column in metric_names.HIGHER_IS_BETTER else -1
         reference = base.sample(column)
         others = {row.label: sample for row in rows if row is not base and (sample := row.sample(column)) is not None}
         changes = [welch(reference, sample) for sample in others.values()] if reference is not None else []
@@ -218,7 +215,7 @@ def draw(rows: Sequence[Row], columns: Sequence[str]):
         axes.axvline(0, color="#808080", linewidth=0.8)
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)
-        axes.set_title(f"{table.heading(column)}, base {table.shown(base, column)}", fontsize=9)
+        axes.set_title(f"{metric_names.column_heading(column)}, base {results_table.shown(base, column)}", fontsize=9)
         axes.set_xlabel("gain over the base (better to the right)", fontsize=8)
         axes.tick_params(labelsize=8)
     return figure

@@ -1,4 +1,4 @@
-"""The figures of measured runs, a row each; runs that differ in nothing but their seed make one row of means and deviations."""
+"""Metrics of evaluated runs as rows; runs that differ only in their seed make one row of means and deviations."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -17,24 +17,24 @@ from reconstruct.studies.seeds import Sample, seed_folder
 
 @dataclass(frozen=True)
 class Row:
-    """Where it belongs, what it is called, its figures by name."""
+    """Metrics of a run, or of several seeds."""
 
     scene: str
     label: str
     values: dict[str, float | None]
     stands_on: str | None = None
-    """Side through which alone the measured mesh may leave the box; None where nothing was left out."""
+    """Side of the box that the object stands on, if the mesh was cut accordingly."""
     deviations: dict[str, float] = field(default_factory=dict)
-    """Standard deviations over seeds, by the figure's name; empty where there was one seed."""
+    """Standard deviations over seeds by metric; empty for one seed."""
     seeds: int = 1
 
     def sample(self, name: str) -> Sample | None:
-        """A figure with its spread; None where it was not measured."""
+        """A metric with its spread; None if it was not measured."""
         value = self.values.get(name)
         return None if value is None else Sample(value, self.deviations.get(name, np.nan), self.seeds)
 
     def content(self, names: Iterable[str]) -> dict[str, Any]:
-        """Figures and what belongs to them by name, for a program; deviations end in _std."""
+        """Metrics by name; deviations end in _std."""
         found: dict[str, Any] = {}
         for name in names:
             found[name] = self.values.get(name)
@@ -45,7 +45,7 @@ class Row:
 
 @dataclass(frozen=True)
 class _Measured:
-    """A run and what its evaluation wrote."""
+    """A run and its evaluation."""
 
     run: Run
     result: dict[str, Any]
@@ -54,7 +54,7 @@ class _Measured:
     def open(cls, path: Path) -> "_Measured":
         run = Run.open(path)
         if not (run.path / METRICS).is_file():
-            raise UsageError("was not measured yet", where=run.path, remedy=f"run: reconstruct eval {run.path}")
+            raise UsageError("has not been evaluated", where=run.path, remedy=f"run: reconstruct eval {run.path}")
         return cls(run, files.read_json(run.path / METRICS, kind=FORMAT, version=VERSION))
 
     @property
@@ -67,7 +67,7 @@ class _Measured:
 
     @property
     def folder(self) -> str:
-        """What its training is called on disk."""
+        """Name of the training on disk."""
         path = self.run.path.resolve()
         return path.parent.name if path.name == seed_folder(self.seed) else path.name
 
@@ -77,7 +77,7 @@ class _Measured:
 
     @property
     def recipe(self) -> str:
-        """All that a seed does not change: what was trained how and for how long, and of what the mesh was measured."""
+        """Everything that a seed does not change: scene, settings, budget, device, and how the mesh was cut."""
         about = [self.run.content.get(key) for key in ("scene", "budget_s", "device", "devices")]
         config = self.run.config.model_dump(mode="json", exclude={"train": {"seed"}})
         return json.dumps([self.scene, self.label, *about, self.result.get("mesh_stands_on"), config], sort_keys=True)
@@ -91,42 +91,42 @@ class _Measured:
 
 
 def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
-    """A row for the seeds of each training, or one per image of each run; in the order of the runs, blocks of one scene together.
+    """A row for the seeds of each training, or one per image of each run, in the order of the runs, grouped by scene.
 
     Raises:
-        UsageError: one of them is no run, or was not measured yet.
+        UsageError: not a run, or not evaluated.
     """
     measured = [_Measured.open(path) for path in runs]
     rows, labels = [], set()
     for group in [[one] for one in measured] if per_image else _by_recipe(measured):
         scene, label = group[0].scene, group[0].label
-        while (scene, label) in labels:  # two trainings of one model are told apart by their folders
+        while (scene, label) in labels:  # folders distinguish two trainings of one model
             label = f"{label} ({group[0].folder})" if "(" not in label else f"{label}'"
         labels.add((scene, label))
         try:
             rows += group[0].image_rows(label) if per_image else [over_seeds([one.row(label) for one in group])]
         except (KeyError, TypeError) as error:
             places = ", ".join(str(one.run.path / METRICS) for one in group)
-            raise DatasetError("metrics are not complete", where=places, why=str(error)) from None
+            raise DatasetError("metrics are incomplete", where=places, why=str(error)) from None
     order = list(dict.fromkeys(row.scene for row in rows))
     return sorted(rows, key=lambda row: order.index(row.scene))
 
 
 def row_of_seeds(runs: Sequence[Path]) -> Row:
-    """The one row of runs that differ in their seed alone.
+    """The row of runs that differ only in their seed.
 
     Raises:
-        UsageError: they differ in more, or one of them was not measured yet.
+        UsageError: they differ in more, or one was not evaluated.
     """
     rows = rows_of_runs(runs)
     if len(rows) > 1:
-        raise UsageError("seeds were not trained alike", where=runs[0].parent, why="they differ in settings, budget or device, not in their seed alone",
-                     remedy="remove the runs of the older kind, or choose another --out")  # fmt: skip
+        why, advice = "they differ in settings, budget or device", "remove the older runs, or choose another --out"
+        raise UsageError("seeds were not trained alike", where=runs[0].parent, why=why, remedy=advice)
     return rows[0]
 
 
 def over_seeds(rows: Sequence[Row]) -> Row:
-    """Means and standard deviations of rows that differ in their seed alone; a figure that one of them lacks is lacking."""
+    """Means and standard deviations of rows that differ only in their seed; a metric must be present in all rows."""
     if len(rows) == 1:
         return rows[0]
     columns = {name: [row.values.get(name) for row in rows] for name in rows[0].values}
@@ -144,7 +144,7 @@ def over_seeds(rows: Sequence[Row]) -> Row:
 
 
 def _by_recipe(measured: Sequence[_Measured]) -> list[list[_Measured]]:
-    """Runs of one recipe together; one that repeats a seed begins another group, since that is no further sample."""
+    """Runs grouped by recipe; a repeated seed starts another group, since it is no further sample."""
     groups: list[list[_Measured]] = []
     for one in measured:
         for group in groups:

@@ -1,6 +1,6 @@
-"""What another seed would have made of a figure: its mean and spread over seeds, and Welch's test (1947) of two such samples.
+"""Mean and spread of a metric over seeds, and Welch's test (1947) of two such samples.
 
-Welch's is the t-test of samples whose spreads may differ; it holds for as few as two seeds a side, and needs those.
+Welch's t-test allows for different spreads; it requires at least two seeds per sample.
 """
 
 from collections.abc import Sequence
@@ -12,17 +12,17 @@ CONFIDENCE = 0.95
 
 
 def seed_folder(seed: int) -> str:
-    """Name of the folder of a seed's run, among those of its training."""
+    """Folder name of a seed's run."""
     return f"seed_{seed}"
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One figure of trainings that differ in nothing but their seed."""
+    """A metric of trainings that differ only in their seed."""
 
     mean: float
     deviation: float
-    """Standard deviation of a single seed; NaN where there is one only."""
+    """Standard deviation over seeds; NaN for one seed."""
     count: int
 
     @classmethod
@@ -34,18 +34,18 @@ class Sample:
 
 @dataclass(frozen=True)
 class Change:
-    """How much higher one mean is than another."""
+    """Difference of two means."""
 
     value: float
     low: float
-    """Ends of its interval of confidence; NaN where they cannot be known."""
+    """Ends of the confidence interval; NaN if unknown."""
     high: float
     p: float
-    """Probability of at least such a change by chance alone; NaN where it cannot be known."""
+    """p-value; NaN if unknown."""
 
 
 def welch(before: Sample, after: Sample) -> Change:
-    """From one sample to another; tested where both have two seeds."""
+    """Difference between two samples, tested if both have two seeds."""
     value = after.mean - before.mean
     if min(before.count, after.count) < 2:
         return Change(value, np.nan, np.nan, np.nan)
@@ -56,10 +56,10 @@ def welch(before: Sample, after: Sample) -> Change:
 
 
 def tested(value: float, spread: float, freedom: float) -> Change:
-    """A change whose standard error is `spread`, by Student's t with so many degrees of freedom."""
+    """A change with the standard error `spread`, tested by Student's t with `freedom` degrees of freedom."""
     from scipy.stats import t
 
-    if spread == 0:  # the same bits at every seed
+    if spread == 0:  # equal values at every seed
         return Change(value, value, value, 1.0 if value == 0 else 0.0)
     reach = float(t.ppf(0.5 + CONFIDENCE / 2, freedom)) * spread
     return Change(value, value - reach, value + reach, float(2 * t.sf(abs(value) / spread, freedom)))

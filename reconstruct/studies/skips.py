@@ -1,7 +1,7 @@
-"""Each skip on and off on the same scene: what it costs in error and what it saves in time.
+"""Each skip on and off on the same scene: its cost in error and its saving in time.
 
 OUT/comparison.json      model, preset, overrides, and the scenes: name and path
-OUT/SCENE/cells/NAME/    a run per cell, as an ablation leaves them; one that was measured is not run again
+OUT/SCENE/cells/NAME/    a run per cell; evaluated ones are not run again
 OUT/skips.csv, skips.md  cost and saving of each skip on each scene
 """
 
@@ -15,55 +15,53 @@ from typing import Any
 import numpy as np
 
 from datasets.core import files
-from datasets.core.console import progress
 from datasets.core.errors import UsageError, nearest
 from reconstruct.models import load_config
 from reconstruct.output.evaluate import METRICS
 from reconstruct.run import Run
-from reconstruct.studies.ablate import BASE, CELLS
-from reconstruct.studies.recipe import Recipe, begin, finish, named
+from reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, open_study, run_all, scenes_by_name
 from reconstruct.training.skipping import record
 
 FORMAT, VERSION = "koala-skips", 1
 COMPARISON = "comparison.json"
 WORST_DB, WORST_DEG = 0.1, 0.2
-"""A skip that costs more than this on any scene is off by default."""
+"""A skip with a higher cost than this on any scene is off by default."""
 NORMALS = "normal_mae_alpha_acc_deg"
 
 
 @dataclass(frozen=True)
 class Result:
-    """One skip on one scene, skipped against kept."""
+    """One skip on one scene, against the same training without it."""
 
     scene: str
     name: str
     applied: bool
-    """Whether the scene let it be skipped at all."""
+    """Whether the skip applied to the scene."""
     psnr: tuple[float, float]
     """Kept, skipped [dB]."""
     normal_mae_deg: tuple[float, float] | None
-    """Kept, skipped; None where the normals are not known."""
+    """Kept, skipped; None without true normals."""
     step_ms: tuple[float, float]
-    """Kept, skipped: time of a step, the fastest tenth of the training."""
+    """Kept, skipped: time of a step, from the fastest tenth of the training."""
 
     @property
     def cost_db(self) -> float:
-        """What skipping loses."""
+        """Loss of PSNR [dB] by skipping."""
         return self.psnr[0] - self.psnr[1]
 
     @property
     def cost_deg(self) -> float | None:
-        """What skipping adds to the error of normals."""
+        """Increase of the normal error [deg] by skipping."""
         return None if self.normal_mae_deg is None else self.normal_mae_deg[1] - self.normal_mae_deg[0]
 
     @property
     def cheap(self) -> bool:
-        """Whether it costs less than a default may."""
+        """Whether the cost permits it by default."""
         return self.cost_db <= WORST_DB and (self.cost_deg or 0.0) <= WORST_DEG
 
 
 def cells(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """The configuration as it is, and with each of the skips turned round."""
+    """Overrides of each cell: none for the base, one inverted skip for each other."""
     for name in names:
         if name not in record.NAMES:
             raise UsageError(f"there is no skip '{name}'", where="--skip", remedy=nearest(name, record.NAMES))
@@ -81,26 +79,22 @@ def run(
     preset: str = "fast",
     overrides: Sequence[str] = (),
 ) -> list[Result]:
-    """Train and measure every cell that was not measured yet, then write the table.
+    """Run every cell that is not finished, then write the table.
 
     Raises:
         UsageError: unknown scene, skip, model or setting; or `out` holds something else, or a comparison with other settings.
     """
-    wanted, places = cells(names), named(scenes)
+    wanted, places = cells(names), scenes_by_name(scenes)
     recipes = {name: Recipe(path, model, preset, tuple(overrides)) for name, path in places.items()}
     first = next(iter(recipes.values()))
-    first.config()  # what is wrong with it is said before anything is written
-    settled = first.content("model", "preset", "overrides")
-    begin(out / COMPARISON, kind=FORMAT, version=VERSION, settled=settled, growing={"scenes": places})
+    first.config()  # raises before anything is written
+    settings = first.content("model", "preset", "overrides")
+    open_study(out / COMPARISON, kind=FORMAT, version=VERSION, settings=settings, members={"scenes": places})
     results: list[Result] = []
-    with progress("skipping", len(wanted) * len(scenes), "trainings") as shown:
-        for scene, recipe in recipes.items():
-            for name, changes in wanted.items():
-                shown.note(name)
-                finish(out / scene / CELLS / name, recipe, changes)
-                shown.advance()
-            results += [compare(out / scene, name) for name in wanted if name != BASE]
-            write(results, out)
+    for scene, recipe in recipes.items():
+        run_all([Job(out / scene / CELLS / name, recipe, changes) for name, changes in wanted.items()], f"skips on {scene}")
+        results += [compare(out / scene, name) for name in wanted if name != BASE]
+        write(results, out)
     return results
 
 
@@ -117,28 +111,37 @@ def compare(folder: Path, name: str) -> Result:
 
 
 def step_ms(run: Path) -> float:
-    """Time of a step: that of the fastest tenth of a run's log, so that another program's load does not count."""
-    seen = [(line["step"], line["seconds"]) for line in Run.open(run).log()]
-    steps, seconds = np.diff(np.array([(0, 0.0), *seen]), axis=0).T
+    """Time of a step in the fastest tenth of a run's log, which excludes the load of other programs."""
+    points = [(line["step"], line["seconds"]) for line in Run.open(run).log()]
+    steps, seconds = np.diff(np.array([(0, 0.0), *points]), axis=0).T
     return float(1e3 * np.quantile(seconds[steps > 0] / steps[steps > 0], 0.1))
 
 
 def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
-    """The results as plain figures."""
-    return [{"scene": r.scene, "skip": r.name, "applied": r.applied, "cost_db": round(r.cost_db, 3),
-             "cost_deg": None if r.cost_deg is None else round(r.cost_deg, 2), "kept_ms": round(r.step_ms[0], 1),
-             "skipped_ms": round(r.step_ms[1], 1), "cheap": r.cheap} for r in results]  # fmt: skip
+    """The results as plain values."""
+    return [
+        {
+            "scene": r.scene,
+            "skip": r.name,
+            "applied": r.applied,
+            "cost_db": round(r.cost_db, 3),
+            "cost_deg": None if r.cost_deg is None else round(r.cost_deg, 2),
+            "kept_ms": round(r.step_ms[0], 1),
+            "skipped_ms": round(r.step_ms[1], 1),
+            "cheap": r.cheap,
+        }
+        for r in results
+    ]
 
 
 def markdown(results: Sequence[Result]) -> str:
-    """A table for a person."""
-    lines = ["| scene | skip | cost | normals | a step takes | default may be on |", "|---|---|---|---|---|---|"]
+    """The results as a Markdown table."""
+    lines = ["| scene | skip | cost | normals | time of a step | on by default |", "|---|---|---|---|---|---|"]
     for r in results:
         degrees = "-" if r.cost_deg is None else f"{r.cost_deg:+.2f}°"
         verdict = ("yes" if r.cheap else "no") if r.applied else "does not apply"
-        lines.append(
-            f"| {r.scene} | {r.name} | {r.cost_db:+.2f} dB | {degrees} | {r.step_ms[0]:.1f} → {r.step_ms[1]:.1f} ms | {verdict} |"
-        )
+        times = f"{r.step_ms[0]:.1f} → {r.step_ms[1]:.1f} ms"
+        lines.append(f"| {r.scene} | {r.name} | {r.cost_db:+.2f} dB | {degrees} | {times} | {verdict} |")
     return "\n".join(lines) + "\n"
 
 

@@ -1,82 +1,106 @@
 """`reconstruct train`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from datasets.core import console
-from reconstruct.options import ModelName, Preset
+from reconstruct.options import Budget, ModelName, Preset, Settings
 
 
 def train(
-    out: Annotated[Path, typer.Option("--out", help="Folder of the run; must be new, unless --resume.")],
     scene: Annotated[
         str | None,
         typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
     ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder to write; must be new unless --resume is given.")] = None,
     model: ModelName = "surfnerf",
     preset: Preset = "fast",
-    budget: Annotated[float | None, typer.Option(help="Seconds of training proper; without it, train.steps steps.")] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="Override a setting: key=value, e.g. scale=0.5; repeatable.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
-    from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Begin with what a run has learned.")] = None,
+    budget: Budget = None,
+    set_: Settings = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume the run in --out.")] = False,
+    from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Run whose weights to start from.")] = None,
+    finetune: Annotated[bool, typer.Option("--finetune", help="With --from: train on with the surface regularisers.")] = False,
     rays: Annotated[
-        int | None, typer.Option(min=256, help="Rays per step; rate and steps follow by the linear scaling rule.")
+        int | None, typer.Option(min=256, help="Rays per step; learning rate and steps follow by the linear scaling rule.")
     ] = None,
-    finetune: Annotated[bool, typer.Option("--finetune", help="With --from: go on with the surface regularisers.")] = False,
     no_skip: Annotated[
-        list[str] | None, typer.Option("--no-skip", metavar="NAME", help="Leave this in, needed or not; repeatable.")
+        list[str] | None, typer.Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.")
     ] = None,
-    tensorboard: Annotated[
-        bool, typer.Option("--tensorboard", help="Write the log for TensorBoard too (extra 'tensorboard').")
-    ] = False,
+    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also log to TensorBoard (extra 'tensorboard').")] = False,
     coordinator: Annotated[
         str | None,
         typer.Option(
-            metavar="HOST:PORT", envvar="JAX_COORDINATOR_ADDRESS", help="Train in several processes: the first one's address."
+            metavar="HOST:PORT", envvar="JAX_COORDINATOR_ADDRESS", help="Address of the first process of a distributed training."
         ),
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(min=1, envvar="JAX_NUM_PROCESSES", help="With --coordinator: how many there are.")
+        int | None, typer.Option(min=1, envvar="JAX_NUM_PROCESSES", help="With --coordinator: number of processes.")
     ] = None,
     process: Annotated[
-        int | None, typer.Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: which of them this is, from 0.")
+        int | None, typer.Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: index of this process, from 0.")
     ] = None,
+    list_settings: Annotated[
+        bool, typer.Option("--list-settings", help="List every --set key with type, default and meaning, then exit.")
+    ] = False,
     as_json: console.Json = False,
 ) -> None:
-    """Train a model on a scene's training views."""
+    """Train a model on the training views of a scene."""
     from datasets.core.errors import UsageError
-    from datasets.formats import find, load_scene
     from reconstruct.backend import cache_compilations
-    from reconstruct.models import finetuned, load_config
-    from reconstruct.run import Run
     from reconstruct.training import distributed
     from reconstruct.training.batch import scaled
     from reconstruct.training.loop import train as run_training
     from reconstruct.training.skipping import record
 
     set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
+    if list_settings:
+        return _list_settings(model, preset, set_, as_json)
     if (scene is None) == (from_ is None) or finetune != (from_ is not None):
         raise UsageError("give either a scene, or --from RUN --finetune")
+    if out is None:
+        raise UsageError("give the folder of the run: --out DIR")
     distributed.join(coordinator, processes, process)
-    start_from = None if from_ is None else Run.open(from_)
-    if start_from is not None:
-        config, where, loaded = finetuned(start_from.config, set_), Path(start_from.scene_path), start_from.scene()
-    else:
-        config, where = load_config(model, preset, set_), find(str(scene))
-        loaded = load_scene(where, measure=not resume)  # a run keeps the bounds that it began with
+    config, where, loaded, start_from = _inputs(scene, from_, model, preset, set_, resume)
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
-    unneeded = "".join(f"  {line}\n" for line in record.left_out([record.Skip(**skip) for skip in result["skips"]]))
-    skips = (
-        f"left out, because this scene does not need it (every decision: {out / record.SKIPS}):\n{unneeded}" if unneeded else ""
-    )
-    known = {"training rays": result["psnr_train"], "unseen pixels": result["psnr_unseen"]}
+    console.report(result, as_json=as_json, text=_summary(result, out))
+
+
+def _list_settings(model: str, preset: str, overrides: list[str], as_json: bool) -> None:
+    from reconstruct import listing
+    from reconstruct.models import load_config
+
+    rows = listing.settings(load_config(model, preset, overrides))
+    console.report({"settings": rows}, as_json=as_json, text=listing.settings_text(rows))
+
+
+def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, overrides: list[str], resume: bool) -> Any:
+    """Configuration, path of the scene, the scene, and the run to start from (or None)."""
+    from datasets.formats import find, load_scene
+    from reconstruct.models import finetuned, load_config
+    from reconstruct.run import Run
+
+    if from_ is not None:
+        run = Run.open(from_)
+        return finetuned(run.config, overrides), Path(run.scene_path), run.scene(), run
+    config, where = load_config(model, preset, overrides), find(str(scene))
+    return config, where, load_scene(where, measure=not resume), None  # a resumed run keeps its bounds
+
+
+def _summary(result: dict[str, Any], out: Path) -> str:
+    """Skips, time and quality of a finished training."""
+    from reconstruct.training.skipping import record
+
+    skipped = "".join(f"  {line}\n" for line in record.left_out([record.Skip(**skip) for skip in result["skips"]]))
+    if skipped:
+        skipped = f"skipped, because this scene does not need it (every decision: {out / record.SKIPS}):\n{skipped}"
+    known = {"training rays": result["psnr_train"], "held-out pixels": result["psnr_unseen"]}
     quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
-    console.report(result, as_json=as_json, text=(
-        f"{skips}trained {result['steps']} steps in {result['training_s']:.0f} s (and {result['preparation_s']:.0f} s to read, "
-        f"{result['compilation_s']:.0f} s to compile): {quality}\n{out}"))  # fmt: skip
+    preparation, compilation = result["preparation_s"], result["compilation_s"]
+    return (
+        f"{skipped}trained {result['steps']} steps in {result['training_s']:.0f} s "
+        f"(plus {preparation:.0f} s to read, {compilation:.0f} s to compile): {quality}\n{out}"
+    )

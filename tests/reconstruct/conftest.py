@@ -22,7 +22,7 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.models import load_config
 from reconstruct.numerics.safe import srgb_from_linear
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
@@ -144,7 +144,7 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
 
 
 @pytest.fixture
-def painted(ball: Trained) -> Trained:
+def painted(ball: TrainedModel) -> TrainedModel:
     """The ball with a painted surface."""
     field = ball.state.model.field
     solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, field.radius)
@@ -152,7 +152,7 @@ def painted(ball: Trained) -> Trained:
 
 
 @pytest.fixture
-def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Trained:
+def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> TrainedModel:
     """The ball in place of a trained model, its occupancy grid holding the cells near the surface."""
     run = make_run(checkpointed=False)
     functions = StepFunctions(run.config, run.normalisation)
@@ -168,4 +168,4 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
     solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, radius)
     state = eqx.tree_at(lambda s: (s.model, s.occupancy), state, (Model(solid, ()), occupancy))
     assert run.normalisation.bounded
-    return Trained(run, ball_scene[0], functions, state, Renderer(functions))
+    return TrainedModel(run, ball_scene[0], functions, state, Renderer(functions))

@@ -34,7 +34,7 @@ def test_eval_render_mesh_and_report_of_a_run(
 ) -> None:
     run = make_run().path
     code, out, _ = command("eval", run)
-    assert code == 0 and "2 test views at 48x40" in out and "PSNR [dB]" in out and "normals, weighted with opacity [deg]" in out
+    assert code == 0 and "2 test views at 48x40" in out and "PSNR [dB]" in out and "normals, weighted by opacity [deg]" in out
     code, out, _ = command("render", run, "--out", tmp_path / "renders", "--json")
     assert code == 0 and json.loads(out)["views"] == 2 and (tmp_path / "renders/rgb/000.png").is_file()
     code, out, _ = command("mesh", run, "--out", tmp_path / "mesh.ply", "--resolution", 24, "--level", 0.02, "--json")
@@ -54,9 +54,10 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("eval",): "give either a run, or --renders DIR --scene SCENE",
         ("eval", run, "--renders", tmp_path): "give either a run",
         ("eval", run, "--lpips", tmp_path / "none.npz"): "no such file",
+        ("train", tmp_path): "give the folder of the run: --out DIR",
         ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
         ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
-        ("table", run): "was not measured yet",
+        ("table", run): "has not been evaluated",
         ("film", run, "--out", tmp_path / "film.avi"): "end --out in .mp4",
         ("ablate", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
         ("sweep", "--out", tmp_path / "r", "--scene", tmp_path, "--model", "surfnrf"): "did you mean 'surfnerf'",
@@ -92,6 +93,16 @@ def test_models_are_listed_with_their_parts(command: Callable[..., tuple[int, st
     assert any(line.split()[:4] == ["zipnerf", "voxels", "view", "-"] for line in lines)
     code, out, _ = command("models", "--json")
     assert code == 0 and {row["name"] for row in json.loads(out)["models"]} >= {"surfnerf", "mipnerf", "finetune"}
+
+
+def test_settings_are_listed_with_the_defaults_of_the_model_and_preset(command: Callable[..., tuple[int, str, str]]) -> None:
+    code, out, _ = command("train", "--list-settings", "--model", "zipnerf", "--set", "scale=0.5")
+    lines = out.splitlines()
+    assert code == 0 and lines[0].split() == ["key", "type", "default", "meaning"]
+    assert any(line.split()[:3] == ["encoding.kind", "lattice|voxels|frequencies", "voxels"] for line in lines)
+    code, out, _ = command("train", "--list-settings", "--json")
+    rows = {row["key"]: row for row in json.loads(out)["settings"]}
+    assert code == 0 and rows["train.rate"]["type"] == "float > 0" and rows["encoding.kind"]["default"] == "lattice"
 
 
 def test_a_plan_of_ablations_trains_nothing(

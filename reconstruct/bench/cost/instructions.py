@@ -1,28 +1,47 @@
-"""What the instructions of a compiled step are for.
+"""Attributes the instructions of a compiled step to parts of the source.
 
-The compiler keeps for each instruction the calls that led to it. An instruction belongs to the stage of the step in whose function it began (samples,
-surface points, second pass, ...), within it to the module whose work it does, and to the forward or the backward pass. Where several were fused into one, the heaviest of
-them speaks for all: a matrix product, else a scatter, else a gather, else the last.
+The compiler records the call stack of each instruction. An instruction belongs to a stage of the step (samples, surface
+points, second pass, ...) by the functions on its stack, to a kernel by the modules on it, and to the forward or the
+backward pass. A fusion is attributed by its heaviest instruction: a matrix product, else a scatter, else a gather, else the
+last.
 """
 
 import re
 from collections import defaultdict
 from typing import NamedTuple
 
-STAGES = {"second_pass_terms": "second pass", "surface_point_terms": "surface points", "_descend": "optimiser", "_choose": "choosing samples",
-          "seen": "occupancy grid", "look_around": "occupancy grid", "take": "drawing rays", "decay_term": "decay"}  # fmt: skip
-"""Function within whose call an instruction began, and the stage that it is of; all else is of the samples along the rays."""
+STAGES = {
+    "second_pass_terms": "second pass",
+    "surface_point_terms": "surface points",
+    "_descend": "optimiser",
+    "_choose": "choosing samples",
+    "seen": "occupancy grid",
+    "look_around": "occupancy grid",
+    "take": "drawing rays",
+    "decay_term": "decay",
+}
+"""Stage by a function on the stack; everything else belongs to the samples along the rays."""
 SAMPLES = "samples on rays"
-KERNELS = {"encodings/directional.py": "shading", "encodings/": "encoding", "mlp.py": "networks", "appearance.py": "shading", "rendering.py": "compositing",
-           "sampling/samples.py": "compositing", "sampling/packing.py": "packing", "sampling/occupancy.py": "occupancy",
-           "losses.py": "losses", "safe.py": "shading", "optax/": "optimiser"}  # fmt: skip
-"""Module and the work that is done in it: of an instruction's calls, the innermost that is listed here decides."""
+KERNELS = {
+    "encodings/directional.py": "shading",
+    "encodings/": "encoding",
+    "mlp.py": "networks",
+    "appearance.py": "shading",
+    "rendering/": "compositing",
+    "sampling/samples.py": "compositing",
+    "sampling/packing.py": "packing",
+    "sampling/occupancy.py": "occupancy",
+    "losses.py": "losses",
+    "safe.py": "shading",
+    "optax/": "optimiser",
+}
+"""Kernel by a module on the stack; the innermost listed one decides."""
 CONTAINERS = frozenset({"while", "conditional", "call"})
-"""Instructions whose time is that of others inside them."""
+"""Instructions whose time is that of the instructions inside them."""
 
 
 class Part(NamedTuple):
-    """What an instruction is for."""
+    """What an instruction belongs to."""
 
     stage: str
     kernel: str
@@ -30,7 +49,7 @@ class Part(NamedTuple):
 
 
 HEAVY = ("dot", "convolution", "scatter", "gather")
-"""Operations that speak for what they are fused with, the first before the others."""
+"""Operations that decide for a fusion, heaviest first."""
 _INSTRUCTION = re.compile(r"^\s*(?:ROOT )?%?([\w.\-]+) = (.*)$")
 _KIND = re.compile(r"^\S+ ([\w\-]+)\(")
 _COMPUTATION, _CALLED = re.compile(r"^%?([\w.\-]+) \("), re.compile(r"calls=%([\w.\-]+)")
@@ -38,7 +57,7 @@ _FRAME, _OPERATION = re.compile(r"stack_frame_id=(\d+)"), re.compile(r'op_name="
 
 
 def parts_of(program: str) -> dict[str, Part]:
-    """Part of each instruction of an optimised program (XLA's text), by its name; containers are left out."""
+    """Part of each instruction of an optimised program (XLA's text), by name; without containers."""
     stacks, heaviest, computation, named = _stacks(program), {}, "", {}
     for line in program.splitlines():
         if match := _COMPUTATION.match(line):
@@ -62,7 +81,7 @@ def parts_of(program: str) -> dict[str, Part]:
 
 
 def _kind(instruction: str) -> str:
-    """What an instruction does, after the type of its result: "f32[3]{0} add(...)", "(s32[], f32[]) while(...)"."""
+    """Operation of an instruction, which follows the type: "f32[3]{0} add(...)", "(s32[], f32[]) while(...)"."""
     if instruction.startswith("("):
         depth = 0
         for end, letter in enumerate(instruction):
@@ -75,7 +94,7 @@ def _kind(instruction: str) -> str:
 
 
 def part_of(calls: list[tuple[str, str]], operation: str) -> Part:
-    """Part of an instruction by its calls (file, function), innermost first, and by the name of its operation."""
+    """Part of an instruction from its call stack (file, function), innermost first, and the name of its operation."""
     stage = next((STAGES[function] for _, function in calls if function in STAGES), SAMPLES if calls else "copies")
     kernels = (kernel for file, _ in calls for place, kernel in KERNELS.items() if place in file)
     kernel = stage if stage == "optimiser" else next(kernels, "other")
@@ -83,7 +102,7 @@ def part_of(calls: list[tuple[str, str]], operation: str) -> Part:
 
 
 def _stacks(program: str) -> dict[int, list[tuple[str, str]]]:
-    """Calls (file, function) of each stack frame, innermost first, from the tables at the head of a program."""
+    """Call stack (file, function) of each frame, innermost first, from the tables at the head of a program."""
     tables: dict[str, dict[int, str]] = defaultdict(dict)
     title = ""
     for line in program.splitlines():

@@ -1,13 +1,13 @@
-"""The cost model: what each kernel of a training step asks of the machine, and how far it is from what the machine allows.
+"""The cost model: work of each kernel of a training step, and its time compared with the machine's limits.
 
-A kernel is one piece of the step, compiled by itself at the step's sizes. Operations, exponentials and the bytes that have to move at least (arguments and
-results) are counted by the compiler; places of tables that are looked up or added to are counted here, since they cost more
-than their bytes. The least time that the machine's limits allow is the largest of the four quotients.
+A kernel is one piece of the step, compiled by itself at the step's sizes. The compiler counts operations, exponentials and
+the bytes of arguments and results; lookups and additions in tables are counted here, since they cost more than their bytes.
+The lower bound of the time is the largest quotient of an amount and the machine's limit for it.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,13 +33,16 @@ OCCUPIED = 0.03
 """Radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]."""
 
 
+WORK = ("operations", "exponentials", "bytes", "gathers", "scatters")
+
+
 @dataclass(frozen=True)
 class Kernel:
     """One piece of a step."""
 
     name: str
     rays: int
-    """Of the batch that it works for."""
+    """Rays of the batch."""
     operations: float
     exponentials: float
     """Exponentials, error functions, sines, roots."""
@@ -47,20 +50,32 @@ class Kernel:
     gathers: float
     scatters: float
     seconds: float
-    """As measured."""
+    """Measured time."""
 
     def least(self, limits: dict[str, float]) -> tuple[float, str]:
-        """Seconds that the machine's limits allow, and the name of the one that binds."""
-        wanted = {"matrix": self.operations, "exponential": self.exponentials, "stream": self.bytes,
-                  "gather, in the cache": self.gathers, "scatter, in the cache": self.scatters}  # fmt: skip
-        times = {name: amount / limits[name] for name, amount in wanted.items()}
+        """Lower bound of the seconds by the machine's limits, and the name of the binding limit."""
+        tables = {"gather, in the cache": self.gathers, "scatter, in the cache": self.scatters}
+        amounts = {"matrix": self.operations, "exponential": self.exponentials, "stream": self.bytes, **tables}
+        times = {name: amount / limits[name] for name, amount in amounts.items()}
         name = max(times, key=lambda key: times[key])
         return times[name], name
 
 
+class Piece(NamedTuple):
+    """A kernel before it is measured."""
+
+    name: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    gathers: float = 0.0
+    """Numbers looked up in tables."""
+    scatters: float = 0.0
+    """Numbers added to tables."""
+
+
 @dataclass(frozen=True)
 class Bench:
-    """A configuration's step taken apart, on a shell of occupied cells in place of a scene."""
+    """The kernels of a configuration's step, on a shell of occupied cells instead of a scene."""
 
     config: Config
     functions: StepFunctions
@@ -80,55 +95,46 @@ class Bench:
         return cls(config, functions, state.model, state.occupancy, _rays(functions.rays_per_step))
 
     def kernels(self, done: Callable[[str], None] = lambda name: None) -> list[Kernel]:
-        """All of them, measured one after the other; some seconds."""
+        """All kernels, measured one after the other; takes some seconds."""
         found = []
-        for name, function, arguments, gathers, scatters in self._pieces():
-            found.append(self._measured(name, function, arguments, gathers, scatters))
-            done(name)
+        for piece in self._pieces():
+            found.append(self._measured(piece))
+            done(piece.name)
         return found
 
-    def _measured(self, name: str, function: Callable[..., Any], arguments: tuple, gathers: float, scatters: float) -> Kernel:
-        compiled = jax.jit(function).lower(*arguments).compile()
+    def _measured(self, piece: Piece) -> Kernel:
+        arguments = piece.arguments
+        compiled = jax.jit(piece.function).lower(*arguments).compile()
         counted = compiled.cost_analysis() or {}
         seconds = fastest(lambda: compiled(*arguments))
-        moved = sum(_bytes(leaf) for leaf in jax.tree.leaves((arguments, jax.eval_shape(function, *arguments))))
-        return Kernel(name, self.functions.rays_per_step, float(counted.get("flops", 0.0)), float(counted.get("transcendentals", 0.0)),
-                      float(moved), gathers, scatters, seconds)  # fmt: skip
+        moved = sum(_bytes(leaf) for leaf in jax.tree.leaves((arguments, jax.eval_shape(piece.function, *arguments))))
+        operations, exponentials = float(counted.get("flops", 0.0)), float(counted.get("transcendentals", 0.0))
+        rays = self.functions.rays_per_step
+        return Kernel(piece.name, rays, operations, exponentials, float(moved), piece.gathers, piece.scatters, seconds)
 
-    def _pieces(self) -> list[tuple[str, Callable[..., Any], tuple, float, float]]:
-        """Name, function, arguments, places looked up and places added to of each kernel."""
+    def _pieces(self) -> list[Piece]:
         return [*self._choosing(), *self._encoding(), *self._networks(), *self._compositing(), *self._descending()]
 
-    def _choosing(self) -> list[tuple]:
+    def _choosing(self) -> list[Piece]:
         sampler, functions, occupancy = self.config.sampler, self.functions, self.occupancy
         steps = functions.steps(self.rays)
         half = jnp.full(self.rays.origins.shape[0], 0.5)
         depth = expected_depth(occupancy, self.rays, steps, half, True)
-        kept = sampler.samples // 8  # rays that meet nothing are dropped before packing
+        kept = sampler.samples // 8  # rays through empty space are dropped before packing
         order = jnp.argsort(~jnp.any(depth > 0, -1))[:kept]
         few, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
-        visited = depth.size
+        march = lambda o, r, j: expected_depth(o, r, steps, j, True)  # noqa: E731
+        pack = lambda d, r, j: functions.sampled(d, r, j, j, sampler.samples)  # noqa: E731
         return [
-            (
-                "occupancy along rays",
-                lambda o, r, j: expected_depth(o, r, steps, j, True),
-                (occupancy, self.rays, half),
-                visited,
-                0,
-            ),
-            (
-                "choosing and packing",
-                lambda d, r, j: functions.sampled(d, r, j, j, sampler.samples),
-                (dense, few, jitter),
-                8 * sampler.samples,
-                0,
-            ),
+            Piece("occupancy along rays", march, (occupancy, self.rays, half), gathers=depth.size),
+            Piece("choosing and packing", pack, (dense, few, jitter), gathers=8 * sampler.samples),
         ]
 
-    def _encoding(self) -> list[tuple]:
+    def _encoding(self) -> list[Piece]:
         encoding, cloud = self.model.field.encoding, self._cloud()
         touched = float(cloud.points.shape[1] * corners(encoding) * encoding.num_channels)
         forward = lambda e, p: e(p, None)  # noqa: E731
+        slopes = lambda e, p: e.value_and_jacobian(p, None)  # noqa: E731
         shape = jax.eval_shape(forward, encoding, cloud.points)
         pulled = jnp.ones(shape.shape)
 
@@ -138,18 +144,12 @@ class Bench:
         small = cloud.points[:, : self.config.surface.rays * (self.config.surface.samples + 1)]
         share = small.shape[1] / cloud.points.shape[1]
         return [
-            ("encoding", forward, (encoding, cloud.points), touched, 0),
-            ("encoding, backward alone", lambda e, p, g: backward(e, p, g), (encoding, cloud.points, pulled), 0, touched),
-            (
-                "encoding with slopes, second pass",
-                lambda e, p: e.value_and_jacobian(p, None),
-                (encoding, small),
-                share * touched,
-                0,
-            ),
+            Piece("encoding", forward, (encoding, cloud.points), gathers=touched),
+            Piece("encoding, backward alone", backward, (encoding, cloud.points, pulled), scatters=touched),
+            Piece("encoding with slopes, second pass", slopes, (encoding, small), gathers=share * touched),
         ]
 
-    def _networks(self) -> list[tuple]:
+    def _networks(self) -> list[Piece]:
         field, rays = self.model.field, self.config.sampler.samples // 8
         appearance = field.appearance
         features = jnp.ones((field.encoding.num_channels, self.config.sampler.samples))
@@ -158,20 +158,15 @@ class Bench:
         few = jax.tree.map(lambda a: a[:, :rays], material)
         directions = self.rays.viewdirs[:rays].T
         shade = lambda a, m, d: jnp.sum(a.shade(m, d).rgb)  # noqa: E731
+        squared = lambda network, x: jnp.sum(jnp.square(network(x)))  # noqa: E731
         return [
-            ("spatial network", spatial, (field.spatial, features), 0, 0),
-            (
-                "spatial network, with backward",
-                jax.grad(lambda n, x: jnp.sum(jnp.square(n(x))), argnums=(0, 1)),
-                (field.spatial, features),
-                0,
-                0,
-            ),
-            ("shading of rays", shade, (appearance, few, directions), 0, 0),
-            ("shading of rays, with backward", jax.grad(shade, argnums=(0, 1)), (appearance, few, directions), 0, 0),
+            Piece("spatial network", spatial, (field.spatial, features)),
+            Piece("spatial network, with backward", jax.grad(squared, argnums=(0, 1)), (field.spatial, features)),
+            Piece("shading of rays", shade, (appearance, few, directions)),
+            Piece("shading of rays, with backward", jax.grad(shade, argnums=(0, 1)), (appearance, few, directions)),
         ]
 
-    def _compositing(self) -> list[tuple]:
+    def _compositing(self) -> list[Piece]:
         samples, rays = self._samples()
         channels = jnp.ones((12 + self.config.field.bottleneck, samples.t.shape[0]))
 
@@ -180,18 +175,13 @@ class Bench:
             return jnp.sum(jnp.square(composite(values, samples.packed(weights), samples)))
 
         density, count = jnp.ones(samples.t.shape[0]), float(samples.t.shape[0])
+        both_ways = count * (4 + len(channels))
         return [
-            ("compositing", rendered, (density, channels), 2 * count, count * (2 + len(channels))),
-            (
-                "compositing, with backward",
-                jax.grad(rendered, argnums=(0, 1)),
-                (density, channels),
-                count * (4 + len(channels)),
-                count * (4 + len(channels)),
-            ),
+            Piece("compositing", rendered, (density, channels), 2 * count, count * (2 + len(channels))),
+            Piece("compositing, with backward", jax.grad(rendered, argnums=(0, 1)), (density, channels), both_ways, both_ways),
         ]
 
-    def _descending(self) -> list[tuple]:
+    def _descending(self) -> list[Piece]:
         adam = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
 
         def descend(gradient: Any, state: Any, model: Any) -> Any:
@@ -199,10 +189,10 @@ class Bench:
             return jax.tree.map(lambda p, u: p - 0.01 * u, model, update), state
 
         model: Any = self.model
-        return [("optimiser", descend, (jax.tree.map(jnp.ones_like, model), adam.init(model), model), 0, 0)]
+        return [Piece("optimiser", descend, (jax.tree.map(jnp.ones_like, model), adam.init(model), model))]
 
     def _samples(self):
-        """Samples of the batch's rays that meet something, and those rays."""
+        """Samples of the batch's rays through occupied cells, and those rays."""
         sampler, functions = self.config.sampler, self.functions
         half = jnp.full(self.rays.origins.shape[0], 0.5)
         depth = expected_depth(self.occupancy, self.rays, functions.steps(self.rays), half, True)
@@ -228,7 +218,7 @@ def corners(encoding: Encoding) -> int:
 
 
 def _rays(count: int) -> Rays:
-    """Rays of pictures in which the cube fills the middle."""
+    """Rays of views whose middle the cube fills."""
     rng = np.random.default_rng(0)
     origins = rng.normal(size=(count, 3))
     origins *= 4 / np.linalg.norm(origins, axis=-1, keepdims=True)
@@ -238,24 +228,23 @@ def _rays(count: int) -> Rays:
 
 
 def rows(kernels: list[Kernel], limits: list[Limit]) -> list[dict[str, Any]]:
-    """Each kernel with the least time that the limits allow, its share of the measured one, and what it asks for per ray."""
+    """Each kernel with the lower bound of its time, the share of that in the measured time, and its work per ray."""
     rates = {limit.name: limit.rate for limit in limits}
     found = []
     for kernel in kernels:
         least, binding = kernel.least(rates)
-        asked = {
-            name: getattr(kernel, name) / kernel.rays for name in ("operations", "exponentials", "bytes", "gathers", "scatters")
-        }
-        found.append({"kernel": kernel.name, "measured_ms": 1e3 * kernel.seconds, "least_ms": 1e3 * least, "limit": binding,
-                      "share": least / kernel.seconds, **asked})  # fmt: skip
+        times = {"measured_ms": 1e3 * kernel.seconds, "least_ms": 1e3 * least, "limit": binding, "share": least / kernel.seconds}
+        found.append({"kernel": kernel.name, **times, **{name: getattr(kernel, name) / kernel.rays for name in WORK}})
     return found
 
 
 def text(found: list[dict[str, Any]]) -> str:
-    """The rows for a person."""
-    head = (f"{'kernel':<36}{'measured':>10}{'allowed':>10}{'share':>8}  {'limit':<22}"
-            f"{'operations':>11}{'exp':>7}{'bytes':>8}{'gathers':>9}{'scatters':>9}   (per ray)")  # fmt: skip
-    lines = [f"{row['kernel']:<36}{row['measured_ms']:>7.2f} ms{row['least_ms']:>7.2f} ms{100 * row['share']:>6.0f} %  {row['limit']:<22}"
-             f"{row['operations']:>11.0f}{row['exponentials']:>7.0f}{row['bytes']:>8.0f}{row['gathers']:>9.0f}{row['scatters']:>9.0f}"
-             for row in found]  # fmt: skip
-    return "\n".join([head, *lines])
+    """The rows as text."""
+    widths = (11, 7, 8, 9, 9)
+    work = "".join(f"{name:>{width}}" for name, width in zip(("operations", "exp", *WORK[2:]), widths, strict=True))
+    lines = [f"{'kernel':<36}{'measured':>10}{'allowed':>10}{'share':>8}  {'limit':<22}{work}   (per ray)"]
+    for row in found:
+        times = f"{row['measured_ms']:>7.2f} ms{row['least_ms']:>7.2f} ms{100 * row['share']:>6.0f} %"
+        work = "".join(f"{row[name]:>{width}.0f}" for name, width in zip(WORK, widths, strict=True))
+        lines.append(f"{row['kernel']:<36}{times}  {row['limit']:<22}{work}")
+    return "\n".join(lines)

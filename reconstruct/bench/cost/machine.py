@@ -1,6 +1,6 @@
-"""What this machine can do at most, in the few ways in which training asks for it: what every kernel is measured against.
+"""Upper limits of this machine for the operations of training, to compare kernels with.
 
-All through JAX, whose code is the one that trains, in single precision, with all cores that the process may use.
+All are measured through JAX in single precision, with all cores of the process.
 """
 
 import time
@@ -14,14 +14,14 @@ import numpy as np
 
 REPEATS = 5
 TABLES = {"in the cache": 2**20, "beside the cache": 2**25}
-"""Rows of the tables that are looked up: all tables of the fast preset, and more than any cache holds."""
+"""Rows of the tables: as many as the fast preset has, and more than any cache holds."""
 ENTRIES = 2**20
-"""Random entries that are looked up."""
+"""Random entries per lookup."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """One rate of the machine."""
+    """One limit of the machine."""
 
     name: str
     rate: float
@@ -30,20 +30,19 @@ class Limit:
 
 
 def limits() -> list[Limit]:
-    """Measure them; some seconds."""
-    return [matrix_rate(), narrow_matrix_rate(), stream_rate(), exponential_rate(),
-            *(lookup_rate(name, size) for name, size in TABLES.items()),
-            *(scatter_rate(name, size) for name, size in TABLES.items()), dispatch_time()]  # fmt: skip
+    """Measure all limits; takes some seconds."""
+    lookups = [rate(name, size) for rate in (lookup_rate, scatter_rate) for name, size in TABLES.items()]
+    return [matrix_rate(), narrow_matrix_rate(), stream_rate(), exponential_rate(), *lookups, dispatch_time()]
 
 
 def seconds_of(function: Callable[..., Any], *arguments: Any, repeats: int = REPEATS) -> float:
-    """Fastest of some runs of a function, compiled and with its arguments in memory already."""
+    """Fastest of several runs of a compiled function with its arguments in memory."""
     compiled = jax.jit(function).lower(*arguments).compile()
     return fastest(lambda: compiled(*arguments), repeats)
 
 
 def fastest(call: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """Seconds of the fastest of some calls; one more goes before them."""
+    """Seconds of the fastest of several calls, after one to warm up."""
     jax.block_until_ready(call())
     found = []
     for _ in range(repeats):
@@ -58,26 +57,26 @@ def _normal(*shape: int) -> jax.Array:
 
 
 def matrix_rate(size: int = 1024) -> Limit:
-    """Of large square matrices: two operations per product."""
+    """Product of large square matrices: two operations per multiplication."""
     seconds = seconds_of(jnp.matmul, _normal(size, size), _normal(size, size))
     return Limit("matrix", 2 * size**3 / seconds, "1/s", f"operations of a product of two {size} x {size} matrices")
 
 
 def narrow_matrix_rate(width: int = 64, columns: int = 16384) -> Limit:
-    """Of a layer as narrow as the fast preset's."""
+    """Product as narrow as a layer of the fast preset."""
     seconds = seconds_of(jnp.matmul, _normal(width, width), _normal(width, columns))
-    return Limit("narrow matrix", 2 * width * width * columns / seconds, "1/s",
-                 f"operations of a product of {width} x {width} and {width} x {columns}: a layer of the fast preset")  # fmt: skip
+    meaning = f"operations of a product of {width} x {width} and {width} x {columns}: a layer of the fast preset"
+    return Limit("narrow matrix", 2 * width * width * columns / seconds, "1/s", meaning)
 
 
 def stream_rate(count: int = 2**24) -> Limit:
-    """Of three arrays that no cache holds: two read, one written."""
+    """Memory bandwidth: two arrays read and one written, larger than any cache."""
     seconds = seconds_of(lambda a, b: a + 2.5 * b, _normal(count), _normal(count))
     return Limit("stream", 12 * count / seconds, "B/s", f"bytes moved by a + 2.5 b of {count} numbers")
 
 
 def exponential_rate(count: int = 2**20) -> Limit:
-    """Of numbers in the cache."""
+    """Exponentials of numbers in the cache."""
     return Limit("exponential", count / seconds_of(jnp.exp, _normal(count)), "1/s", f"exponentials, {count} at a time")
 
 
@@ -86,13 +85,13 @@ def _entries(size: int) -> jax.Array:
 
 
 def lookup_rate(name: str, size: int) -> Limit:
-    """Single numbers from random places of a table."""
+    """Lookup of single numbers at random rows of a table."""
     seconds = seconds_of(lambda table, index: table.at[index].get(mode="promise_in_bounds"), _normal(size), _entries(size))
     return Limit(f"gather, {name}", ENTRIES / seconds, "1/s", f"numbers looked up at random places of {size}")
 
 
 def scatter_rate(name: str, size: int) -> Limit:
-    """Single numbers added to random places of a table; setting the table to zero is not counted."""
+    """Addition of single numbers at random rows of a table; initialising the table is not counted."""
     add = lambda table, index, values: table.at[index].add(values, mode="promise_in_bounds")  # noqa: E731
     values, index, table = _normal(ENTRIES), _entries(size), jnp.zeros(size)
     seconds = seconds_of(add, table, index, values) - seconds_of(lambda table: table + 0.0, table)
@@ -100,13 +99,13 @@ def scatter_rate(name: str, size: int) -> Limit:
 
 
 def dispatch_time() -> Limit:
-    """Of a program that does next to nothing."""
+    """Time to start a program that does almost nothing."""
     one = jnp.zeros(())
     return Limit("start", seconds_of(lambda a: a + 1, one, repeats=200), "s", "time to start a compiled program and wait for it")
 
 
 def text(found: list[Limit]) -> str:
-    """The limits for a person, a line each."""
+    """The limits as text, a line each."""
     width = max(len(limit.name) for limit in found)
     return "\n".join(f"{limit.name:<{width}}  {scaled(limit.rate, limit.unit):>14}   {limit.meaning}" for limit in found)
 

@@ -1,7 +1,4 @@
-"""Where the time of a training step goes: the compiled step itself is traced, and its instructions are told by the code they come from.
-
-What instructions are for is found out by `reconstruct.bench.cost.instructions`.
-"""
+"""Where the time of a training step goes: the compiled step is traced, and `instructions` attributes it to the source."""
 
 import gzip
 import json
@@ -17,20 +14,20 @@ import jax.numpy as jnp
 from datasets.core.console import progress
 from datasets.scene import Scene
 from reconstruct.bench.cost.instructions import Part, parts_of
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.rays import Pixels
 from reconstruct.training.step import StepFunctions, TrainState
 
 STEPS = 16
-"""Steps that are traced, without and with a second pass."""
+"""Traced steps, without and with a second pass."""
 
 
-def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
-    """Milliseconds per step, by part, of steps with and without the second pass.
+def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
+    """Milliseconds per step and part, with and without the second pass.
 
     Returns:
-        "step_ms" and "second_pass_step_ms" by the clock, untraced; "parts", rows of stage, kernel, "forward" or "backward", and
-        milliseconds of a step without (or, for the stage of that name, of one with) second pass, longest first.
+        "step_ms" and "second_pass_step_ms", measured without tracing; "parts": rows of stage, kernel, "forward" or
+        "backward", and milliseconds of a step without second pass (stage "second pass": of a step with it), longest first.
     """
     functions, views = trained.functions, scene.split("train")
     with progress("reading images", len(views), "images") as shown:
@@ -43,34 +40,39 @@ def step_profile(trained: Trained, scene: Scene) -> dict[str, Any]:
     )
     found = plain | {part: value for part, value in second.items() if part.stage == "second pass"}
     rows = [[part.stage, part.kernel, "backward" if part.backward else "forward", value] for part, value in found.items()]
-    return {"step_ms": plain_ms, "second_pass_step_ms": second_ms, "rays": functions.rays_per_step, "samples": functions.samples_per_step,
-            "parts": sorted(rows, key=lambda row: -row[3])}  # fmt: skip
+    return {
+        "step_ms": plain_ms,
+        "second_pass_step_ms": second_ms,
+        "rays": functions.rays_per_step,
+        "samples": functions.samples_per_step,
+        "parts": sorted(rows, key=lambda row: -row[3]),
+    }
 
 
 def _compiled(functions: StepFunctions, state: TrainState, pixels: Pixels) -> Any:
-    """The step as training has it: in the memory of the state that it is given."""
+    """The step as in training: it overwrites the state that it receives."""
     arguments = (state, pixels, *_rest(1, False))
     return jax.jit(functions.advance, donate_argnums=(0,)).lower(*arguments).compile()
 
 
 def _rest(count: int, second: bool) -> tuple[jax.Array, ...]:
-    """Arguments of `StepFunctions.advance` beside state and pixels: seed, progress, number of steps, whether with a second pass."""
+    """Further arguments of `StepFunctions.advance`: seed, progress, number of steps, whether with a second pass."""
     return jnp.asarray(0, jnp.int32), jnp.asarray(0.9, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second)
 
 
 def _traced(
     advance: Any, start: TrainState, pixels: Pixels, parts: dict[str, Part], *, second: bool
 ) -> tuple[float, dict[Part, float]]:
-    """Milliseconds per step untraced (the fastest of three), and of each part; a call with a second pass is one step, else `STEPS`."""
+    """Milliseconds per step untraced (fastest of three) and per part; a call is one step with second pass, `STEPS` without."""
     calls, count = (STEPS, 1) if second else (1, STEPS)
 
     def go() -> float:
-        state = jax.block_until_ready(jax.tree.map(jnp.copy, start))  # the calls use it up
-        begun = time.perf_counter()
+        state = jax.block_until_ready(jax.tree.map(jnp.copy, start))  # calls overwrite it
+        started = time.perf_counter()
         for _ in range(calls):
             state, _ = advance(state, pixels, *_rest(count, second))
         jax.block_until_ready(state)
-        return 1e3 * (time.perf_counter() - begun) / STEPS
+        return 1e3 * (time.perf_counter() - started) / STEPS
 
     untraced = min(go() for _ in range(3))
     with tempfile.TemporaryDirectory(prefix="koala-trace-") as folder:
@@ -86,7 +88,7 @@ def _traced(
 
 
 def durations_us(folder: Path) -> dict[str, float]:
-    """Microseconds in each instruction of the traced programs, by its name."""
+    """Microseconds spent in each instruction of the traced programs, by name."""
     spent: dict[str, float] = defaultdict(float)
     for path in folder.rglob("*.trace.json.gz"):
         with gzip.open(path) as file:

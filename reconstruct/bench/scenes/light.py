@@ -1,7 +1,7 @@
-"""Light from infinitely far as a sum of lobes, so that a rough mirror's or a matte surface's answer has a closed form.
+"""Distant light as a sum of lobes, so that reflection by rough mirrors and matte surfaces has a closed form.
 
-A lobe sends amplitude * exp(concentration * (cosine - 1)) around its axis (von Mises-Fisher). Seen through another lobe of concentration c,
-it has about the concentration k c / (k + c) and the same energy in all.
+A lobe sends amplitude * exp(concentration * (cosine - 1)) around its axis (von Mises-Fisher). Convolution of a lobe of
+concentration k with one of concentration c gives about the concentration k c / (k + c) and preserves the energy.
 """
 
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 MATTE = 2.133
-"""Concentration of the lobe that stands for the cosine of a matte surface (Wang et al. 2009)."""
+"""Concentration of the lobe that approximates the cosine of a matte surface (Wang et al. 2009)."""
 BRIGHTEST = 5.0
-"""Linear light of the brightest lamp alone."""
+"""Linear light of the brightest lamp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Light:
     ambient: Float[np.ndarray, " 3"]
 
     @classmethod
-    def drawn(cls, seed: int, *, lamps: int = 5, cards: int = 26) -> "Light":
+    def studio(cls, seed: int, *, lamps: int = 5, cards: int = 26) -> "Light":
         """A studio: sky and floor, a few soft lamps above, and many coloured cards all around."""
         rng = np.random.default_rng(seed)
         axes, concentration, colour = [[0.0, 0, 1], [0, 0, -1]], [1.5, 2.0], [[0.30, 0.33, 0.38], [0.16, 0.12, 0.09]]
@@ -34,12 +34,9 @@ class Light:
             angle, height = 2 * np.pi * (index + 0.6 * rng.random()) / lamps, rng.uniform(0.25, 0.85)
             axes.append(_direction(angle, height))
             concentration.append(rng.uniform(60, 300))
-            colour.append(
-                (
-                    rng.uniform(0.4 * BRIGHTEST, BRIGHTEST) * np.array([1.0, rng.uniform(0.88, 1.0), rng.uniform(0.75, 1.0)])
-                ).tolist()
-            )
-        for index in range(cards):  # a spiral of directions: evenly spread, none twice
+            brightness = rng.uniform(0.4 * BRIGHTEST, BRIGHTEST)
+            colour.append((brightness * np.array([1.0, rng.uniform(0.88, 1.0), rng.uniform(0.75, 1.0)])).tolist())
+        for index in range(cards):  # an even spiral of directions
             height = 0.95 * (1 - 2 * (index + 0.5) / cards)
             axes.append(_direction(index * 2.39996 + 0.5 * rng.random(), height))
             concentration.append(rng.uniform(15, 200))
@@ -47,8 +44,8 @@ class Light:
         parts = (np.asarray(values, np.float32) for values in (axes, concentration, colour, [0.06, 0.06, 0.07]))
         return cls(*parts)
 
-    def seen(self, directions: Float[Array, "3 n"], blur: float | Float[Array, " n"]) -> Float[Array, "3 n"]:
-        """Light from unit directions through a lobe of concentration `blur` about each."""
+    def convolved(self, directions: Float[Array, "3 n"], blur: float | Float[Array, " n"]) -> Float[Array, "3 n"]:
+        """Light around unit directions, convolved with a lobe of concentration `blur`."""
         own = self.concentration[:, None]
         both = own * blur / (own + blur)
         kept = (both / -jnp.expm1(-2 * both)) * (-np.expm1(-2 * own) / own)  # a wider lobe is a weaker one

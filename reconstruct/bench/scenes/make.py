@@ -1,4 +1,4 @@
-"""Shiny scenes as folders that every command reads: pictures, cameras, and the truth about shape and light.
+"""Shiny scenes as folders that every command reads: images, cameras, and the true shape and light.
 
 SCENE/images/ cameras.json               as any Koala scene: RGBA, straight alpha
 SCENE/truth/normals|depth|alpha|diffuse|specular/    float maps of the test views; light is linear and premultiplied with alpha
@@ -24,20 +24,28 @@ from reconstruct.bench.scenes.shiny import EDITION, RADIUS_M, SCENES
 from reconstruct.bench.scenes.tracer import Tracer
 
 SIZE, TRAIN, TEST = 200, 60, 20
-"""Pixels of a picture's side, and how many views there are to train on and to measure."""
+"""Width and height of the images in pixels, and numbers of training and test views."""
 DISTANCE_M, HALF_FIELD = 0.6, 0.118
-"""Of a camera from the middle, and half the width of what it sees there [m]."""
+"""Distance of the cameras from the centre, and half the width of the field of view there [m]."""
 SAMPLES = 3
-"""Rays through a pixel, along each of its sides."""
+"""Rays per pixel along each axis."""
 MARGIN = 0.04
-"""Of the object's box on each side, as a share of that side."""
+"""Margin of the object's box on each side, as a share of its size."""
 MESH_CELLS = 160
-"""Cells along the side of the cube in which the surface is looked for."""
+"""Cells per axis of the grid for marching cubes."""
 
 
-def provide(name: str, out: Path, *, size: int = SIZE, train: int = TRAIN, test: int = TEST, format: str = "koala",
-            done: Callable[[], None] = lambda: None) -> bool:  # fmt: skip
-    """`write` a scene (seed 0) into `out`, unless it is there already. Returns whether it was written.
+def provide(
+    name: str,
+    out: Path,
+    *,
+    size: int = SIZE,
+    train: int = TRAIN,
+    test: int = TEST,
+    format: str = "koala",
+    done: Callable[[], None] = lambda: None,
+) -> bool:
+    """`write` a scene (seed 0) into `out` unless it exists. Returns whether it was written.
 
     Raises:
         UsageError: `out` holds something else.
@@ -55,18 +63,27 @@ def _provenance(name: str, size: int, seed: int) -> dict[str, Any]:
     return {"format": "bench", "scene": name, "edition": EDITION, "size": size, "seed": seed}
 
 
-def write(name: str, out: Path, *, size: int = SIZE, train: int = TRAIN, test: int = TEST, seed: int = 0, format: str = "koala",
-          done: Callable[[], None] = lambda: None) -> Scene:  # fmt: skip
+def write(
+    name: str,
+    out: Path,
+    *,
+    size: int = SIZE,
+    train: int = TRAIN,
+    test: int = TEST,
+    seed: int = 0,
+    format: str = "koala",
+    done: Callable[[], None] = lambda: None,
+) -> Scene:
     """Render one of `SCENES` into the new folder `out`.
 
     Args:
-        size: pixels of a picture's side.
-        seed: of the cameras' places. The scene itself is always the same.
-        format: layout of the folder, one of `datasets.formats.WRITERS`.
+        size: width and height of the images in pixels.
+        seed: of the camera positions. The scene itself does not change.
+        format: of the folder, one of `datasets.formats.WRITERS`.
         done: called after each view.
 
     Raises:
-        UsageError: there is no such scene, or `out` holds something.
+        UsageError: unknown scene, or `out` is not empty.
     """
     if name not in SCENES:
         raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, SCENES))
@@ -77,24 +94,24 @@ def write(name: str, out: Path, *, size: int = SIZE, train: int = TRAIN, test: i
         views = []
         for index, world_from_camera in enumerate(poses):
             view = View(f"{index:03d}", camera, world_from_camera, "test" if index in tested else "train", Path())
-            views.append(_written(view, seen(tracer, camera, world_from_camera), Path(folder)))
+            views.append(_written(view, render_view(tracer, camera, world_from_camera), Path(folder)))
             done()
         box = write_mesh(tracer, Path(folder) / "object.ply")
         box = box + MARGIN * (box[1] - box[0]) * [[-1.0], [1.0]]
-        scene = Scene(name, tuple(views), *bounds.depth_range(views, box), box, "white", metric=True, 
-                      provenance=_provenance(name, size, seed))  # fmt: skip
+        about = _provenance(name, size, seed)
+        scene = Scene(name, tuple(views), *bounds.depth_range(views, box), box, "white", metric=True, provenance=about)
         save_scene(scene, out, format, extra={"truth/object.ply": Path(folder) / "object.ply"})
     return scene
 
 
 def camera_of(size: int) -> Camera:
-    """A pinhole that sees `HALF_FIELD` to each side at `DISTANCE_M`."""
+    """A pinhole camera whose field of view is `HALF_FIELD` to each side at `DISTANCE_M`."""
     focal = 0.5 * size * DISTANCE_M / HALF_FIELD
     return Camera(size, size, focal, focal, size / 2, size / 2)
 
 
 def places(count: int, seed: int) -> list[NDArray[np.float64]]:
-    """(4, 4) world_from_camera of cameras on a spiral from 25 degrees below the horizon to 75 above, moved a little at random."""
+    """(4, 4) world_from_camera of cameras on a spiral from 25 degrees below the horizon to 75 above, with random offsets."""
     rng = np.random.default_rng(seed)
     low, high = np.sin(np.deg2rad([-25, 75]))
     found = []
@@ -106,10 +123,10 @@ def places(count: int, seed: int) -> list[NDArray[np.float64]]:
     return found
 
 
-def seen(tracer: Tracer, camera: Camera, world_from_camera: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
+def render_view(tracer: Tracer, camera: Camera, world_from_camera: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
     """Maps (size, size, channels) of one view, each pixel the mean of `SAMPLES` squared rays.
 
-    "alpha", "depth" along z [m] and unit "normals" of what is hit; "diffuse" and "specular" linear, premultiplied with alpha.
+    "alpha", "depth" along z [m] and unit "normals" of the hit; "diffuse" and "specular" linear, premultiplied with alpha.
     """
     fine = camera.scaled(SAMPLES * camera.width, SAMPLES * camera.height)
     in_camera = fine.directions(fine.pixel_centres()).reshape(-1, 3)
@@ -127,13 +144,13 @@ def seen(tracer: Tracer, camera: Camera, world_from_camera: NDArray[np.float64])
 
 
 def _mean(values: NDArray, camera: Camera) -> NDArray[np.float64]:
-    """(height, width, channels) mean over each pixel's rays of values for all of them."""
+    """(height, width, channels) mean of values over the rays of each pixel."""
     grid = values.reshape(camera.height, SAMPLES, camera.width, SAMPLES, -1)
     return grid.mean((1, 3), dtype=np.float64)
 
 
 def _written(view: View, maps: dict[str, NDArray[np.float32]], folder: Path) -> View:
-    """The view with its picture, and for a test view its truth, in files."""
+    """The view with its image and, for a test view, its true maps in files."""
     light = (maps["diffuse"] + maps["specular"]) / np.maximum(maps["alpha"], 1e-6)
     image = folder / f"{view.name}.png"
     images.write(image, np.concatenate([images.srgb_from_linear(light), maps["alpha"]], -1))
@@ -145,7 +162,7 @@ def _written(view: View, maps: dict[str, NDArray[np.float32]], folder: Path) -> 
 
 
 def write_mesh(tracer: Tracer, path: Path, *, cells: int = MESH_CELLS) -> NDArray[np.float64]:
-    """The surface as a mesh [m]: marching cubes, its vertices then moved onto the surface along the normals.
+    """The surface as a mesh [m]: marching cubes, then its vertices are moved onto the surface along the normals.
 
     Returns:
         (2, 3) lower and upper corner of its box.

@@ -1,4 +1,4 @@
-"""Solids by their signed distance: negative inside, and never more than the true distance outside.
+"""Solids as signed distances: negative inside, at most the true distance outside.
 
 Unit: the radius of the ball that holds the whole scene. After Quilez, "Distance functions" (2008 and later).
 """
@@ -71,7 +71,7 @@ def placed(solid: Distance, at: tuple[float, float, float], turn_deg: tuple[floa
 
 
 def blended(reach: float, *solids: Distance) -> Distance:
-    """Solids melted together where they are closer than about `reach` (Quilez' polynomial smooth minimum)."""
+    """Solids blended where they are closer than about `reach` (Quilez' polynomial smooth minimum)."""
 
     def both(first: Distance, second: Distance) -> Distance:
         def distance(p: Points) -> Float[Array, " n"]:

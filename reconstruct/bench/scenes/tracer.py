@@ -1,7 +1,7 @@
-"""Rays against shiny solids under distant light: where they hit, and what they see there.
+"""Traces rays against shiny solids under distant light, by sphere tracing (Hart 1996).
 
-Sphere tracing (Hart 1996). A hit shows its matte part, and mirrors the light or, where the mirrored ray meets a solid again, that
-solid's matte part and its own mirroring of the light. Matte parts receive the light unshadowed.
+A hit shows its matte part and reflects the light or, where the reflected ray hits a solid again, that solid's matte part and its
+reflection of the light. Matte parts receive the light without shadows.
 """
 
 from dataclasses import dataclass
@@ -18,26 +18,26 @@ from reconstruct.bench.scenes.solids import Distance, normals
 from reconstruct.numerics.safe import safe_norm
 
 ON_SURFACE = 1e-5
-"""A ray has arrived where the distance is less [radius of the scene]."""
+"""A ray has hit below this distance [radius of the scene]."""
 STEPS, ROUNDS = 16, 16
-"""Steps of a ray between two looks at which rays go on, and how often at most."""
+"""Steps between selections of the rays that continue, and the maximum number of these."""
 CHUNK = 8192
-"""Rays that are traced at once: one size, so that each program is compiled once."""
+"""Rays traced at once: one size, so that each program is compiled once."""
 Vectors = Float[Array, "3 n"]
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a solid's surface does to light; linear."""
+    """Reflection by a solid's surface; linear."""
 
     matte: tuple[float, float, float]
     """Share of light that is scattered evenly."""
     mirror: tuple[float, float, float]
-    """Share that is mirrored when seen head on; at grazing angles all of it (Schlick 1994)."""
+    """Share that is reflected at normal incidence; all at grazing angles (Schlick 1994)."""
     sharpness: float
-    """Concentration of the lobe around the mirrored direction."""
+    """Concentration of the lobe around the reflected direction."""
     second: tuple[float, float, float] | None = None
-    """Matte colour of every second patch, where there is a pattern."""
+    """Matte colour of every second patch; None without a pattern."""
     patches: float = 8.0
     """Patches per unit, times pi."""
 
@@ -60,7 +60,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Tracer:
-    """Traces rays through a scene inside the unit ball. Compiles as it goes; keep it for a scene's views."""
+    """Traces rays through a scene inside the unit ball. Compiles on first use: keep one per scene."""
 
     bodies: tuple[Body, ...]
     light: Light
@@ -78,10 +78,10 @@ class Tracer:
         return jnp.stack([body.solid(points) for body in self.bodies])
 
     def look(self, origins: NDArray, directions: NDArray) -> dict[str, NDArray[np.float32]]:
-        """What (n, 3) rays with unit directions see.
+        """Radiance, distance and normals along (n, 3) rays with unit directions.
 
         Returns:
-            "t" (n,) distance of the hit, 0 where there is none; "normals" (n, 3); "diffuse" and "specular" (n, 3) linear light.
+            "t" (n,) distance of the hit, 0 for none; "normals" (n, 3); "diffuse" and "specular" (n, 3) linear light.
         """
         t = self.cast(origins, directions)
         hit = np.flatnonzero(t > 0)
@@ -97,7 +97,7 @@ class Tracer:
         return found
 
     def cast(self, origins: NDArray, directions: NDArray) -> NDArray[np.float32]:
-        """(n,) distance at which (n, 3) rays with unit directions meet a solid; 0 where they meet none."""
+        """(n,) distance at which (n, 3) rays with unit directions hit a solid; 0 for none."""
         enter, leave = _ball_interval(origins, directions)
         t, arrived = enter.copy(), np.zeros(len(enter), bool)
         going = np.flatnonzero(leave > enter)
@@ -107,11 +107,11 @@ class Tracer:
             t[going], gap = self._in_chunks(_marched, origins[going], directions[going], t[going])
             arrived[going] = gap < ON_SURFACE
             going = going[(gap >= ON_SURFACE) & (t[going] < leave[going])]
-        arrived[going] = True  # a ray that creeps along a surface for so long touches it
+        arrived[going] = True  # rays that still approach a surface touch it
         return np.where(arrived & (t < leave), t, 0).astype(np.float32)
 
     def _in_chunks(self, function, *rows: NDArray) -> tuple[NDArray[np.float32], ...]:
-        """A compiled function of columns applied to as many rows as there are."""
+        """Apply a compiled function of columns to any number of rows."""
         parts = []
         for start in range(0, len(rows[0]), CHUNK):
             part = [values[start : start + CHUNK].astype(np.float32) for values in rows]
@@ -120,7 +120,7 @@ class Tracer:
         return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
     def _material(self, points: Vectors) -> tuple[Vectors, Vectors, Float[Array, " n"]]:
-        """Matte share, mirrored share head on, and sharpness of the nearest body."""
+        """Matte share, reflected share at normal incidence, and sharpness of the nearest body."""
         nearest = jnp.argmin(self._distances(points), 0)
         matte, mirror, sharpness = jnp.zeros_like(points), jnp.zeros_like(points), jnp.ones_like(points[0])
         for index, body in enumerate(self.bodies):
@@ -133,7 +133,7 @@ class Tracer:
 
 @partial(jax.jit, static_argnums=0)
 def _marched(tracer: Tracer, origins: Vectors, directions: Vectors, t: Float[Array, " n"]):
-    """t after some steps, and the distance from the surface there."""
+    """t after several steps, and the distance from the surface there."""
 
     def step(_, t):
         gap = tracer.distance(origins + t * directions)
@@ -151,7 +151,7 @@ def _measured(tracer: Tracer, points: Vectors):
 
 @partial(jax.jit, static_argnums=0)
 def _turned(tracer: Tracer, points: Vectors, directions: Vectors):
-    """Normals, and directions mirrored about them."""
+    """Normals, and directions reflected about them."""
     normal = normals(tracer.distance, points)
     mirrored = directions - 2 * jnp.sum(directions * normal, 0) * normal
     return normal, mirrored / safe_norm(mirrored, axis=0)
@@ -159,27 +159,27 @@ def _turned(tracer: Tracer, points: Vectors, directions: Vectors):
 
 @partial(jax.jit, static_argnums=0)
 def _shaded(tracer: Tracer, points: Vectors, directions: Vectors, leaving: Vectors, mirrored: Vectors, again: Float[Array, " n"]):
-    """Matte and mirrored light of hits whose mirrored rays meet a solid again at the distance `again`, 0 for never."""
+    """Matte and reflected light of hits whose reflected rays hit a solid at the distance `again`, 0 for none."""
     matte, mirror, sharpness = tracer._material(points)
     normal = normals(tracer.distance, points)
     other = leaving + again * mirrored
     other_matte, other_mirror, other_sharpness = tracer._material(other)
     other_normal = normals(tracer.distance, other)
     twice = mirrored - 2 * jnp.sum(mirrored * other_normal, 0) * other_normal
-    from_body = other_matte * tracer.light.seen(other_normal, MATTE)
-    from_body += _schlick(other_mirror, mirrored, other_normal) * tracer.light.seen(twice, other_sharpness)
-    arriving = jnp.where(again > 0, from_body, tracer.light.seen(mirrored, sharpness))
-    return matte * tracer.light.seen(normal, MATTE), _schlick(mirror, directions, normal) * arriving
+    from_body = other_matte * tracer.light.convolved(other_normal, MATTE)
+    from_body += _schlick(other_mirror, mirrored, other_normal) * tracer.light.convolved(twice, other_sharpness)
+    arriving = jnp.where(again > 0, from_body, tracer.light.convolved(mirrored, sharpness))
+    return matte * tracer.light.convolved(normal, MATTE), _schlick(mirror, directions, normal) * arriving
 
 
 def _schlick(head_on: Vectors, directions: Vectors, normal: Vectors) -> Vectors:
-    """Mirrored share at the angle between a ray and a normal."""
+    """Reflected share at the angle between a ray and a normal (Schlick 1994)."""
     grazing = jnp.clip(1 + jnp.sum(directions * normal, 0), 0, 1) ** 5
     return head_on + (1 - head_on) * grazing
 
 
 def _ball_interval(origins: NDArray, directions: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where rays with unit directions enter and leave the unit ball; an empty interval where they miss it."""
+    """Where rays with unit directions enter and leave the unit ball; an empty interval if they miss it."""
     origins, directions = origins.astype(np.float64), directions.astype(np.float64)
     closest = -(origins * directions).sum(-1)
     half = 1 - ((origins + closest[:, None] * directions) ** 2).sum(-1)

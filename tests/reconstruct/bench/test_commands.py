@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from datasets.core.errors import UsageError
 from reconstruct.bench.records import Records
-from reconstruct.bench.run import RECORDS
+from reconstruct.bench.runner import RECORDS
 from reconstruct.cli import app
 
 

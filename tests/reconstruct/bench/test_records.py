@@ -52,5 +52,5 @@ def test_failed_trials_are_not_done_and_later_rows_count(tmp_path: Path, make_ro
 
 def test_other_columns_are_refused(tmp_path: Path) -> None:
     (tmp_path / "records.csv").write_text("scene,psnr\nball,20\n")
-    with pytest.raises(DatasetError, match="other columns"):
+    with pytest.raises(DatasetError, match="columns differ"):
         Records(tmp_path / "records.csv").rows()

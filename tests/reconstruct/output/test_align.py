@@ -7,12 +7,12 @@ from datasets.imaging import images
 from datasets.scene import View
 from reconstruct.output import evaluate
 from reconstruct.output.align import PIXELS, Aligner
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene import poses
 
 
 @pytest.fixture
-def photographed(painted: Trained, tmp_path) -> Trained:
+def photographed(painted: TrainedModel, tmp_path) -> TrainedModel:
     """The painted ball with test pictures taken through the model itself."""
     views = []
     for view in painted.scene.views:
@@ -32,7 +32,7 @@ def away(view: View, seed: int) -> View:
 
 
 def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
-    photographed: Trained, monkeypatch: pytest.MonkeyPatch
+    photographed: TrainedModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Poses that are right stay, those that are off come back, and what is measured without alignment never changes."""
     monkeypatch.setattr(evaluate, "TRUE_SURFACE", "no mesh")  # which would take longer than all the rest
@@ -54,7 +54,7 @@ def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
     assert off["psnr"] > plain["per_view"][0]["psnr"] + 6 and right["psnr"] > plain["per_view"][1]["psnr"] - 0.1
     assert off["pixels"] == min(PIXELS, 48 * 40 // 2), "at most every other pixel decides"
     assert set(both["aligned"]["definitions"]) >= {"aligned", "moved_mm", "turned_deg", "moved_px"}
-    assert "PSNR [dB], each pose aligned" in evaluate.table(both) and "aligned" not in evaluate.table(plain)
+    assert "PSNR [dB], poses aligned" in evaluate.table(both) and "aligned" not in evaluate.table(plain)
     aligned = Aligner(trained)(views[0]).view
     apart = [poses.change(scene.views[0], view, box)["moved_px"] for view in (views[0], aligned)]
     assert apart[0] > 0.15 and apart[1] < 0.2 * apart[0], apart  # what the steps along each ray of 2 mm leave

@@ -15,14 +15,14 @@ from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.output import evaluate
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model
 
 STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
 """A ray is cut into 192 steps through a box of 0.2 m; along its diagonal a step is this long."""
 
 
-def test_a_model_that_is_the_truth_scores_as_one(ball: Trained) -> None:
+def test_a_model_that_is_the_truth_scores_as_one(ball: TrainedModel) -> None:
     """What error there is comes from steps of about 1 mm at the rim, where a ray through a pixel's centre stands for all of it."""
     result = evaluate.evaluate(ball)
     found = result["mean"]
@@ -61,7 +61,7 @@ class Walled(Field):
 
 
 @pytest.mark.slow
-def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_stands_on(ball: Trained) -> None:
+def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_stands_on(ball: TrainedModel) -> None:
     truth = Path(ball.run.scene_path) / evaluate.TRUE_SURFACE
     grid = ball.state.occupancy
     state = eqx.tree_at(
@@ -74,12 +74,12 @@ def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_
     assert alone["accuracy_mm"] < STEP_MM and alone["completeness_mm"] < STEP_MM
 
 
-def test_missing_split_is_misuse(ball: Trained) -> None:
+def test_missing_split_is_misuse(ball: TrainedModel) -> None:
     with pytest.raises(UsageError, match="no val views"):
         evaluate.evaluate(ball, split="val")
 
 
-def test_truth_keeps_its_meaning_at_another_size(ball: Trained) -> None:
+def test_truth_keeps_its_meaning_at_another_size(ball: TrainedModel) -> None:
     view = ball.scene.split("test")[0]
     full = evaluate.read_truth(view, view.camera)
     half = evaluate.read_truth(view, view.camera.scaled(24, 20))
@@ -94,14 +94,14 @@ def test_truth_keeps_its_meaning_at_another_size(ball: Trained) -> None:
     assert np.allclose(half["alpha"][..., 0], full["alpha"].reshape(20, 2, 24, 2).mean((1, 3)))
 
 
-def test_picture_is_laid_over_white_and_gives_the_alpha(ball: Trained) -> None:
+def test_picture_is_laid_over_white_and_gives_the_alpha(ball: TrainedModel) -> None:
     view = ball.scene.split("train")[0]
     truth = evaluate.read_truth(view, view.camera)
     assert not view.truth and set(truth) == {"rgb", "alpha"}
     assert (truth["rgb"][truth["alpha"][..., 0] == 0] == 1).all()
 
 
-def test_without_truth_only_the_picture_is_compared(ball: Trained) -> None:
+def test_without_truth_only_the_picture_is_compared(ball: TrainedModel) -> None:
     view: View = ball.scene.split("train")[0]
     found = evaluate.compare(vars(ball.picture(view)), evaluate.read_truth(view, view.camera), metric=True)
     assert set(found) == {"psnr", "ssim"}

@@ -6,10 +6,10 @@ import pytest
 from datasets.core.errors import UsageError
 from datasets.imaging import images
 from reconstruct.output import export
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 
 
-def test_every_channel_of_every_view_is_written(ball: Trained, tmp_path: Path) -> None:
+def test_every_channel_of_every_view_is_written(ball: TrainedModel, tmp_path: Path) -> None:
     assert export.render(ball, tmp_path / "out")["views"] == 2
     folders = {path.name for path in (tmp_path / "out").iterdir()}
     assert folders == {"rgb", "diffuse", "specular", "normals", "normals_exr", "normals_pred", "depth", "depth_view",
@@ -33,7 +33,7 @@ def test_every_channel_of_every_view_is_written(ball: Trained, tmp_path: Path) -
 
 
 def test_it_never_overwrites_and_leaves_nothing_on_failure(
-    ball: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ball: TrainedModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("mine")
@@ -56,7 +56,7 @@ def test_brightness_of_depth() -> None:
     assert not export.brightness_of_depth(0 * depth).any()
 
 
-def test_frames_of_a_path_are_what_the_renderer_sees_from_there(ball: Trained, tmp_path: Path) -> None:
+def test_frames_of_a_path_are_what_the_renderer_sees_from_there(ball: TrainedModel, tmp_path: Path) -> None:
     views = ball.scene.views
     frames = [view.world_from_camera for view in (views[1], views[0])]
     assert export.render_along(ball, frames, tmp_path / "out") == {"out": str(tmp_path / "out"), "views": 2}

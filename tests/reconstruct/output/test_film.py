@@ -5,7 +5,7 @@ import pytest
 
 from datasets.core.errors import UsageError
 from reconstruct.output import camera_path, film
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 
 av = pytest.importorskip("av", reason="the package 'av' is absent: no films can be read back")
 
@@ -25,7 +25,7 @@ def test_pictures_come_back_from_the_film(tmp_path: Path) -> None:
     assert np.abs(back.astype(float) - np.stack(pictures)[:, :40, :48]).mean() < 4
 
 
-def test_a_model_is_filmed_along_its_orbit(ball: Trained, tmp_path: Path) -> None:
+def test_a_model_is_filmed_along_its_orbit(ball: TrainedModel, tmp_path: Path) -> None:
     frames = camera_path.orbit(ball.scene, 3)
     result = film.film(ball, frames, tmp_path / "ball.mp4", shown=("rgb", "normals", "depth_view"), fps=12)
     assert result["frames"] == 3 and result["size"] == [3 * 48, 40]
@@ -37,7 +37,7 @@ def test_a_model_is_filmed_along_its_orbit(ball: Trained, tmp_path: Path) -> Non
     )  # srgb of 0.3, 0.3, 0.35
 
 
-def test_misuse(ball: Trained, tmp_path: Path) -> None:
+def test_misuse(ball: TrainedModel, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="did you mean 'normals'"):
         film.film(ball, [np.eye(4)], tmp_path / "a.mp4", shown=("normal",))
     with pytest.raises(UsageError, match=r"end --out in \.mp4"):

@@ -8,8 +8,8 @@ from scipy.signal import correlate
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 from reconstruct.output import evaluate
 from reconstruct.output.lpips import LAYERS, SMALLEST, WEIGHTS, Lpips
-from reconstruct.output.restored import Trained
-from reconstruct.studies import table
+from reconstruct.output.trained_model import TrainedModel
+from reconstruct.studies import results_table
 from reconstruct.studies.results import rows_of_runs
 
 PUBLISHED = {(47, 40): 0.3724093, (31, 33): 0.3338005}
@@ -107,7 +107,7 @@ def test_what_cannot_be_compared_is_told(lpips: Lpips) -> None:
     assert lpips(first, second) is not None
     assert lpips(first[1:], second[1:]) is None, "the last layer would have no pixel"
     for other in (first[1:], first[..., :1], first[..., 0]):
-        with pytest.raises(UsageError, match="two colour pictures of one size"):
+        with pytest.raises(UsageError, match="two colour images of the same size"):
             lpips(first, other)
 
 
@@ -134,7 +134,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         Lpips.load(tmp_path / "none.npz")
 
 
-def test_a_run_is_measured_with_it(ball: Trained, weights_file: Path, lpips: Lpips, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_is_measured_with_it(ball: TrainedModel, weights_file: Path, lpips: Lpips, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stored with its definition and the weights that it depends on, and shown in tables."""
     monkeypatch.setattr(evaluate, "compare_surface", lambda *_, **__: None)
     result = evaluate.evaluate(ball, lpips=lpips)
@@ -147,4 +147,4 @@ def test_a_run_is_measured_with_it(ball: Trained, weights_file: Path, lpips: Lpi
     assert written["lpips_weights"] == {"file": weights_file.name, "sha256": lpips.sha256} and len(lpips.sha256) == 64
     assert "LPIPS" in evaluate.table(result)
     rows = rows_of_runs([ball.run.path])
-    assert "LPIPS" in table.markdown(rows, table.chosen_columns(rows))
+    assert "LPIPS" in results_table.markdown(rows, results_table.chosen_columns(rows))

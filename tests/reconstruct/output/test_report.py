@@ -12,11 +12,11 @@ from datasets.core import files
 from datasets.core.errors import UsageError
 from datasets.imaging import images
 from reconstruct.output import evaluate, report
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.training.skipping import record
 
 
-def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: Trained, tmp_path: Path) -> None:
+def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: TrainedModel, tmp_path: Path) -> None:
     result = report.write(ball, tmp_path / "report")
     page = (tmp_path / "report" / "index.html").read_text()
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page), "nothing is loaded from elsewhere"
@@ -35,28 +35,28 @@ def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: Trained, tmp
 
 
 def test_figures_are_taken_over_while_they_are_of_this_state(
-    ball: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ball: TrainedModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = evaluate.evaluate(ball)
     written["mean"]["psnr"] = 12.345
     files.write_json(ball.run.path / "metrics.json", written | {"mesh_stands_on": "-z"})
     assert report.write(ball, tmp_path / "first")["mean"]["psnr"] == 12.345
     page = (tmp_path / "first" / "index.html").read_text()
-    assert "Of the mesh of what stands on -z, without what else reaches into the box." in page
+    assert "Of the mesh of the object that stands on -z, without whatever else enters the box." in page
     assert f"reconstruct eval {ball.run.path} --stands-on -z" in page
     later = replace(ball, state=replace(ball.state, step=ball.state.step + 1))
     assert report.write(later, tmp_path / "second")["mean"]["psnr"] != 12.345
     assert "any side but" not in (tmp_path / "second" / "index.html").read_text()
 
 
-def test_it_never_overwrites(ball: Trained, tmp_path: Path) -> None:
+def test_it_never_overwrites(ball: TrainedModel, tmp_path: Path) -> None:
     (tmp_path / "report").mkdir()
     (tmp_path / "report" / "mine").write_text("mine")
     with pytest.raises(UsageError, match="already exists"):
         report.write(ball, tmp_path / "report")
 
 
-def test_calibration_is_shown_with_its_error(ball: Trained, tmp_path: Path, simulated_session: Callable[..., Path]) -> None:
+def test_calibration_is_shown_with_its_error(ball: TrainedModel, tmp_path: Path, simulated_session: Callable[..., Path]) -> None:
     camera = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
     recording = simulated_session(tmp_path / "board", hand_eye_shift_mm=0.25)
     found = Calibration(camera, {}, UncertainPose(np.eye(4), np.eye(6)), residuals={"held_out_px": 0.125},
@@ -67,7 +67,7 @@ def test_calibration_is_shown_with_its_error(ball: Trained, tmp_path: Path, simu
     assert ">0.2500<" in page and "hand-eye pose, position" in page and ">0.1250<" in page
 
 
-def test_channels_stand_beside_their_truth(ball: Trained) -> None:
+def test_channels_stand_beside_their_truth(ball: TrainedModel) -> None:
     view = ball.scene.split("test")[0]
     pairs = report.side_by_side(evaluate.read_truth(view, view.camera), ball.picture(view))
     assert list(pairs) == ["colour", "normals", "depth", "diffuse", "specular"]
@@ -77,7 +77,7 @@ def test_channels_stand_beside_their_truth(ball: Trained) -> None:
     assert [name for name, (truth, _) in unknown.items() if truth is None] == ["normals", "depth", "diffuse", "specular"]
 
 
-def test_what_was_skipped_is_listed(ball: Trained, tmp_path: Path) -> None:
+def test_what_was_skipped_is_listed(ball: TrainedModel, tmp_path: Path) -> None:
     path = ball.run.path / record.SKIPS
     assert not path.exists()
     record.write(ball.run.path, [record.Skip("distortion", True, "the lens is a pinhole", "a tenth of reading", "none: exact")])
@@ -86,4 +86,4 @@ def test_what_was_skipped_is_listed(ball: Trained, tmp_path: Path) -> None:
     finally:
         path.unlink()
     page = (tmp_path / "report" / "index.html").read_text()
-    assert "<td>distortion</td><td>left out</td><td>the lens is a pinhole</td>" in page
+    assert "<td>distortion</td><td>skipped</td><td>the lens is a pinhole</td>" in page

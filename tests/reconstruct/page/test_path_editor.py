@@ -53,7 +53,7 @@ def test_stops_and_curve_are_drawn_and_taken_away(editor: PathEditor) -> None:
     assert node("/path/stops/1") is None and node("/path/curve") is None and node("/path/stops/0") is not None
     editor.remove()
     editor.remove()  # nothing is left
-    assert editor.stops == [] and editor._words.content == "*no stops yet*" and editor.chosen.value == "none"
+    assert editor.stops == [] and editor._status.content == "*no stops yet*" and editor.chosen.value == "none"
 
 
 def test_stops_are_put_in_changed_and_taken_out_anywhere(editor: PathEditor) -> None:
@@ -82,14 +82,14 @@ def test_a_closed_path_has_a_leg_more_and_is_taken_up_again(editor: PathEditor) 
     assert again.path == editor.path and again.seconds.value == pytest.approx(1.5)
     editor.out.write_text("fps: fast")
     broken = PathEditor(editor.page, editor.out, CAMERA, 1.0)
-    assert broken.stops == [] and "fps" in broken._words.content
+    assert broken.stops == [] and "fps" in broken._status.content
 
 
 def test_one_stop_is_no_path(editor: PathEditor) -> None:
     editor.add(None)  # a browser that has gone
     editor.add(browser_at((1, 0, 0.4)))
     editor.write()
-    assert "two stops" in editor._words.content and not editor.out.exists()
+    assert "two stops" in editor._status.content and not editor.out.exists()
 
 
 def test_flying_ends_at_the_last_stop_and_when_the_page_does(editor: PathEditor) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruct.numerics.safe import normalise
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering import pictures
 from reconstruct.rendering.model import cloud_of, render
 from reconstruct.rendering.pictures import Renderer, composited_normals, sampled_rays
@@ -17,7 +17,7 @@ from reconstruct.run import Run
 from reconstruct.scene.rays import Rays, view_rays
 
 
-def rays_of(trained: Trained) -> Rays:
+def rays_of(trained: TrainedModel) -> Rays:
     view = trained.scene.split("test")[0]
     return Rays(*map(jnp.asarray, view_rays(view, trained.run.normalisation, trained.camera(view))))
 
@@ -26,7 +26,7 @@ def rays_of(trained: Trained) -> Rays:
 def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     make_run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
-    trained = Trained.open(make_run().path)
+    trained = TrainedModel.open(make_run().path)
     rays, field = rays_of(trained), trained.state.model.field
     samples, footprint, _ = sampled_rays(trained.functions, trained.state, rays)
     cloud = cloud_of(rays, samples, bounded=True, footprint=footprint)
@@ -43,7 +43,7 @@ def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     assert np.median(angle) < 0.2  # most of what is left out points the same way
 
 
-def test_rays_that_meet_nothing_show_what_is_behind_and_cost_nothing(ball: Trained) -> None:
+def test_rays_that_meet_nothing_show_what_is_behind_and_cost_nothing(ball: TrainedModel) -> None:
     rays = rays_of(ball)
     given = [np.asarray(values) for values in (rays.origins, rays.directions, rays.radii)]
     pink = Renderer(ball.functions, background=(1.0, 0.5, 0.75))
@@ -60,7 +60,7 @@ def test_rays_that_meet_nothing_show_what_is_behind_and_cost_nothing(ball: Train
 
 
 def test_pictures_larger_and_smaller_than_what_is_rendered_at_once_are_the_same(
-    ball: Trained, monkeypatch: pytest.MonkeyPatch
+    ball: TrainedModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rays = rays_of(ball)
     given = [np.asarray(values) for values in (rays.origins, rays.directions, rays.radii)]

@@ -14,7 +14,7 @@ from datasets.core.errors import DatasetError
 from datasets.scene import Scene, View
 from reconstruct.config import Config
 from reconstruct.models import merged_config
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import Run
 from reconstruct.sampling.hull import cells_in_masks
 from reconstruct.scene import poses
@@ -69,7 +69,7 @@ def test_a_corrected_pose_sees_the_moved_rays(ball_scene: tuple[Scene, Path]) ->
 
 
 def test_perturbed_poses_are_recovered_from_the_pictures(
-    painted: Trained, config: Config, monkeypatch: pytest.MonkeyPatch
+    painted: TrainedModel, config: Config, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The true field, pictures of it from true poses, and poses that are off: steps of the training itself bring them back.
 
@@ -158,7 +158,7 @@ def test_refined_poses_are_written_down(ball_scene: tuple[Scene, Path], tmp_path
 
 
 def test_poses_that_were_not_refined_are_those_given(make_run: Callable[..., Run]) -> None:
-    trained = Trained.open(make_run().path)
+    trained = TrainedModel.open(make_run().path)
     assert poses.summary(trained.run.path) == "" and poses.read(trained.run.path) is None
     for old, new in zip(trained.run.scene().views, trained.scene.views, strict=True):
         np.testing.assert_array_equal(old.world_from_camera, new.world_from_camera)

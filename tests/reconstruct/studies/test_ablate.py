@@ -1,4 +1,4 @@
-"""The bookkeeping of studies; the trainings themselves are stand-ins here."""
+"""The bookkeeping of studies; the trainings are stubs."""
 
 import json
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from datasets.core.errors import UsageError
 from datasets.scene import Scene
 from reconstruct.models import load_config
 from reconstruct.run import Run
-from reconstruct.studies import ablate, recipe
+from reconstruct.studies import ablate, jobs
 
 
 def test_the_grid_changes_one_thing_at_a_time() -> None:
@@ -34,7 +34,7 @@ def test_folders_of_cells_are_different() -> None:
 
 @pytest.fixture
 def trainings(monkeypatch: pytest.MonkeyPatch, ball_scene: tuple[Scene, Path]) -> list[str]:
-    """Trainings and evaluations that only note what was asked for; the one of `random` breaks off once."""
+    """Stubs that record the trainings; that of `random` is interrupted once."""
     done: list[str] = []
 
     def train(scene: Scene, scene_path: Path, config: Any, out: Path, **options: Any) -> None:
@@ -53,21 +53,19 @@ def trainings(monkeypatch: pytest.MonkeyPatch, ball_scene: tuple[Scene, Path]) -
         mean = {"psnr": 20.0 + len(done), "normal_mae_alpha_acc_deg": 30.0 - len(done)}
         (path / "metrics.json").write_text(json.dumps({"format": "koala-metrics", "version": 1, "mean": mean, "per_view": []}))
 
-    monkeypatch.setattr(recipe, "train", train)
-    monkeypatch.setattr(recipe.Trained, "open", lambda path: path)
-    monkeypatch.setattr(recipe, "evaluate", evaluate)
+    monkeypatch.setattr(jobs, "train", train)
+    monkeypatch.setattr(jobs.TrainedModel, "open", lambda path: path)
+    monkeypatch.setattr(jobs, "evaluate", evaluate)
     return done
 
 
-def test_a_study_goes_on_where_it_was_broken_off(trainings: list[str], ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
+def test_an_interrupted_study_is_resumed(trainings: list[str], ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
     study = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["sampling random", "k = 1"])
     assert list(study.cells) == ["base", "sampling random", "k = 1"]
     with pytest.raises(KeyboardInterrupt):
         ablate.run(study, tmp_path / "study")
     result = ablate.run(study, tmp_path / "study")
-    assert trainings == [f"{name}/seed_3" for name in ("base", "sampling_random", "sampling_random", "k_1")], (
-        "what was finished stays"
-    )
+    assert trainings == [f"{name}/seed_3" for name in ("base", "sampling_random", "sampling_random", "k_1")], "finished runs stay"
     assert [row["cell"] for row in result["rows"]] == ["base", "sampling random", "k = 1"]
     table = (tmp_path / "study/table.md").read_text()
     assert "| ball | base | 21.00 | 29.00 |" in table, table
@@ -88,7 +86,7 @@ def test_a_study_goes_on_where_it_was_broken_off(trainings: list[str], ball_scen
     more = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=3"], 5.0, ["k = 5"])
     assert ablate.run(more, tmp_path / "study")["cells"] == 4 and trainings[-1] == "k_5/seed_3", "cells can be added"
     other = ablate.plan(str(ball_scene[1]), "surfnerf", "fast", ["train.seed=4"], 5.0, [])
-    with pytest.raises(UsageError, match=r"begun with other settings.*overrides was train.seed=3, and is train.seed=4 now"):
+    with pytest.raises(UsageError, match=r"started with other settings.*overrides was train.seed=3, and is train.seed=4 now"):
         ablate.run(other, tmp_path / "study")
 
 
@@ -112,7 +110,7 @@ def test_seeds_can_be_added_and_make_means_with_deviations(
 def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> None:
     with pytest.raises(UsageError, match="did you mean 'k = 5'"):
         ablate.plan(str(ball_scene[1]), "surfnerf", "fast", [], None, ["k=5"])
-    with pytest.raises(UsageError, match="a seed is named twice"):
+    with pytest.raises(UsageError, match="a seed is given twice"):
         ablate.plan(str(ball_scene[1]), "surfnerf", "fast", [], None, [], [1, 2, 1])
     with pytest.raises(UsageError, match="already exists"):
         ablate.run(ablate.plan(str(ball_scene[1]), "surfnerf", "fast", [], None, []), make_run(checkpointed=False).path)

@@ -33,10 +33,10 @@ def measured(make_run: Callable[..., Run], tmp_path: Path) -> Callable[..., Path
 def test_a_run_that_was_not_measured_is_named(measured: Callable[..., Path]) -> None:
     bare, broken = measured("bare", 20.0), measured("broken", 20.0)
     (bare / "metrics.json").unlink()
-    with pytest.raises(UsageError, match=r"bare: was not measured yet.*reconstruct eval"):
+    with pytest.raises(UsageError, match=r"bare: has not been evaluated.*reconstruct eval"):
         rows_of_runs([bare])
     (broken / "metrics.json").write_text(json.dumps({"format": "koala-metrics", "version": 1, "per_view": []}))
-    with pytest.raises(DatasetError, match=r"broken/metrics\.json: metrics are not complete"):
+    with pytest.raises(DatasetError, match=r"broken/metrics\.json: metrics are incomplete"):
         rows_of_runs([broken])
 
 

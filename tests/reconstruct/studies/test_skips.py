@@ -1,4 +1,3 @@
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,7 @@ from reconstruct.output.evaluate import METRICS
 from reconstruct.run import Run
 from reconstruct.scene.rays import Normalisation
 from reconstruct.studies import skips
-from reconstruct.studies.ablate import BASE, CELLS
-from reconstruct.studies.recipe import Recipe
+from reconstruct.studies.jobs import BASE, CELLS, Job
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.record import Skip
 
@@ -36,7 +34,7 @@ def skip(name: str, skipped: bool) -> Skip:
 
 
 def test_cost_is_what_skipping_loses_whichever_is_the_default(tmp_path: Path) -> None:
-    """Base skips empty rays and keeps fine levels; the cells are turned round."""
+    """Base skips empty rays and keeps fine levels; the cells invert both."""
     both = [skip("empty_rays", True), skip("fine_levels", False)]
     cell(tmp_path, BASE, [], 30.0, 12.0, 10.0, both)
     cell(tmp_path, "empty_rays", ["skip.empty_rays=false"], 30.05, 12.1, 25.0, [skip("empty_rays", False)])
@@ -48,15 +46,11 @@ def test_cost_is_what_skipping_loses_whichever_is_the_default(tmp_path: Path) ->
     text = skips.markdown([empty, fine])
     assert "+0.05 dB | -0.10° | 25.0 → 10.0 ms | yes" in text and "+0.30 dB" in text and "| no |" in text
     skips.write([empty, fine], tmp_path)
-    assert (
-        (tmp_path / "skips.csv")
-        .read_text()
-        .splitlines()[1]
-        .startswith(f"{tmp_path.name},empty_rays,True,0.05,-0.1,25.0,10.0,True")
-    )
+    row = (tmp_path / "skips.csv").read_text().splitlines()[1]
+    assert row == f"{tmp_path.name},empty_rays,True,0.05,-0.1,25.0,10.0,True"
 
 
-def test_scenes_without_normals_and_skips_that_do_not_apply_are_told(tmp_path: Path) -> None:
+def test_scenes_without_normals_and_skips_that_do_not_apply_are_marked(tmp_path: Path) -> None:
     cell(tmp_path, BASE, [], 30.0, None, 10.0, [skip("surroundings", False)])
     cell(tmp_path, "surroundings", ["skip.surroundings=false"], 30.0, None, 10.0, [skip("surroundings", False)])
     result = skips.compare(tmp_path, "surroundings")
@@ -64,7 +58,7 @@ def test_scenes_without_normals_and_skips_that_do_not_apply_are_told(tmp_path: P
     assert "| - | 10.0 → 10.0 ms | does not apply |" in skips.markdown([result])
 
 
-def test_every_skip_has_a_cell_that_turns_it_round() -> None:
+def test_every_skip_has_a_cell_that_inverts_it() -> None:
     wanted = skips.cells(())
     assert list(wanted) == [BASE, *record.NAMES]
     for name in record.NAMES:
@@ -73,19 +67,19 @@ def test_every_skip_has_a_cell_that_turns_it_round() -> None:
         skips.cells(["fine_level"])
 
 
-def test_a_comparison_is_gone_on_with_as_it_was_begun(
+def test_a_comparison_is_resumed_with_the_same_settings_only(
     ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stand_in(path: Path, recipe: Recipe, changes: Sequence[str]) -> None:
-        if not path.exists():
-            cell(path.parents[1], path.name, list(changes), 30.0, None, 10.0, [])
+    def stub(job: Job) -> None:
+        if not job.path.exists():
+            cell(job.path.parents[1], job.path.name, list(job.changes), 30.0, None, 10.0, [])
 
-    monkeypatch.setattr(skips, "finish", stand_in)
+    monkeypatch.setattr(Job, "run", stub)
     out = tmp_path / "skips"
     ask = lambda **request: skips.run([str(ball_scene[1])], out, names=["fine_levels"], **request)  # noqa: E731
     with pytest.raises(UsageError, match="surfnerf"):
         ask(model="surfnrf")
     assert not out.exists()
     assert ask() == ask() and (out / "skips.md").is_file()
-    with pytest.raises(UsageError, match=r"begun with other settings.*overrides was nothing"):
+    with pytest.raises(UsageError, match=r"started with other settings.*overrides was nothing"):
         ask(overrides=["scale=0.5"])

@@ -1,10 +1,9 @@
-"""The bookkeeping of sweeps; the trainings themselves are stand-ins here."""
+"""The bookkeeping of sweeps; the trainings are stubs."""
 
 import importlib.util
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,11 +11,12 @@ from datasets.core.errors import UsageError
 from datasets.scene import Scene
 from reconstruct.errors import ReconstructError
 from reconstruct.studies import sweep
-from reconstruct.studies.recipe import Recipe
+from reconstruct.studies.jobs import Job
 
 
-def stand_in(path: Path, recipe: Recipe, changes: Any) -> None:
-    """A run on disk as training and evaluation leave it; of `zipnerf` it fails while a file named `broken` lies beside."""
+def stub(job: Job) -> None:
+    """Write a run as training and evaluation do; `zipnerf` fails while a file named `broken` exists beside the sweep."""
+    path, recipe, changes = job.path, job.recipe, job.changes
     if recipe.model == "zipnerf" and (path.parents[3] / "broken").exists():
         raise ReconstructError("training does not stay finite")
     path.mkdir(parents=True)
@@ -30,16 +30,16 @@ def stand_in(path: Path, recipe: Recipe, changes: Any) -> None:
 
 @pytest.fixture
 def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("reconstruct.backend.cache_compilations", lambda: None)
+    monkeypatch.setattr(sweep, "cache_compilations", lambda: None)
 
 
-def test_a_failure_does_not_cost_the_others_and_can_be_mended(
+def test_a_failure_leaves_the_other_runs_and_can_be_repeated(
     ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
 ) -> None:
-    monkeypatch.setattr(sweep, "finish", stand_in)
+    monkeypatch.setattr(Job, "run", stub)
     (tmp_path / "broken").write_text("")
     out = tmp_path / "sweep"
-    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, out)
+    wanted = sweep.plan([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], 5.0, out)
     assert [job.path for job in wanted] == [out / "ball/zipnerf/seed_1", out / "ball/surfnerf/seed_1"]
     with pytest.raises(ReconstructError, match=r"1 of 2 runs failed \(ball/zipnerf/seed_1: training does not stay finite\)"):
         sweep.run(wanted, out)
@@ -52,23 +52,23 @@ def test_a_failure_does_not_cost_the_others_and_can_be_mended(
 def test_seeds_of_a_model_make_one_row(
     ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
 ) -> None:
-    monkeypatch.setattr(sweep, "finish", stand_in)
-    wanted = sweep.jobs([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", [], 5.0, tmp_path, [0, 2])
-    names = [job.name for job in wanted]
+    monkeypatch.setattr(Job, "run", stub)
+    wanted = sweep.plan([str(ball_scene[1])], ["zipnerf", "surfnerf"], "fast", [], 5.0, tmp_path, [0, 2])
+    names = ["/".join(job.path.parts[-3:]) for job in wanted]
     assert names == ["ball/zipnerf/seed_0", "ball/surfnerf/seed_0", "ball/zipnerf/seed_2", "ball/surfnerf/seed_2"]
     assert sweep.run(wanted, tmp_path)["runs"] == 4
     rows = [line for line in (tmp_path / "table.md").read_text().splitlines() if "nerf" in line]
     assert rows == ["| ball | zipnerf | **20.00 ± 0.00** |", "|  | surfnerf | **20.00 ± 0.00** |"]
 
 
-def test_a_sweep_is_gone_on_with_as_it_was_begun(
+def test_a_sweep_is_resumed_with_the_same_settings_only(
     ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
 ) -> None:
-    monkeypatch.setattr(sweep, "finish", stand_in)
+    monkeypatch.setattr(Job, "run", stub)
     scene, out = str(ball_scene[1]), tmp_path / "sweep"
-    ask = lambda *request, where=scene: sweep.run(sweep.jobs([where], *request, out), out)  # noqa: E731
+    ask = lambda *request, where=scene: sweep.run(sweep.plan([where], *request, out), out)  # noqa: E731
     ask(["zipnerf"], "fast", [], 5.0)
-    with pytest.raises(UsageError, match=r"begun with other settings \(budget_s was 5\.0, and is 3\.0 now\)"):
+    with pytest.raises(UsageError, match=r"started with other settings \(budget_s was 5\.0, and is 3\.0 now\)"):
         ask(["zipnerf"], "fast", [], 3.0)
     with pytest.raises(UsageError, match=r"overrides was nothing, and is scale=0\.5 now"):
         ask(["surfnerf"], "fast", ["scale=0.5"], 5.0)
@@ -76,22 +76,22 @@ def test_a_sweep_is_gone_on_with_as_it_was_begun(
     shutil.copytree(ball_scene[1], elsewhere)
     with pytest.raises(UsageError, match=r"scenes\.ball was"):
         ask(["zipnerf"], "fast", [], 5.0, where=str(elsewhere))
-    assert not (out / "ball/surfnerf").exists(), "refused before anything was trained"
+    assert not (out / "ball/surfnerf").exists(), "refused before any training"
     assert ask(["surfnerf"], "fast", [], 5.0) == {"out": str(out), "runs": 2, "trained": 1, "table": str(out / "table.md")}
     table = (out / "table.md").read_text()
     assert "zipnerf" in table and "surfnerf" in table, "models can be added"
     (tmp_path / "other").mkdir()
     (tmp_path / "other/notes.txt").write_text("mine")
     with pytest.raises(UsageError, match="already exists"):
-        sweep.run(sweep.jobs([scene], ["zipnerf"], "fast", [], 5.0, tmp_path / "other"), tmp_path / "other")
+        sweep.run(sweep.plan([scene], ["zipnerf"], "fast", [], 5.0, tmp_path / "other"), tmp_path / "other")
 
 
 def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
     scene = str(ball_scene[1])
     with pytest.raises(UsageError, match="did you mean 'zipnerf'"):
-        sweep.jobs([scene], ["zipnrf"], "fast", [], None, tmp_path)
-    with pytest.raises(UsageError, match="two scenes have one name"):
-        sweep.jobs([scene, scene], ["zipnerf"], "fast", [], None, tmp_path)
+        sweep.plan([scene], ["zipnrf"], "fast", [], None, tmp_path)
+    with pytest.raises(UsageError, match="two scenes have the same name"):
+        sweep.plan([scene, scene], ["zipnerf"], "fast", [], None, tmp_path)
     if importlib.util.find_spec("ray") is None:
         with pytest.raises(UsageError, match="Ray is not installed; pip install"):
-            sweep.run(sweep.jobs([scene], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)
+            sweep.run(sweep.plan([scene], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)

@@ -13,7 +13,7 @@ from datasets.scene import Scene
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.models import finetuned, load_config, merged_config
-from reconstruct.output.restored import Trained
+from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, FAULTS, Run
 from reconstruct.scene.poses import POSES
 from reconstruct.training import checkpoint
@@ -80,7 +80,7 @@ def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path]
     assert [skip["name"] for skip in whole["skips"]] == [skip.name for skip in record.read(tmp_path / "broken")]
     assert files.read_json(tmp_path / "whole" / "skips.json") == whole["skips"] == resumed["skips"]
     assert (tmp_path / "whole" / POSES).read_text() == (tmp_path / "broken" / POSES).read_text()
-    trained = Trained.open(tmp_path / "whole")
+    trained = TrainedModel.open(tmp_path / "whole")
     assert np.abs(trained.state.model.poses).max() > 0
     apart = [
         np.abs(old.world_from_camera - new.world_from_camera).max()

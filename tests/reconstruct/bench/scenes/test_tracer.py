@@ -10,7 +10,7 @@ from reconstruct.bench.scenes.tracer import Body, Material, Tracer
 
 SILVER = Material((0.0, 0.0, 0.0), (0.9, 0.9, 0.9), 300.0)
 CLAY = Material((0.5, 0.4, 0.3), (0.0, 0.0, 0.0), 10.0)
-LIGHT = Light.drawn(0)
+LIGHT = Light.studio(0)
 
 
 def _rays(count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +39,7 @@ def test_a_mirror_shows_the_light_behind_the_camera() -> None:
     tracer = Tracer((Body(ball(0.7), SILVER),), LIGHT)
     back = np.array([0.0, 0.6, 0.8])
     seen = tracer.look(4 * back[None], -back[None])
-    expected = 0.9 * LIGHT.seen(jnp.asarray(back, jnp.float32)[:, None], 300.0)[:, 0]
+    expected = 0.9 * LIGHT.convolved(jnp.asarray(back, jnp.float32)[:, None], 300.0)[:, 0]
     np.testing.assert_allclose(seen["specular"][0], expected, rtol=2e-3)
     assert not seen["diffuse"].any()
 
@@ -50,7 +50,7 @@ def test_matte_light_does_not_depend_on_the_view() -> None:
     origins = np.array([[4.0, 0, 0], [3, 2, 1], [3, -1, 2]])
     directions = (point - origins) / np.linalg.norm(point - origins, axis=-1, keepdims=True)
     seen = tracer.look(origins, directions)["diffuse"]
-    expected = np.array(CLAY.matte) * np.asarray(LIGHT.seen(jnp.array([[1.0], [0], [0]]), MATTE))[:, 0]
+    expected = np.array(CLAY.matte) * np.asarray(LIGHT.convolved(jnp.array([[1.0], [0], [0]]), MATTE))[:, 0]
     np.testing.assert_allclose(seen, np.broadcast_to(expected, seen.shape), rtol=2e-3)
 
 

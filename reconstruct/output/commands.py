@@ -1,0 +1,195 @@
+"""Commands for a trained run: figures, eval, render, view, film, mesh, report."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from datasets.core import console
+from reconstruct.options import CameraPath, NewFolder, RunFolder, Split, StandsOn
+
+if TYPE_CHECKING:
+    from reconstruct.output.trained_model import TrainedModel
+
+app = typer.Typer()
+
+
+@app.command()
+def figures(
+    run: RunFolder,
+    out: NewFolder,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the short training for the figure of ray weights.")] = 600,
+    as_json: console.Json = False,
+) -> None:
+    """Draw the figures of the paper's supplement from the code and a trained run."""
+    from reconstruct.output.paper_figures import draw_all
+
+    result = draw_all(_opened(run), out, steps=steps)
+    console.report(result, as_json=as_json, text="\n".join(result["figures"]))
+
+
+@app.command("eval")
+def eval_command(
+    run: Annotated[Path | None, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")] = None,
+    split: Split = "test",
+    renders: Annotated[
+        Path | None, typer.Option(help="Folder of another program's images, to evaluate instead of a run.")
+    ] = None,
+    scene: Annotated[str | None, typer.Option(help="With --renders: scene that the images show.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.json", help="With --renders: file to write.")] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Evaluate again after aligning the pose of each view to the model.")
+    ] = False,
+    lpips: Annotated[
+        Path | None, typer.Option(metavar="WEIGHTS.npz", help="Compute LPIPS (AlexNet) with these weights, see docs/numbers.md.")
+    ] = None,
+    stands_on: StandsOn = None,
+    as_json: console.Json = False,
+) -> None:
+    """Evaluate a run (writes RUN/metrics.json), or another program's images, on the test views."""
+    from datasets.core.errors import UsageError
+    from datasets.formats import load_scene
+    from reconstruct.output.evaluate import METRICS, evaluate, table
+    from reconstruct.output.external_renderings import measure
+    from reconstruct.output.lpips import Lpips
+
+    perceptual = None if lpips is None else Lpips.load(lpips)
+    if run is not None and renders is None and scene is None and out is None:
+        result = evaluate(_opened(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
+        where = run / METRICS
+    elif run is None and renders is not None and scene is not None and not align and stands_on is None:
+        result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
+    else:
+        raise UsageError("give either a run, or --renders DIR --scene SCENE")
+    console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())
+
+
+@app.command()
+def render(run: RunFolder, out: NewFolder, split: Split = "test", path: CameraPath = None, as_json: console.Json = False) -> None:
+    """Render views, or the frames of a camera path: colour, diffuse, specular, normals, depth, opacity, roughness."""
+    from datasets.core.files import refuse_existing
+    from reconstruct.output import camera_path, export
+
+    refuse_existing(out)
+    frames = None if path is None else camera_path.from_file(path)[0]
+    trained = _opened(run)
+    result = export.render(trained, out, split=split) if frames is None else export.render_along(trained, frames, out)
+    console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
+
+
+@app.command()
+def view(
+    path: Annotated[Path, typer.Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
+    mesh: Annotated[Path | None, typer.Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
+    port: console.Port = 8080,
+    as_json: console.Json = False,
+) -> None:
+    """Explore a run in the browser, during training or afterwards."""
+    from datasets.page import open_page
+    from reconstruct.backend import cache_compilations
+    from reconstruct.run import RUN, Run
+
+    cache_compilations()
+    with open_page(path.name, port) as page:
+        if (path / RUN).is_file():
+            from reconstruct.page.run_page import show
+
+            show(page, Run.open(path), mesh=mesh)
+        else:
+            from datasets.formats import load_scene
+            from datasets.page.view import show as show_scene
+
+            show_scene(page, path, load_scene(path), quick=True)
+        console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
+        page.serve()
+
+
+@app.command()
+def film(
+    run: RunFolder,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4", help="File to write; must be new.")],
+    path: CameraPath = None,
+    frames: Annotated[int, typer.Option(min=1, help="Without --path: number of frames of the orbit.")] = 120,
+    fps: Annotated[float, typer.Option(min=0.1, max=240, help="Without --path: frames per second.")] = 30.0,
+    shown: Annotated[
+        list[str] | None,
+        typer.Option("--channel", help="rgb, diffuse, specular, normals, depth_view, ...; repeatable, side by side."),
+    ] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Render a film (MP4) along a camera path, or along an orbit around the object."""
+    from reconstruct.output import camera_path
+    from reconstruct.output.film import film
+
+    along = None if path is None else camera_path.from_file(path)
+    trained = _opened(run)
+    poses, rate = along or (camera_path.orbit(trained.scene, frames), fps)
+    result = film(trained, poses, out, shown=shown or ("rgb",), fps=rate)
+    console.report(result, as_json=as_json, text=f"{result['frames']} frames at {rate:g} per second\n{out}")
+
+
+@app.command()
+def mesh(
+    run: RunFolder,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="File to write: FILE.ply, FILE.glb or FILE.obj; must be new.")
+    ],
+    resolution: Annotated[
+        int, typer.Option(min=16, max=768, help="Grid points along the longest side of the object's box.")
+    ] = 256,
+    level: Annotated[
+        float, typer.Option(min=0.001, max=0.999, help="Share of light that 1/128 of the box absorbs at the surface.")
+    ] = 0.5,
+    watertight: Annotated[bool, typer.Option("--watertight", help="Close the surface where it leaves the box.")] = False,
+    faces: Annotated[int | None, typer.Option(min=4, help="Target number of triangles.")] = None,
+    points: Annotated[int | None, typer.Option(min=1, help="Write this many surface points (PLY) instead of triangles.")] = None,
+    stands_on: StandsOn = None,
+    follow: Annotated[
+        bool, typer.Option("--follow-normals/--density-only", help="Refine the surface to follow the predicted normals.")
+    ] = True,
+    as_json: console.Json = False,
+) -> None:
+    """Extract the object's surface as a coloured mesh or point cloud in world coordinates."""
+    from datasets.core.errors import UsageError
+    from datasets.core.files import refuse_existing
+    from reconstruct.output.mesh import extraction, files
+
+    suffixes = files.SUFFIXES if points is None else (".ply",)
+    if out.suffix.lower() not in suffixes:
+        kind = "meshes" if points is None else "points"
+        raise UsageError(f"{kind} are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(suffixes)}")
+    refuse_existing(out)
+    trained = _opened(run)
+    surface = extraction.extract(
+        trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on, follow=follow
+    )
+    files.save(surface if points is None else files.points_on(surface, points), out)
+    result, text = extraction.summary(surface, trained.scene)
+    console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
+
+
+@app.command()
+def report(
+    run: RunFolder,
+    out: NewFolder,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Calibration whose accuracy the report includes.")
+    ] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Write an HTML report of a run: metrics, rendered and true images, error over time."""
+    from datasets.core.files import refuse_existing
+    from reconstruct.output.report import write
+
+    refuse_existing(out)
+    result = write(_opened(run), out, calibration=calibration)
+    console.report(result, as_json=as_json, text=result["report"])
+
+
+def _opened(run: Path) -> "TrainedModel":
+    """A run's trained model; compiled programs are cached on disk."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.output.trained_model import TrainedModel
+
+    cache_compilations()
+    return TrainedModel.open(run)

@@ -1,0 +1,54 @@
+"""A trained model ready for use: the run, its scene, its newest checkpoint and a renderer."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+
+from datasets.camera_model import Camera
+from datasets.scene import Scene, View
+from reconstruct.rendering.pictures import Picture, Renderer
+from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.scene import poses
+from reconstruct.scene.rays import scaled_camera, view_rays
+from reconstruct.training import checkpoint
+from reconstruct.training.step import StepFunctions, TrainState
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """The newest state of a run."""
+
+    run: Run
+    scene: Scene
+    """With refined poses of the training views, if the run refined them."""
+    functions: StepFunctions
+    state: TrainState
+    renderer: Renderer
+
+    @classmethod
+    def open(cls, path: Path) -> "TrainedModel":
+        """Load the newest checkpoint of a run.
+
+        Raises:
+            UsageError: `path` is not a run, or its scene is missing.
+            ReconstructError: it has no checkpoint yet.
+        """
+        run = Run.open(path)
+        scene = run.scene()
+        functions = StepFunctions(run.config, run.normalisation)
+        state, _ = checkpoint.load(run.path / CHECKPOINTS, functions.initial(jax.random.key(0), None))
+        scene = poses.refined(scene, run.normalisation, state.model.poses)
+        return cls(run, scene, functions, state, Renderer(functions))
+
+    def camera(self, view: View) -> Camera:
+        """A view's camera at the scale of the training."""
+        return scaled_camera(view, self.run.config.scale)
+
+    def picture(self, view: View) -> Picture:
+        """Render all channels of a view at the scale of the training."""
+        return self.renderer.picture(self.state, view, self.camera(view))
+
+    def warm_up(self, view: View) -> None:
+        """Compile what `picture` needs for views of this size."""
+        self.renderer.warm_up(self.state, *view_rays(view, self.run.normalisation, self.camera(view)))

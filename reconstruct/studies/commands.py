@@ -1,0 +1,101 @@
+"""Commands that train and compare several runs: table, ablate, skips, sweep."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from datasets.core import console
+from reconstruct.options import Budget, ModelName, Preset, SceneName, SceneNames, Seeds, Settings, StudyFolder
+
+app = typer.Typer()
+
+
+@app.command()
+def table(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Evaluated runs.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="File to write: FILE.md, FILE.csv or FILE.tex.")
+    ] = None,
+    columns: Annotated[list[str] | None, typer.Option("--column", help="Metric to show; repeatable.")] = None,
+    per_image: Annotated[bool, typer.Option("--per-image", help="Write one row per image instead of one per run.")] = False,
+    as_json: console.Json = False,
+) -> None:
+    """Compare the metrics of runs in the paper's layout. Runs that differ only in their seed share a row."""
+    from reconstruct.studies import results, results_table
+
+    rows = results.rows_of_runs(runs, per_image=per_image)
+    chosen = results_table.chosen_columns(rows, columns or ())
+    if out is not None:
+        results_table.write(rows, chosen, out)
+    content = [{"scene": row.scene, "model": row.label, **row.content(chosen)} for row in rows]
+    text = results_table.markdown(rows, chosen).rstrip() + (f"\n{out}" if out else "")
+    console.report({"rows": content}, as_json=as_json, text=text)
+
+
+@app.command()
+def ablate(
+    scene: SceneName,
+    out: StudyFolder,
+    model: ModelName = "surfnerf",
+    preset: Preset = "fast",
+    budget: Budget = None,
+    cells: Annotated[list[str] | None, typer.Option("--cell", help="Cell to train besides the base; repeatable.")] = None,
+    set_: Settings = None,
+    seeds: Seeds = None,
+    plan_only: Annotated[bool, typer.Option("--plan", help="List the cells and their changes without training.")] = False,
+    as_json: console.Json = False,
+) -> None:
+    """Train a model repeatedly with one change at a time; write a table and a figure."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.studies import ablate
+
+    study = ablate.plan(scene, model, preset, set_ or (), budget, cells or (), seeds or ())
+    if plan_only:
+        text = "\n".join(f"{name:<20}{' '.join(changes) or '-'}" for name, changes in study.cells.items())
+        return console.report({"cells": study.cells}, as_json=as_json, text=text)
+    cache_compilations()
+    _report_table(ablate.run(study, out), out, as_json)
+
+
+@app.command()
+def skips(
+    scenes: SceneNames,
+    out: StudyFolder,
+    names: Annotated[list[str] | None, typer.Option("--skip", metavar="NAME", help="Skip to measure; repeatable.")] = None,
+    model: ModelName = "surfnerf",
+    preset: Preset = "fast",
+    set_: Settings = None,
+    as_json: console.Json = False,
+) -> None:
+    """Measure the error and the time saved by each skip, training with and without it."""
+    from reconstruct.backend import cache_compilations
+    from reconstruct.studies import skips
+
+    cache_compilations()
+    results = skips.run(scenes, out, names=names or (), model=model, preset=preset, overrides=set_ or ())
+    console.report({"skips": skips.rows(results)}, as_json=as_json, text=f"{skips.markdown(results).rstrip()}\n{out}")
+
+
+@app.command()
+def sweep(
+    out: StudyFolder,
+    scenes: Annotated[list[str], typer.Option("--scene", help="Scene folder, as for 'train'; repeatable.")],
+    models: Annotated[list[str], typer.Option("--model", help="Model, see 'reconstruct models'; repeatable.")],
+    preset: Preset = "fast",
+    budget: Budget = None,
+    set_: Settings = None,
+    seeds: Seeds = None,
+    ray: Annotated[bool, typer.Option("--ray", help="Run as Ray tasks (extra 'sweep').")] = False,
+    address: Annotated[str | None, typer.Option("--address", help="Ray cluster to use; default: this machine.")] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Train and evaluate every model on every scene; write a table."""
+    from reconstruct.studies import sweep
+
+    jobs = sweep.plan(scenes, models, preset, set_ or (), budget, out, seeds or ())
+    _report_table(sweep.run(jobs, out, use_ray=ray or address is not None, ray_address=address), out, as_json)
+
+
+def _report_table(result: dict[str, Any], out: Path, as_json: bool) -> None:
+    console.report(result, as_json=as_json, text=f"{(out / 'table.md').read_text(encoding='utf-8').rstrip()}\n{out}")

@@ -1,0 +1,220 @@
+"""The page of a run, with a ball for a model whose picture is known."""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+import viser
+
+from datasets.page import Page, open_page
+from reconstruct.output.trained_model import TrainedModel
+from reconstruct.page.compose import CHANNELS, Viewpoint
+from reconstruct.page.run_page import NOTHING, RunPage, rounded_up
+from reconstruct.page.status import QUIET_S, is_training
+from reconstruct.run import CHECKPOINTS, LOG, Run
+from reconstruct.training import checkpoint
+
+pytestmark = pytest.mark.timeout(600)
+
+
+@pytest.fixture
+def shown(ball: TrainedModel) -> Any:
+    """(page, view) of the ball."""
+    with open_page("ball", 0) as page:
+        view = RunPage(page, ball.run, None)
+        view.trained = ball
+        yield page, view
+
+
+def viewpoint_at(trained: TrainedModel, index: int = 1) -> Viewpoint:
+    view = trained.scene.views[index]
+    fov = 2 * np.arctan(0.5 * view.camera.height / view.camera.fy)
+    return Viewpoint(view.world_from_camera, float(fov), view.camera.width / view.camera.height)
+
+
+def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ball: TrainedModel) -> None:
+    """Sliced into rays of a fixed number, put together again: the picture that `TrainedModel.picture` gives."""
+    _, view = shown
+    camera = ball.scene.views[1].camera
+    found = view.render(viewpoint_at(ball), camera.width * camera.height, normals=True)
+    whole = ball.picture(ball.scene.views[1])
+    assert found is not None and found["rgb"].shape == whole.rgb.shape
+    for name in ("rgb", "opacity", "depth", "roughness"):
+        assert np.allclose(found[name], getattr(whole, name), atol=2e-3), name  # chunks of another size round differently
+    assert found["opacity"].max() > 0.99 and found["opacity"].min() < 0.01
+
+
+def test_what_is_cut_away_opens_the_ball(shown: Any, ball: TrainedModel) -> None:
+    """Through a plane in the ball's middle its far wall is seen from inside (the grid holds the wall alone); behind it there is nothing."""
+    _, view = shown
+    viewpoint, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
+    reach = float((centre - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, 2])
+    whole = view.render(viewpoint, 2048, normals=False)
+    view.cut.value = reach
+    opened = view.render(viewpoint, 2048, normals=False)
+    view.cut.value = reach + 0.1
+    behind = view.render(viewpoint, 2048, normals=False)
+    row, column = (side // 2 for side in whole["depth"].shape[:2])
+    assert whole["depth"][row, column, 0] == pytest.approx(reach - 0.08, abs=4e-3)  # the ball's radius; steps of the sampler
+    wall = 3 / 32 * 0.1  # of the grid's cells that the fixture marks, at the scale of the scene
+    assert (
+        opened["depth"][row, column, 0] == pytest.approx(reach + 0.08 - wall, abs=4e-3)
+        and opened["opacity"][row, column, 0] > 0.9
+    )
+    assert behind["opacity"].max() < 0.01
+
+
+def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: TrainedModel) -> None:
+    """Only the ball's front before the middle plane is left, and in front of that nothing; at its end the slider changes nothing."""
+    _, view = shown
+    viewpoint, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
+    reach = float((centre - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, 2])
+    whole = view.render(viewpoint, 2048, normals=False)
+    view.beyond.value = reach - 0.06
+    front = view.render(viewpoint, 2048, normals=False)
+    view.beyond.value = reach - 0.1
+    nothing = view.render(viewpoint, 2048, normals=False)
+    row, column = (side // 2 for side in whole["depth"].shape[:2])
+    assert front["depth"][row, column, 0] == pytest.approx(whole["depth"][row, column, 0], abs=2e-3)
+    assert (front["opacity"] > 0.5).sum() < 0.7 * (whole["opacity"] > 0.5).sum() and front["depth"].max() < reach - 0.05
+    assert nothing["opacity"].max() < 0.01
+    view.beyond.value, view.cut.value = reach + 0.03, reach  # a slice through the ball's inside, which is hollow
+    assert view.render(viewpoint, 2048, normals=False)["opacity"][row, column, 0] < 0.01
+
+
+def test_a_picture_that_nobody_wants_any_more_is_given_up(shown: Any, ball: TrainedModel) -> None:
+    _, view = shown
+    looks = iter([False, True])
+    assert view.render(viewpoint_at(ball), 8192, normals=False, cancelled=lambda: next(looks)) is None
+    assert list(looks) == []
+
+
+def test_there_is_nothing_to_see_before_the_first_checkpoint(make_run: Callable[..., Any]) -> None:
+    run = make_run(checkpointed=False)
+    with open_page("new", 0) as page:
+        view = RunPage(page, run, None)
+        assert not view._take() and view.trained is None
+        assert view.render(Viewpoint(np.eye(4), 0.7, 1.5), 2048, normals=False) is None
+
+
+def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable[..., Any]) -> None:
+    import equinox as eqx
+
+    run = make_run()
+    with open_page("run", 0) as page:
+        view = RunPage(page, run, None)
+        assert view._take() and int(view.trained.state.step) == 0
+        later = eqx.tree_at(lambda state: state.step, view.trained.state, jax.numpy.asarray(41, jax.numpy.int32))
+        checkpoint.save(run.path / CHECKPOINTS, later, {"seconds": 3.0})
+        assert view._take() and int(view.trained.state.step) == 41
+        view._update_status()
+        assert "step 41" in view._state.content
+
+
+def test_a_training_that_is_under_way_is_given_room(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    with open_page("run", 0) as page:
+        view = RunPage(page, run, None)
+        assert not is_training(run) and view._levels() == view.sharpest.value  # the log says that it has ended
+        run.append_log({"step": 3, "seconds": 3.0, "progress": 0.6, "psnr_train": 13.0, "skipped": 0})
+        assert is_training(run) and view._levels() == view.sharpest_training.value < view.sharpest.value
+        long_ago = time.time() - 2 * QUIET_S
+        for path in (run.path / LOG, *checkpoint.steps(run.path / CHECKPOINTS)):
+            os.utime(path, (long_ago, long_ago))
+        assert not is_training(run)
+
+
+@pytest.mark.parametrize(
+    ("length", "end", "step"), [(0.8063, 0.81, 0.001), (2.0, 2.0, 0.01), (31.4, 32.0, 0.1), (0.0123, 0.013, 1e-4)]
+)
+def test_sliders_end_at_figures_that_can_be_read(length: float, end: float, step: float) -> None:
+    assert rounded_up(length) == pytest.approx((end, step))
+
+
+def test_a_mesh_can_be_switched_off_once_it_is_there(make_run: Callable[..., Run]) -> None:
+    with open_page("mesh", 0) as page:
+        view = RunPage(page, make_run(), None)
+        assert not view.mesh.visible
+        view._add_mesh(trimesh.creation.box())
+        assert view.mesh.visible and view.mesh.value
+        view._show_mesh(False)
+        assert not page.scene.get_handle_by_name("/mesh").visible
+
+
+def middle(picture: np.ndarray) -> np.ndarray:
+    height, width = picture.shape[:2]
+    return np.median(picture[height // 2 - 12 : height // 2 + 12, width // 2 - 12 : width // 2 + 12], axis=(0, 1))
+
+
+def start_rendering(page: Page, view: RunPage) -> None:
+    view.sharpest.value = 2
+    view.cameras.value = False
+    page.in_background(view.loop.run)
+
+
+def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: TrainedModel, browse: Callable[[str], Any]) -> None:
+    """The ball's colour in the middle, white beside it; another channel, another picture; a browser that closes in the midst of all
+    that changes nothing for the other."""
+    from datasets.imaging import images
+
+    colour = 255 * images.srgb_from_linear(np.array([0.3, 0.3, 0.35]))
+    with open_page("ball", 0) as page:
+        view = RunPage(page, ball.run, None)
+        view.trained = ball
+        start_rendering(page, view)
+        window, leaving = browse(page.url), browse(page.url)
+        seen = lambda picture: np.abs(middle(picture) - colour).max() < 12  # noqa: E731
+        first = window.until(seen, "the ball")
+        assert (first[-30:, 10:40] > 230).mean() > 0.9  # nothing stands in the corner
+        view.sharpest.value = 5  # pictures take long enough now to leave in the midst of one
+        leaving.page.close()
+        window.page.locator('input[value="rgb"]').first.click()
+        window.page.get_by_role("option", name="normals", exact=True).click()
+        window.until(lambda picture: np.abs(middle(picture) - colour).max() > 40, "another channel")
+        view.channel.value = NOTHING
+        window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
+        assert window.errors == [] and window.outside() == []
+        assert set(page.server.get_clients()) and len(page.server.get_clients()) == 1
+
+
+def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
+    ball: TrainedModel, browse: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The channel is left while a picture is encoded: the page is empty afterwards, and stays so."""
+    send, sending = viser.SceneApi.set_background_image, threading.Event()
+
+    def slowly(scene: viser.SceneApi, image: np.ndarray | None, *args: Any, **options: Any) -> None:
+        if image is not None:
+            sending.set()
+            time.sleep(1.0)
+        send(scene, image, *args, **options)
+
+    monkeypatch.setattr(viser.SceneApi, "set_background_image", slowly)
+    with open_page("ball", 0) as page:
+        view = RunPage(page, ball.run, None)
+        view.trained = ball
+        start_rendering(page, view)
+        window = browse(page.url)
+        window.until(lambda picture: (middle(picture) < 200).all(), "the ball")
+        view.sharpest.value = 5
+        sending.clear()
+        assert sending.wait(60), "a sharper picture"
+        view.channel.value = NOTHING
+        window.page.wait_for_timeout(2000)  # what was being sent has arrived
+        window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
+
+
+def test_every_channel_can_be_chosen(shown: Any, ball: TrainedModel) -> None:
+    from reconstruct.page.compose import picture_of
+
+    _, view = shown
+    values = view.render(viewpoint_at(ball), 2048, normals=True)
+    pictures = {channel: picture_of(channel, values) for channel in CHANNELS}
+    distinct = {name: p.tobytes() for name, p in pictures.items() if name != "normals (predicted)"}  # the ball predicts its own
+    assert len(set(distinct.values())) == len(distinct)

@@ -1,0 +1,31 @@
+"""What the page of a run says of its training."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from reconstruct.page.status import curves, skips_text, status_text
+from reconstruct.training.skipping import record
+
+
+def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    words = status_text(run.log(), run)
+    assert "step 2 after 2 s" in words and "held-out pixels 11.00 dB" in words and "made for a test" in words
+    assert "gradient" not in words, "where every gradient was finite, nobody needs to know of it"
+    assert "3 steps skipped because their gradient" in status_text([{**run.log()[-1], "skipped": 3}], run)
+    (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])
+    assert seconds.tolist() == [0, 1, 2, 3] and train[-1] == 13 and np.isnan(unseen[-1]) and len(series) == 3
+    assert status_text([], run) == "*the log is empty*"
+
+
+def test_what_was_left_out_is_told_with_its_evidence(make_run: Callable[..., Any]) -> None:
+    run = make_run()
+    (run.path / record.SKIPS).unlink(missing_ok=True)
+    assert skips_text(run) == ""
+    record.write(run.path, [record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB"),
+                            record.Skip("reflection", False, "the pilot lost 1.2 dB without", "half a step", "what the pilot lost")])  # fmt: skip
+    words = skips_text(run)
+    assert words.startswith("- **detail that is finer than a pixel can show** skipped: no pixel is finer than 2 mm")
+    assert "cost: up to 0.4 dB" in words and words.endswith("- the model's reflection kept: the pilot lost 1.2 dB without")
