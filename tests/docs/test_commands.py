@@ -158,7 +158,9 @@ def shipped(trajectory: Path) -> Path | None:
     folder = ROOT / "configs" / "trajectories"
     if trajectory.parts[0] == "configs":
         path = ROOT / trajectory
-    elif trajectory.name.islower() and (trajectory.stem.startswith(("koala", "calibration_")) and not trajectory.suffix == ".json"):
+    elif trajectory.name.islower() and (
+        trajectory.stem.startswith(("koala", "calibration_")) and not trajectory.suffix == ".json"
+    ):
         path = folder / trajectory.with_suffix(".yaml")
     else:
         path = folder / "koala.yaml"
@@ -267,7 +269,9 @@ def test_the_tutorial_leads_to_a_mesh(tmp_path: Path) -> None:
     for quoted in tutorial:
         if quoted.words[1:] == ("--help",):
             continue
-        settings = [word for name, values in SMALLER.items() if name in quoted.words for value in values for word in ("--set", value)]
+        settings = [
+            word for name, values in SMALLER.items() if name in quoted.words for value in values for word in ("--set", value)
+        ]
         options = [word for name, words in SHORTER.items() if name in quoted.words for word in words]
         command = [sys.executable, "-m", f"{quoted.words[0]}.cli", *quoted.words[1:], *settings, *options]
         if quoted.words[1] == "view":

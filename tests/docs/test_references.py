@@ -1,13 +1,18 @@
 """Files, functions and tests that the pages name exist, and the code on the pages runs."""
 
 import ast
+import json
 import re
 import subprocess
 import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from datasets import pose
+from datasets.imaging import images
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
@@ -68,6 +73,15 @@ def test_a_wrong_reference_is_noticed() -> None:
     assert not exists("reconstruct/config.py", "SurfaceConfigs") and not exists("reconstruct/configs.py", "Config")
 
 
+def test_modules_that_code_on_the_pages_imports_exist() -> None:
+    missing = []
+    for page in PAGES:
+        for module in re.findall(rf"^from ((?:{FOLDERS})[\w.]*) import", page.read_text(), re.M):
+            path = ROOT / module.replace(".", "/")
+            missing += [] if path.with_suffix(".py").is_file() or path.is_dir() else [f"{page.name}: {module}"]
+    assert not missing, "\n".join(missing)
+
+
 @pytest.mark.timeout(900)
 def test_the_code_on_extending_runs(tmp_path: Path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.S)
@@ -76,3 +90,45 @@ def test_the_code_on_extending_runs(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=800)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "two_views" / "frames.jsonl").is_file()
+
+
+SMALL = [
+    "encoding.levels=2",
+    "encoding.log2_size=10",
+    "sampler.grid=16",
+    "sampler.rays=64",
+    "sampler.samples=1024",
+    "surface.enabled=false",
+]
+"""Settings of a training that compiles fast."""
+
+
+@pytest.mark.timeout(300)
+def test_the_example_of_the_readme_runs(tmp_path: Path) -> None:
+    """On a small scene and with a small model; the calls are those of the page."""
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    assert sum(bool(line) and not line.startswith("from ") for line in code.splitlines()) == 5
+    changes = {
+        '"demo/koala/gold_head"': repr(str(scene_of_noise(tmp_path / "scene"))),
+        '"fast")': f'"fast", {SMALL!r})',
+        "budget_s=60": "budget_s=1",
+    }
+    for shown, run in changes.items():
+        assert shown in code
+        code = code.replace(shown, run)
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0 and done.stdout.endswith("dB on test views\n"), done.stderr
+
+
+def scene_of_noise(folder: Path) -> Path:
+    """A scene in Blender's layout with four views of noise, two of them for testing."""
+    for split in ("train", "test"):
+        frames = []
+        for index, angle in enumerate((0.0, 1.5)):
+            matrix = pose.look_at((3 * np.cos(angle), 3 * np.sin(angle), 1.0), (0, 0, 0)) @ np.diag([1, -1, -1, 1])
+            picture = np.random.default_rng(index).random((24, 24, 4))
+            picture[..., 3] = 1.0 * (np.hypot(*np.mgrid[-12:12, -12:12]) < 8)
+            images.write(folder / split / f"{index}.png", picture)
+            frames.append({"file_path": f"./{split}/{index}", "transform_matrix": matrix.tolist()})
+        (folder / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    return folder
