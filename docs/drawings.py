@@ -1,4 +1,4 @@
-"""Drawings of the conventions: frames of the rig, camera axes, pixels, a ray. From the functions that the programs use."""
+"""Draws the conventions (frames of the rig, camera axes, pixels, a ray) with the functions that the programs use."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ from datasets.kinematics import link_frames
 Array = NDArray[np.float64]
 SESSION = Path(__file__).parent.parent / "configs" / "trajectories" / "calibration_demo.yaml"
 VIEW = 14
-"""The view of the session in which the arm is drawn."""
+"""The view of the session at which the arm is drawn."""
 AXES = ("#c33", "#292", "#33c")
 """x red, y green, z blue."""
 DPI = 110

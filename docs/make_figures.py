@@ -2,7 +2,7 @@
 
     python docs/make_figures.py DEMO OUT [PAGE...]
 
-With names of pages, only these are photographed and nothing else is made. DEMO is what `make demo` has left. The pages in the browser are photographed in a headless Chromium that is on this computer already.
+DEMO is the output of `make demo`. With names of pages, only their screenshots are made. Screenshots need an installed Chromium.
 """
 
 import json
@@ -27,27 +27,27 @@ from datasets.imaging import images
 from datasets.recording import Recording
 
 WIDTH, HEIGHT, PANEL = 1280, 720, 400
-"""Of the browser's window, and of the panel in it [px]."""
+"""Size of the browser's window, and width of the panel in it [px]."""
 STILL_S = 10.0
-"""A page is photographed once it has not changed for so long: pictures sharpen while nobody moves."""
+"""A screenshot is taken once the page has not changed for this time: pictures sharpen while nobody moves."""
 PATIENCE_S = 240.0
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A command that shows a page, and how the page is set up before it is photographed."""
+    """A command that serves a page, and how the page is set up before the screenshot."""
 
     package: str
     words: list[str]
     least: float
-    """Share of the picture that is not white once everything is there."""
+    """Share of the picture that is not white once everything is shown."""
     channel: str = ""
     switched: tuple[str, ...] = ()
     """Labels of boxes to click."""
 
 
 def main() -> None:
-    """Make all pictures; the last line says where they are."""
+    """Make all pictures; the last line names their folder."""
     if len(sys.argv) < 3:
         raise UsageError("give the folder of the demonstration and that of the pictures", remedy="or run: make figures")
     demo, out = Path(sys.argv[1]), Path(sys.argv[2])
@@ -73,14 +73,14 @@ def contact_sheet(recording: Path, chosen: tuple[int, ...], *, width: int, colum
     pictures = []
     for index in chosen:
         picture = images.read(opened.image_path(opened.frames[index]))[..., :3]
-        pictures.append(np.pad(images.resize(picture, width, round(width * picture.shape[0] / picture.shape[1])),
-                               ((0, 6), (0, 6), (0, 0)), constant_values=1.0))  # fmt: skip
+        resized = images.resize(picture, width, round(width * picture.shape[0] / picture.shape[1]))
+        pictures.append(np.pad(resized, ((0, 6), (0, 6), (0, 0)), constant_values=1.0))
     rows = [np.concatenate(pictures[start : start + columns], axis=1) for start in range(0, len(pictures), columns)]
     return np.concatenate(rows)[:-6, :-6]
 
 
 def plan(name: str, path: Path) -> None:
-    """What `capture plan --plot` draws of a trajectory that we ship."""
+    """The plot of `capture plan --plot` for a shipped trajectory."""
     from capture.planning import Obstacles, draw, duration
     from capture.planning import plan as planned_views
     from capture.rig.description import RigDescription
@@ -90,12 +90,12 @@ def plan(name: str, path: Path) -> None:
     mount = RigDescription().flange_from_camera.matrix()
     planned = planned_views(session, mount)
     path.unlink(missing_ok=True)
-    draw.plot(planned, Obstacles.of(session, mount), path,
-              title=f"{session.name}: {len(planned)} views, about {duration(session, planned):.0f} s")  # fmt: skip
+    title = f"{session.name}: {len(planned)} views, about {duration(session, planned):.0f} s"
+    draw.plot(planned, Obstacles.of(session, mount), path, title=title)
 
 
 def pages(demo: Path, out: Path, only: tuple[str, ...] = ()) -> None:
-    """The pages of the commands as a browser shows them; all, or those of some names."""
+    """Screenshots of the commands' pages, all of them or those with the given names."""
     trajectory = str(drawings.SESSION.with_name("koala_demo.yaml"))
     run = str(demo / "run")
     shots = {
@@ -108,7 +108,7 @@ def pages(demo: Path, out: Path, only: tuple[str, ...] = ()) -> None:
         ),
     }
     shots = {name: shot for name, shot in shots.items() if not only or name in only}
-    with console.progress("photographing", len(shots), "pages") as shown, chromium() as browser:
+    with console.progress("taking screenshots", len(shots), "pages") as shown, chromium() as browser:
         for name, shot in shots.items():
             with served(shot.package, shot.words) as url:
                 photograph(browser, url, out / f"{name}.png", shot)
@@ -117,7 +117,7 @@ def pages(demo: Path, out: Path, only: tuple[str, ...] = ()) -> None:
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A headless browser that draws without a graphics card."""
+    """A headless browser with a software rasteriser."""
     from playwright.sync_api import sync_playwright
 
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -132,7 +132,7 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def served(package: str, words: list[str]) -> Iterator[str]:
-    """The address of the page of a command that runs for so long."""
+    """The address of a command's page; the command runs inside the context."""
     code = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from {package}.cli import main; main()"
     process = subprocess.Popen([sys.executable, "-c", code, *words, "--port", "0", "--json"], stdout=subprocess.PIPE, text=True)
     try:
@@ -147,7 +147,7 @@ def served(package: str, words: list[str]) -> Iterator[str]:
 
 
 def photograph(browser: Any, url: str, path: Path, shot: Shot) -> None:
-    """Open a page, set it up, wait until it shows enough and does not change any more, and write what is seen."""
+    """Open a page, set it up, wait until it shows enough and stops changing, and save a screenshot."""
     page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
     page.goto(url)
     page.add_style_tag(content=".mantine-Notifications-root { display: none }")
@@ -165,13 +165,13 @@ def photograph(browser: Any, url: str, path: Path, shot: Shot) -> None:
         elif time.monotonic() - since > STILL_S:
             break
         if time.monotonic() > deadline:
-            raise KoalaError("the page never came to rest", where=path, remedy="try again while the computer has time")
+            raise KoalaError("the page does not stop changing", where=path, remedy="try again when the computer is idle")
         page.wait_for_timeout(1_000)
     page.close()
 
 
 def run_program(program: Callable[[], None]) -> None:
-    """Run a program of this folder; what goes wrong is one line and an exit code."""
+    """Run a program of this folder; an error is one line and an exit code."""
     try:
         program()
     except KoalaError as error:

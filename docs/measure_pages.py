@@ -1,11 +1,11 @@
-"""Measures the page of a run: pictures per second while somebody moves, memory over time, what training loses.
+"""Measures the page of a run: pictures per second while the view moves, memory over time, slowdown of a training.
 
     python docs/measure_pages.py moving RUN [SECONDS]
     python docs/measure_pages.py memory RUN [SECONDS]
     python docs/measure_pages.py training SCENE [SECONDS] [alone] [open] [moving]
 
-A headless Chromium on the same computer looks at the page, and draws without a graphics card: its work is counted in.
-Trainings take SECONDS each and begin anew: `alone`, with the page `open` and nobody moving, and with somebody `moving` all the time.
+A headless Chromium on the same computer shows the page with a software rasteriser; its work is included.
+Each training takes SECONDS and starts from scratch: `alone`, with the page `open` and still, and with the view `moving` all the time.
 """
 
 import json
@@ -27,7 +27,7 @@ from datasets.core.errors import KoalaError, UsageError, nearest
 from datasets.page import open_page
 
 KINDS = ("alone", "open", "moving")
-"""Of trainings."""
+"""Kinds of trainings."""
 STEP_S = 0.05
 """Between two moves of the mouse."""
 
@@ -54,14 +54,14 @@ def main() -> None:
 
 
 def opened(browser: Any, url: str) -> Any:
-    """A window on a page."""
+    """A browser window with the page."""
     page = browser.new_page(viewport={"width": 1280, "height": 720})
     page.goto(url)
     return page
 
 
 def drag(page: Any, seconds: float) -> None:
-    """Turn the view with the mouse for so long."""
+    """Rotate the view with the mouse for some seconds."""
     end, count = time.monotonic() + seconds, 0
     page.mouse.move(400, 350)
     page.mouse.down()
@@ -98,7 +98,7 @@ class Watched:
 
 
 def moving(run: Path, seconds: float) -> dict[str, Any]:
-    """Pictures per second while the view is turned, and how soon after the last move pictures of each size are there."""
+    """Pictures per second while the view rotates, and the time from the last move to pictures of each size."""
     with open_page("measure", 0) as page, chromium() as browser:
         watched = Watched(page, run)
         window = opened(browser, page.url)
@@ -110,8 +110,9 @@ def moving(run: Path, seconds: float) -> dict[str, Any]:
         window.wait_for_timeout(15_000)
         while_moving = [at for at, _ in watched.sent if start <= at <= stop]
         after = {rays: round(at - stop, 2) for at, rays in reversed(watched.sent) if at > stop}
-        return {"seconds": seconds, "pictures_per_s": round(len(while_moving) / seconds, 2),
-                "longest_wait_s": round(float(np.diff(while_moving).max()), 2), "after_the_last_move_s": after}  # fmt: skip
+        longest = round(float(np.diff(while_moving).max()), 2)
+        rate = round(len(while_moving) / seconds, 2)
+        return {"seconds": seconds, "pictures_per_s": rate, "longest_wait_s": longest, "after_the_last_move_s": after}
 
 
 def memory(run: Path, seconds: float) -> dict[str, Any]:
@@ -128,8 +129,9 @@ def memory(run: Path, seconds: float) -> dict[str, Any]:
             window.wait_for_timeout(5_000)
             resident.append(_resident_mb())
         quarter = max(len(resident) // 4, 1)
-        return {"seconds": seconds, "pictures": len(watched.sent), "resident_mb": resident,
-                "first_quarter_mb": float(np.median(resident[:quarter])), "last_quarter_mb": float(np.median(resident[-quarter:]))}  # fmt: skip
+        first, last = float(np.median(resident[:quarter])), float(np.median(resident[-quarter:]))
+        found = {"seconds": seconds, "pictures": len(watched.sent), "resident_mb": resident}
+        return found | {"first_quarter_mb": first, "last_quarter_mb": last}
 
 
 def _resident_mb() -> int:
@@ -137,14 +139,14 @@ def _resident_mb() -> int:
 
 
 def training(scene: Path, seconds: float, *kinds: str) -> dict[str, Any]:
-    """Steps of a training of so many seconds: alone, with the page open and nobody moving, and with somebody moving all the time."""
+    """Steps of trainings of a given time: alone, with the page open and still, and with the view moving all the time."""
     return {"seconds": seconds, **{kind: _trained(scene, seconds, kind) for kind in kinds or KINDS}}
 
 
 def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
     folder = Path(tempfile.mkdtemp())
-    command = [sys.executable, "-m", "reconstruct.cli", "train", str(scene), "--budget", f"{seconds:g}", "--json", "--out", str(folder / "run"),
-               "--set", "train.checkpoint_s=15"]  # fmt: skip
+    options = ["--budget", f"{seconds:g}", "--set", "train.checkpoint_s=15", "--json", "--out", str(folder / "run")]
+    command = [sys.executable, "-m", "reconstruct.cli", "train", str(scene), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     log = folder / "run" / "log.jsonl"
     try:

@@ -211,9 +211,14 @@ def test_no_command_is_misspelt() -> None:
 
 
 WRONG = (
-    "reconstruct train SCENE --out RUN --budgt 3", "reconstruct trian SCENE --out RUN", "reconstruct train --out",
-    "calib handeye REC", "datasets convert SCENE --out X", "reconstruct mesh RUN --out M --resolution many", "capture --dbg run T",
-)  # fmt: skip
+    "reconstruct train SCENE --out RUN --budgt 3",
+    "reconstruct trian SCENE --out RUN",
+    "reconstruct train --out",
+    "calib handeye REC",
+    "datasets convert SCENE --out X",
+    "reconstruct mesh RUN --out M --resolution many",
+    "capture --dbg run T",
+)
 
 
 def test_a_wrong_command_is_noticed() -> None:
