@@ -52,7 +52,10 @@ def check_alive(controller: SimulatedController, before: int) -> None:
     assert grown < BYTES, f"the controller grew by {grown / 2**20:.0f} MB"
 
 
-@pytest.mark.parametrize("count", [pytest.param(SOME, id="some"), pytest.param(ALL, id="all", marks=pytest.mark.slow)])
+_ENDS = pytest.mark.xfail(strict=True, reason="ControlProgram takes any register offset: IndexError in ControllerServer.step")
+
+
+@pytest.mark.parametrize("count", [pytest.param(SOME, id="some"), pytest.param(ALL, id="all", marks=[pytest.mark.slow, _ENDS])])
 @pytest.mark.timeout(3600)
 def test_malformed_messages(controller: SimulatedController, count: int) -> None:
     good, before = clients.Connection(controller.host), memory(controller)
@@ -92,6 +95,7 @@ def test_a_hundred_connections_at_once_half_open_and_slow(controller: SimulatedC
     good.close()
 
 
+@pytest.mark.xfail(strict=True, reason="ControllerServer.dashboard writes answers without waiting until they are read")
 def test_a_client_that_never_reads_is_cut_off(controller: SimulatedController) -> None:
     good, before = clients.Connection(controller.host), memory(controller)
     for port, message in ((clients.DASHBOARD, (b"x" * 60_000 + b"\n") * 400), (clients.RTDE, clients.packet(ord("v")) * 300_000)):
@@ -109,6 +113,7 @@ def test_a_client_that_never_reads_is_cut_off(controller: SimulatedController) -
     good.close()
 
 
+@pytest.mark.xfail(strict=True, reason="ControllerServer.script keeps everything until a line 'end'", raises=pytest.fail.Exception)
 def test_a_program_without_an_end_is_refused(controller: SimulatedController) -> None:
     good, before = clients.Connection(controller.host), memory(controller)
     with socket.create_connection((controller.host, clients.SCRIPT), PATIENCE_S) as endless:
