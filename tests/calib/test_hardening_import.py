@@ -12,7 +12,14 @@ from calib import importer
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
 
-BOARD = {"type": "charuco", "squares_x": 5, "squares_y": 4, "square_length_m": 0.03, "marker_length_m": 0.02, "dictionary": "DICT_4X4_50"}
+BOARD = {
+    "type": "charuco",
+    "squares_x": 5,
+    "squares_y": 4,
+    "square_length_m": 0.03,
+    "marker_length_m": 0.02,
+    "dictionary": "DICT_4X4_50",
+}
 
 
 @pytest.fixture
@@ -38,10 +45,15 @@ def test_a_description_in_a_strangers_folder_is_not_picked_up_by_itself(folder: 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"images": "../secret/*.png"}, {"poses": "../secret/pose-*.yaml"}, {"poses": "../secret/pose-0.yaml"}, {"images": "{absolute}/*.png"},
-     {"poses": "{absolute}/pose-0.yaml"}],
+    [
+        {"images": "../secret/*.png"},
+        {"poses": "../secret/pose-*.yaml"},
+        {"poses": "../secret/pose-0.yaml"},
+        {"images": "{absolute}/*.png"},
+        {"poses": "{absolute}/pose-0.yaml"},
+    ],
     ids=["images", "poses", "one file", "absolute images", "absolute poses"],
-)  # fmt: skip
+)
 @pytest.mark.xfail(strict=True, reason="importer.matching and importer._numbers join patterns to the folder without files.inside")
 def test_a_pattern_that_leaves_the_folder_is_refused(folder: Path, tmp_path: Path, changes: dict[str, str]) -> None:
     secret = tmp_path / "secret"
@@ -57,10 +69,14 @@ _THROUGH = pytest.mark.xfail(strict=True, reason="importer._read catches YAMLErr
 
 @pytest.mark.parametrize(
     "text",
-    [pytest.param("data: 2001-99-99\n", id="date", marks=_THROUGH), pytest.param("[" * 3000, id="deep", marks=_THROUGH),
-     pytest.param("data: [1, \x00]\n", id="zero byte"), pytest.param("data: 190:20:30\n", id="sexagesimal"),
-     pytest.param("data: " + "9" * 5000, id="digits", marks=_THROUGH)],
-)  # fmt: skip
+    [
+        pytest.param("data: 2001-99-99\n", id="date", marks=_THROUGH),
+        pytest.param("[" * 3000, id="deep", marks=_THROUGH),
+        pytest.param("data: [1, \x00]\n", id="zero byte"),
+        pytest.param("data: 190:20:30\n", id="sexagesimal"),
+        pytest.param("data: " + "9" * 5000, id="digits", marks=_THROUGH),
+    ],
+)
 def test_a_pose_file_that_is_no_yaml_is_one_line(folder: Path, text: str) -> None:
     (folder / "pose-0.yaml").write_text(text)
     with pytest.raises(KoalaError) as refused:

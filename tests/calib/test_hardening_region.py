@@ -47,7 +47,9 @@ def test_the_premise_the_region_moves_the_principal_point(calibration: Path, oth
     assert camera.cx == pytest.approx(known.camera.cx - 8) and "converted" in notes[0]
 
 
-@pytest.mark.xfail(strict=True, reason="nobody writes provenance['region']: build._calibrated_region opens the recording by its absolute path")
+@pytest.mark.xfail(
+    strict=True, reason="nobody writes provenance['region']: build._calibrated_region opens the recording by its absolute path"
+)
 def test_the_region_outlives_the_recording(calibration: Path, session: Path, other_region: Recording) -> None:
     before = Calibration.load(calibration).camera.cx
     session.rename(session.with_name("moved"))

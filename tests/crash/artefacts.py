@@ -1,7 +1,7 @@
 """What is written so that a crash must not harm it: a recording, a calibration, a scene, the checkpoints of a training.
 
-Each artefact has `make`, which writes it into a folder and reports what is done; `repeat`, which a person does after a crash; `result`,
-which is to be the same as without a crash; and `kept`, the reported parts that are there before anything is repeated.
+Each artefact has `make`, which writes it into a folder and reports what is done; `repeat`, what a person does after a
+crash; `result`, which must equal that of an undisturbed run; and `kept`, the reported parts present before the repetition.
 
     python artefacts.py NAME SOURCES FOLDER MARKS
 """
@@ -80,7 +80,9 @@ class Rigged:
         from capture.rig.protocols import Image
 
         seed = int(abs(self.joints).sum() * 1e6)
-        return Image(np.random.default_rng(seed).integers(0, 255, (6, 8, 3)).astype(np.uint8), 2000.0, 0.0, 0, time.monotonic_ns())
+        return Image(
+            np.random.default_rng(seed).integers(0, 255, (6, 8, 3)).astype(np.uint8), 2000.0, 0.0, 0, time.monotonic_ns()
+        )
 
     def description(self) -> dict[str, Any]:
         return {"model": "stand-in"}
@@ -108,7 +110,11 @@ def _recorded(folder: Path) -> Any:
 
 
 def _frames_kept(folder: Path) -> set[str]:
-    return {frame.name for frame in Recording.open(folder / "recording").frames} if (folder / "recording" / "manifest.json").exists() else set()
+    return (
+        {frame.name for frame in Recording.open(folder / "recording").frames}
+        if (folder / "recording" / "manifest.json").exists()
+        else set()
+    )
 
 
 # -- a calibration over an older one
@@ -146,7 +152,11 @@ def sources_of_scene(folder: Path) -> None:
         path = recording.path / "images" / f"{number}.png"
         images.write(path, np.random.default_rng(number).integers(0, 255, (12, 16, 3)).astype(np.uint8))
         matrix = pose.look_at((np.cos(number), np.sin(number), 0.5), (0, 0, 0))
-        recording.append(Frame(number, f"{number}", "train", f"images/{number}.png", matrix, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, files.sha256(path)))
+        recording.append(
+            Frame(
+                number, f"{number}", "train", f"images/{number}.png", matrix, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, files.sha256(path)
+            )
+        )
     known = UncertainPose(np.eye(4), 1e-8 * np.eye(6))
     Calibration(CAMERA, {}, known, known).save(folder / "calibration.json")
 
@@ -172,7 +182,14 @@ def _built(folder: Path) -> Any:
     scene = load_scene(folder / "scene")
     pictures = [view.read().tobytes() for view in scene.views]
     smaller = [images.read(path).tobytes() for path in sorted((folder / "scene" / "images_2").iterdir())]
-    return [view.name for view in scene.views], pictures, smaller, scene.box.tolist(), scene.near, scene.provenance["frames_sha256"]
+    return (
+        [view.name for view in scene.views],
+        pictures,
+        smaller,
+        scene.box.tolist(),
+        scene.near,
+        scene.provenance["frames_sha256"],
+    )
 
 
 def _scenes_kept(folder: Path) -> set[str]:

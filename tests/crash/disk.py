@@ -1,7 +1,7 @@
 """A model of a disk: what of a folder is there at once, and what survives a power cut.
 
-Data of a file survives from its last flush (fsync, fdatasync) on; a name in a folder, its removal or its change survives from the last
-flush of that folder on. POSIX promises no more, and file systems differ in what they give beyond it.
+A file's data survives once it is flushed (fsync, fdatasync). A name in a folder, its removal or its change survives once
+that folder is flushed. POSIX promises no more, and file systems differ in what they give beyond it.
 """
 
 import hashlib
@@ -14,8 +14,8 @@ from strace import Call, data_of, descriptor_of, path_of
 Tree = dict[str, bytes | None]
 """Content of every file by its path in the folder; None for folders."""
 VARIANTS = ("dropped", "names", "zeros", "killed")
-"""What is left after a crash: nothing unflushed; all names, but no unflushed data; the same at full length in zeros; everything (a
-kill without a power cut). Beside these, "without FOLDER": everything but the unflushed names of one folder."""
+"""What a crash leaves: nothing unflushed; all names, but no unflushed data; the same at full length in zeros; everything
+(a kill without a power cut). Beside these, "without FOLDER": everything but the unflushed names of one folder."""
 IGNORED = ("ioctl", "fcntl", "fallocate")
 
 
@@ -44,7 +44,7 @@ class Opened:
 
 
 class Disk:
-    """Replays calls on one folder, which exists and is empty at first. `marks` are the names of what a program reported as done."""
+    """Replays calls on one folder, which is empty at first. `marks` are the names of what a program reported as done."""
 
     def __init__(self, root: Path, marks: Path) -> None:
         self.root, self.root_of_marks = root, marks
@@ -275,7 +275,11 @@ class Disk:
 
     def _collect(self, node: Node, path: str, variant: str, tree: Tree) -> None:
         if not node.is_folder:
-            content = {"dropped": node.durable, "names": node.durable, "zeros": node.durable[: len(node.live)].ljust(len(node.live), b"\0")}
+            content = {
+                "dropped": node.durable,
+                "names": node.durable,
+                "zeros": node.durable[: len(node.live)].ljust(len(node.live), b"\0"),
+            }
             tree[path] = content.get(variant, bytes(node.live))
             return
         if path:

@@ -1,6 +1,6 @@
 """The system calls by which a program changes a folder, recorded with strace (Linux; Debian package strace).
 
-    recorded(["python", "program.py"], folder)  ->  [Call("mkdir", ...), Call("write", ...), ...] in the order of their completion
+recorded(["python", "program.py"], folder)  ->  [Call("mkdir", ...), Call("write", ...), ...] in the order of their completion
 """
 
 import re
@@ -12,8 +12,32 @@ from dataclasses import dataclass
 from pathlib import Path
 
 OPENS = ("open", "openat", "creat")
-WRITES = ("write", "pwrite64", "writev", "pwritev", "pwritev2", "sendfile", "copy_file_range", "ftruncate", "truncate", "fallocate")
-NAMES = ("rename", "renameat", "renameat2", "unlink", "unlinkat", "rmdir", "mkdir", "mkdirat", "link", "linkat", "symlink", "symlinkat")
+WRITES = (
+    "write",
+    "pwrite64",
+    "writev",
+    "pwritev",
+    "pwritev2",
+    "sendfile",
+    "copy_file_range",
+    "ftruncate",
+    "truncate",
+    "fallocate",
+)
+NAMES = (
+    "rename",
+    "renameat",
+    "renameat2",
+    "unlink",
+    "unlinkat",
+    "rmdir",
+    "mkdir",
+    "mkdirat",
+    "link",
+    "linkat",
+    "symlink",
+    "symlinkat",
+)
 OTHERS = ("lseek", "close", "dup", "dup2", "dup3", "fcntl", "fsync", "fdatasync", "sync", "syncfs", "mmap", "ioctl")
 _LINE = re.compile(r"(\d+)\s+(?:<\.\.\. (\w+) resumed>)?(.*)")
 _END = re.compile(r"\)\s*= (-?\d+|0x[0-9a-f]+|\?)(.*)$")
@@ -46,7 +70,20 @@ def recorded(command: Sequence[str], environment: dict[str, str]) -> list[Call]:
     """
     with tempfile.NamedTemporaryFile("r", suffix=".strace") as log:
         names = ",".join((*OPENS, *WRITES, *NAMES, *OTHERS))
-        words = ["strace", "-f", "-y", "-xx", "-s", "100000000", "--seccomp-bpf", "-o", log.name, "-e", f"trace={names}", *command]
+        words = [
+            "strace",
+            "-f",
+            "-y",
+            "-xx",
+            "-s",
+            "100000000",
+            "--seccomp-bpf",
+            "-o",
+            log.name,
+            "-e",
+            f"trace={names}",
+            *command,
+        ]
         done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
         if done.returncode:
             raise RuntimeError(f"{' '.join(command)} failed: {done.stderr[-2000:]}")

@@ -71,7 +71,9 @@ def test_nothing_is_written_outside_the_output_folder(scene_with_truth: Scene, t
     assert not (tmp_path / "victim").exists()
 
 
-@pytest.mark.xfail(strict=True, reason="build.extra_truth globs truth/*.ply and koala.link resolves links: a file outside is copied")
+@pytest.mark.xfail(
+    strict=True, reason="build.extra_truth globs truth/*.ply and koala.link resolves links: a file outside is copied"
+)
 def test_a_link_among_the_true_meshes_is_not_copied(scene_with_truth: Scene, tmp_path: Path) -> None:
     from datasets.build import extra_truth
 
@@ -94,7 +96,9 @@ def stranger_recording(folder: Path, name: str) -> tuple[Path, Path]:
     volume = {"centre": [0.0, 0.0, 0.0], "size": [0.1, 0.1, 0.1]}
     recording = Recording.create(folder / "recording", {"trajectory": {}, "object": volume})
     images.write(recording.path / "images" / "0.png", np.zeros((12, 16, 3), np.uint8))
-    recording.append(Frame(0, name, "train", "images/0.png", pose.look_at((0.5, 0, 0.5), (0, 0, 0)), np.zeros(6), 0.0, 0, 0, 1e4, 0.1, ""))
+    recording.append(
+        Frame(0, name, "train", "images/0.png", pose.look_at((0.5, 0, 0.5), (0, 0, 0)), np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
+    )
     known = UncertainPose(np.eye(4), 1e-8 * np.eye(6))
     Calibration(camera, {}, known, known).save(folder / "calibration.json")
     return recording.path, folder / "calibration.json"
@@ -112,7 +116,9 @@ def test_a_frames_name_does_not_lead_out_of_the_truth_folder(tmp_path: Path) -> 
     assert not any(path.resolve() == (tmp_path / "secret.exr").resolve() for view in scene.views for path in view.truth.values())
 
 
-@pytest.mark.xfail(strict=True, reason="build._truth follows a channel that is a link to a folder outside, and koala.link copies from it")
+@pytest.mark.xfail(
+    strict=True, reason="build._truth follows a channel that is a link to a folder outside, and koala.link copies from it"
+)
 def test_a_recordings_truth_channel_that_is_a_link_is_not_copied(tmp_path: Path) -> None:
     recording, calibration = stranger_recording(tmp_path, "0")
     (recording / "truth").mkdir()
@@ -157,7 +163,9 @@ def png_of_zeros(side: int) -> bytes:
     packer = zlib.compressobj(9)
     packed = b"".join(packer.compress(b"\0" * (1 + 3 * side)) for _ in range(side)) + packer.flush()
     chunks = ((b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)), (b"IDAT", packed), (b"IEND", b""))
-    body = b"".join(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks)
+    body = b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
     return b"\x89PNG\r\n\x1a\n" + body
 
 
@@ -177,7 +185,9 @@ class Free(Schema):
     values: object = None
 
 
-@pytest.mark.xfail(strict=True, reason="schema._note_lines walks every alias anew: 9^9 visits; there is no limit on size or nodes")
+@pytest.mark.xfail(
+    strict=True, reason="schema._note_lines walks every alias anew: 9^9 visits; there is no limit on size or nodes"
+)
 @pytest.mark.timeout(60)
 def test_yaml_whose_aliases_multiply_is_refused_at_once(tmp_path: Path) -> None:
     lines = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0]"]
@@ -194,7 +204,9 @@ def test_yaml_whose_aliases_multiply_is_refused_at_once(tmp_path: Path) -> None:
     assert done.returncode == 0 and "budget" in done.stdout, f"ended with {done.returncode}: {done.stdout}"
 
 
-@pytest.mark.xfail(strict=True, reason="schema.read_yaml has no limit of size, where read_json has one", raises=pytest.fail.Exception)
+@pytest.mark.xfail(
+    strict=True, reason="schema.read_yaml has no limit of size, where read_json has one", raises=pytest.fail.Exception
+)
 def test_a_huge_yaml_file_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
     path = tmp_path / "huge.yaml"
     with open(path, "wb") as file:
@@ -206,7 +218,9 @@ def test_a_huge_yaml_file_is_refused_before_it_is_parsed(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("way", ["fifo", "device", "loop"])
-@pytest.mark.xfail(strict=True, reason="schema.read_yaml opens whatever bears the name: a pipe is waited for, a loop of links is a traceback")
+@pytest.mark.xfail(
+    strict=True, reason="schema.read_yaml opens whatever bears the name: a pipe is waited for, a loop of links is a traceback"
+)
 @pytest.mark.timeout(60)
 def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path, way: str) -> None:
     path = tmp_path / "trajectory.yaml"
@@ -229,7 +243,9 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path, way: str)
 
 
 def big_endian(points: np.ndarray) -> bytes:
-    header = f"ply\nformat binary_big_endian 1.0\nelement vertex {len(points)}\n" + "".join(f"property float {a}\n" for a in "xyz")
+    header = f"ply\nformat binary_big_endian 1.0\nelement vertex {len(points)}\n" + "".join(
+        f"property float {a}\n" for a in "xyz"
+    )
     return (header + "end_header\n").encode() + points.astype(">f4").tobytes()
 
 

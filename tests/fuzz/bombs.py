@@ -79,8 +79,17 @@ def jpeg_header(side: int) -> bytes:
 
 def tiff_header(side: int) -> bytes:
     """A TIFF whose header promises side x side pixels."""
-    entries = [(256, 4, 1, side), (257, 4, 1, side), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, 1, 200), (277, 3, 1, 1),
-               (278, 4, 1, side), (279, 4, 1, 1000)]  # fmt: skip
+    entries = [
+        (256, 4, 1, side),
+        (257, 4, 1, side),
+        (258, 3, 1, 8),
+        (259, 3, 1, 1),
+        (262, 3, 1, 1),
+        (273, 4, 1, 200),
+        (277, 3, 1, 1),
+        (278, 4, 1, side),
+        (279, 4, 1, 1000),
+    ]
     body = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", *entry) for entry in entries) + struct.pack("<I", 0)
     return (b"II*\0" + struct.pack("<I", 8) + body).ljust(1300, b"\0")
 

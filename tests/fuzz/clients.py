@@ -1,4 +1,4 @@
-"""Clients of the simulated controller: a well-behaved one, and messages as no client should send them, each from its number alone."""
+"""Clients of the simulated controller: a well-behaved one, and malformed messages, each from its number alone."""
 
 import random
 import socket
@@ -9,10 +9,41 @@ from collections.abc import Callable
 RTDE, SCRIPT, DASHBOARD = 30004, 30003, 29999
 DOUBLES = (0.0, -1.0, 1e-320, 1e300, -1e300, float("nan"), float("inf"), -float("inf"), 3.14, 1e5)
 INTS = (0, 1, 2, 3, 4, 15, 28, 29, 30, 33, 35, 36, 37, 39, 40, 43, 46, 58, 60, 99, 254, 255, 256, -1, 2**31 - 1, -(2**31))
-NAMES = ("timestamp", "actual_q", "input_int_register_0", "input_double_register_0", "input_int_register_24", "speed_slider_fraction",
-         "standard_digital_output", "input_int_register_99", "", "nonsense", "a" * 500, "input_bit_register_127", "robot_mode")  # fmt: skip
-ORDERS = ("running", "robotmode", "play", "pause", "stop", "power off", "power on", "brake release", "popup x", "load /etc/passwd", "shutdown",
-          "unlock protective stop", "get serial number", "polyscopeversion", "safetymode", "quit", "", "close popup")  # fmt: skip
+NAMES = (
+    "timestamp",
+    "actual_q",
+    "input_int_register_0",
+    "input_double_register_0",
+    "input_int_register_24",
+    "speed_slider_fraction",
+    "standard_digital_output",
+    "input_int_register_99",
+    "",
+    "nonsense",
+    "a" * 500,
+    "input_bit_register_127",
+    "robot_mode",
+)
+ORDERS = (
+    "running",
+    "robotmode",
+    "play",
+    "pause",
+    "stop",
+    "power off",
+    "power on",
+    "brake release",
+    "popup x",
+    "load /etc/passwd",
+    "shutdown",
+    "unlock protective stop",
+    "get serial number",
+    "polyscopeversion",
+    "safetymode",
+    "quit",
+    "",
+    "close popup",
+)
 
 
 def packet(kind: int, payload: bytes = b"", size: int | None = None) -> bytes:
@@ -54,7 +85,7 @@ class Connection:
         return data
 
     def check(self) -> float:
-        """Two states whose time goes on and whose joints are numbers, and an answer of the dashboard; returns the seconds it took."""
+        """Receive two states with finite joints and increasing time, and a dashboard answer; returns the seconds it took."""
         begun, times = time.monotonic(), []
         while len(times) < 2:
             kind, payload = self._receive()
@@ -83,10 +114,17 @@ def rtde_messages(choice: random.Random) -> list[bytes]:
         if way == 0:
             messages.append(choice.randbytes(choice.choice((1, 2, 3, 50, 5000))))
         elif way == 1:
-            messages.append(packet(choice.randrange(256), choice.randbytes(choice.randrange(100)), choice.choice((0, 1, 2, 3, 65535, None))))
+            messages.append(
+                packet(choice.randrange(256), choice.randbytes(choice.randrange(100)), choice.choice((0, 1, 2, 3, 65535, None)))
+            )
         elif way == 2:
             names = ",".join(choice.choice(NAMES) for _ in range(choice.choice((1, 3, 40, 2000))))
-            messages.append(packet(ord(choice.choice("OI")), choice.choice((b"", struct.pack(">d", choice.choice(DOUBLES)))) + names.encode()[:65000]))
+            messages.append(
+                packet(
+                    ord(choice.choice("OI")),
+                    choice.choice((b"", struct.pack(">d", choice.choice(DOUBLES)))) + names.encode()[:65000],
+                )
+            )
         else:
             messages += _command(choice)
     return messages
@@ -95,10 +133,19 @@ def rtde_messages(choice: random.Random) -> list[bytes]:
 def _command(choice: random.Random) -> list[bytes]:
     """Registers for the control program: any command with any numbers."""
     first = choice.choice((0, 24))
-    names = [f"input_int_register_{first}", *(f"input_double_register_{first + index}" for index in range(12)), "speed_slider_mask",
-             "speed_slider_fraction"]  # fmt: skip
-    values = struct.pack(">i12dId", choice.choice((choice.choice(INTS), choice.randrange(80))), *(choice.choice(DOUBLES) for _ in range(12)), 1,
-                         choice.choice(DOUBLES))  # fmt: skip
+    names = [
+        f"input_int_register_{first}",
+        *(f"input_double_register_{first + index}" for index in range(12)),
+        "speed_slider_mask",
+        "speed_slider_fraction",
+    ]
+    values = struct.pack(
+        ">i12dId",
+        choice.choice((choice.choice(INTS), choice.randrange(80))),
+        *(choice.choice(DOUBLES) for _ in range(12)),
+        1,
+        choice.choice(DOUBLES),
+    )
     return [packet(ord("I"), ",".join(names).encode()), packet(ord("S")), *[packet(ord("U"), b"\x01" + values)] * 2]
 
 
@@ -106,8 +153,10 @@ def script_messages(choice: random.Random) -> list[bytes]:
     """What one connection sends to the script port."""
     way = choice.randrange(6)
     offset = choice.choice((0, 24, 47, 48, 99999999999999999999, -1, "x", ""))
-    body = "\n".join(choice.choice(("  while True:", "  movej([0,0,0,0,0,0])", "  sync()", "end", "\t", "def g():", "é", "#", "  end"))
-                     for _ in range(choice.randrange(40)))  # fmt: skip
+    body = "\n".join(
+        choice.choice(("  while True:", "  movej([0,0,0,0,0,0])", "  sync()", "end", "\t", "def g():", "é", "#", "  end"))
+        for _ in range(choice.randrange(40))
+    )
     if way == 0:
         return [choice.randbytes(choice.choice((1, 100, 70_000)))]
     if way == 1:
@@ -136,8 +185,11 @@ def dashboard_messages(choice: random.Random) -> list[bytes]:
 
 
 MESSAGES: tuple[tuple[int, Callable[[random.Random], list[bytes]]], ...] = (
-    (RTDE, rtde_messages), (RTDE, rtde_messages), (SCRIPT, script_messages), (DASHBOARD, dashboard_messages),
-)  # fmt: skip
+    (RTDE, rtde_messages),
+    (RTDE, rtde_messages),
+    (SCRIPT, script_messages),
+    (DASHBOARD, dashboard_messages),
+)
 
 
 def misbehave(host: str, number: int, left_open: list[socket.socket]) -> int:

@@ -1,4 +1,7 @@
-"""Ways to corrupt a sound input, each from its number alone. Each returns whether an error must follow; None: it does not apply."""
+"""Ways to corrupt a sound input, each from its number alone.
+
+Each returns whether an error must follow; None where it does not apply.
+"""
 
 import json
 import os
@@ -105,8 +108,15 @@ class Damage(Structure):
 
     def _outside_name(self) -> str:
         secret = self.outside / "secret.png"
-        return self.random.choice((f"../../{self.outside.name}/secret.png", str(secret), f"images/../../../{self.outside.name}/secret.png",
-                                   f"../../{self.outside.name}/secret", "/etc/passwd"))  # fmt: skip
+        return self.random.choice(
+            (
+                f"../../{self.outside.name}/secret.png",
+                str(secret),
+                f"images/../../../{self.outside.name}/secret.png",
+                f"../../{self.outside.name}/secret",
+                "/etc/passwd",
+            )
+        )
 
     def traverse_json(self) -> bool | None:
         """A path in a file leaves the folder."""
@@ -133,7 +143,9 @@ class Damage(Structure):
         path = self.pick(".yaml")
         if path is None or "images" not in (content := yaml.safe_load(path.read_text())):
             return None
-        pattern = self.random.choice((f"../../{self.outside.name}/*", f"{self.outside}/*.png", "../*/*.png", "/etc/pass*", "**/*.png"))
+        pattern = self.random.choice(
+            (f"../../{self.outside.name}/*", f"{self.outside}/*.png", "../*/*.png", "/etc/pass*", "**/*.png")
+        )
         content[self.random.choice(("images", "poses"))] = pattern
         path.write_text(yaml.safe_dump(content))
         return not pattern.startswith("**")
@@ -228,7 +240,9 @@ class Damage(Structure):
         if path is None:
             return None
         shapes = ("(1000000000000, 17)", "(-1, 17)", "(3, 17" + ", 99999" * 8 + ")", "(" * 300, "(17,) * 10**9")
-        header = ("{'descr': '<f8', 'fortran_order': False, 'shape': " + self.random.choice(shapes) + ", }").encode().ljust(600) + b"\n"
+        header = ("{'descr': '<f8', 'fortran_order': False, 'shape': " + self.random.choice(shapes) + ", }").encode().ljust(
+            600
+        ) + b"\n"
         path.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + b"\0" * 1000)
         return True
 
@@ -250,13 +264,25 @@ class Damage(Structure):
         path = self.pick(".ply")
         if path is None:
             return None
-        before, after = self.random.choice((
-            (b"binary_little_endian", b"binary_big_endian"), (b"ascii", b"binary_big_endian"), (b"vertex ", b"vertex 99999999999999"),
-            (b"vertex ", b"vertex -"), (b"double x", b"list uchar int x"), (b"float y", b"char y"), (b"double z", b"double x"),
-            (b"element vertex", b"element face 5\nproperty list uchar int a\nelement vertex"), (b"end_header\n", b"end_header\r\n"),
-            (b"\n", b"\r\n"), (b"ply\n", b"ply\r"), (b"format", b"comment " + b"x" * 70_000 + b"\nformat"), (b"property", b"property float"),
-            (b"end_header", b"property double w\n" * 3000 + b"end_header"), (b"double x", b"double \xff\xfe"),
-        ))  # fmt: skip
+        before, after = self.random.choice(
+            (
+                (b"binary_little_endian", b"binary_big_endian"),
+                (b"ascii", b"binary_big_endian"),
+                (b"vertex ", b"vertex 99999999999999"),
+                (b"vertex ", b"vertex -"),
+                (b"double x", b"list uchar int x"),
+                (b"float y", b"char y"),
+                (b"double z", b"double x"),
+                (b"element vertex", b"element face 5\nproperty list uchar int a\nelement vertex"),
+                (b"end_header\n", b"end_header\r\n"),
+                (b"\n", b"\r\n"),
+                (b"ply\n", b"ply\r"),
+                (b"format", b"comment " + b"x" * 70_000 + b"\nformat"),
+                (b"property", b"property float"),
+                (b"end_header", b"property double w\n" * 3000 + b"end_header"),
+                (b"double x", b"double \xff\xfe"),
+            )
+        )
         head, end, body = path.read_bytes().partition(b"end_header\n")
         path.write_bytes((head + end).replace(before, after, 1 if before != b"\n" else -1) + body)
         return False
@@ -287,10 +313,47 @@ class Damage(Structure):
 
 
 WAYS: tuple[str, ...] = (
-    "truncate", "cut_table", "cut_picture", "flip", "flip_bit", "flip_bit", "swap_files", "remove", "huge_number", "traverse_json", "traverse_table",
-    "traverse_pattern", "traverse_frame", "link_round", "special_file", "bomb", "pixel_bomb", "nan_everywhere", "pickled", "zip_bomb",
-    "huge_shape", "words", "points_header", "garbage", "crowd", "copy_checkpoint",
-    "bad_value", "bad_value", "nested_type", "nested_type", "drop_key", "odd_name", "odd_name", "odd_key", "truth_key", "duplicate_key",
-    "huge_count", "encoding", "deep", "digits", "alias_bomb", "alias_bomb",
-)  # fmt: skip
+    "truncate",
+    "cut_table",
+    "cut_picture",
+    "flip",
+    "flip_bit",
+    "flip_bit",
+    "swap_files",
+    "remove",
+    "huge_number",
+    "traverse_json",
+    "traverse_table",
+    "traverse_pattern",
+    "traverse_frame",
+    "link_round",
+    "special_file",
+    "bomb",
+    "pixel_bomb",
+    "nan_everywhere",
+    "pickled",
+    "zip_bomb",
+    "huge_shape",
+    "words",
+    "points_header",
+    "garbage",
+    "crowd",
+    "copy_checkpoint",
+    "bad_value",
+    "bad_value",
+    "nested_type",
+    "nested_type",
+    "drop_key",
+    "odd_name",
+    "odd_name",
+    "odd_key",
+    "truth_key",
+    "duplicate_key",
+    "huge_count",
+    "encoding",
+    "deep",
+    "digits",
+    "alias_bomb",
+    "alias_bomb",
+)
 """Names of the ways; what is worth more attempts stands here twice."""

@@ -67,7 +67,15 @@ def attempt(numbers: range, folder: Path, results: list[dict[str, Any]]) -> None
         if begun is None and done is None:
             raise RuntimeError(f"program.py did not start: {reason} {last}")
         if begun is not None and begun["number"] != done:
-            lost = {**begun, "must_fail": False, "outcome": "died", "message": f"{reason} {last}", "lines": 1, "seconds": 0.0, "bytes": 0}
+            lost = {
+                **begun,
+                "must_fail": False,
+                "outcome": "died",
+                "message": f"{reason} {last}",
+                "lines": 1,
+                "seconds": 0.0,
+                "bytes": 0,
+            }
             results.append({**lost, "strange": []})
             done = begun["number"]
         numbers = numbers[numbers.index(done) + 1 :] if done is not None else range(0)
@@ -99,7 +107,10 @@ def run(numbers: range, workers: int) -> list[dict[str, Any]]:
     results: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="koala-fuzz-") as scratch:
         shares = [numbers[index::workers] for index in range(workers)]
-        threads = [threading.Thread(target=attempt, args=(share, Path(scratch) / f"{index}", results)) for index, share in enumerate(shares)]
+        threads = [
+            threading.Thread(target=attempt, args=(share, Path(scratch) / f"{index}", results))
+            for index, share in enumerate(shares)
+        ]
         for thread in threads:
             thread.start()
         for thread in threads:

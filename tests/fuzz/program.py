@@ -53,8 +53,18 @@ def attempt(number: int, sources: dict[str, Path], work: Path, watch: Watch) -> 
         outcome, message = "raised", f"{type(error).__name__} in {_origin(error)}: {error}"
     seconds, memory = time.process_time() - start, peak_bytes() - before
     strange = watch.strange(allowed=(work / "input", out))
-    return {"number": number, "kind": kind, "way": way, "must_fail": must_fail, "outcome": outcome, "message": message[:400],
-            "lines": len(message.splitlines()), "seconds": seconds, "bytes": memory, "strange": strange}  # fmt: skip
+    return {
+        "number": number,
+        "kind": kind,
+        "way": way,
+        "must_fail": must_fail,
+        "outcome": outcome,
+        "message": message[:400],
+        "lines": len(message.splitlines()),
+        "seconds": seconds,
+        "bytes": memory,
+        "strange": strange,
+    }
 
 
 def _origin(error: BaseException) -> str:

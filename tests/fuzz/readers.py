@@ -107,7 +107,9 @@ def _run(folder: Path, out: Path) -> None:
     run = Run.open(folder)
     run.log()
     state, clock = checkpoint.load(run.path / "checkpoints", example_state())
-    assert state.weights.shape == (16, 8) and clock["step"] == 2
+    expected = example_state()
+    same = np.array_equal(state.weights, expected.weights) and np.array_equal(state.moments, expected.moments)
+    assert same and clock["step"] == int(state.step) in (1, 2), "numbers that nobody has stored"
 
 
 READERS = {

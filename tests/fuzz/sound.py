@@ -24,8 +24,14 @@ from datasets.scene import Scene, Sightings, View
 PICTURES = (".png", ".jpg", ".tif", ".exr")
 LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "colmap-text")
 CAMERA = Camera(24, 18, 30.0, 30.0, 12.0, 9.0)
-BOARD = {"type": "charuco", "squares_x": 5, "squares_y": 4, "square_length_m": 0.03, "marker_length_m": 0.02,
-         "dictionary": "DICT_4X4_50"}  # fmt: skip
+BOARD = {
+    "type": "charuco",
+    "squares_x": 5,
+    "squares_y": 4,
+    "square_length_m": 0.03,
+    "marker_length_m": 0.02,
+    "dictionary": "DICT_4X4_50",
+}
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -48,8 +54,17 @@ def sound_inputs(folder: Path) -> dict[str, Path]:
             shutil.copytree(folder / layout, folder / f"{layout}-bare")
             (folder / f"{layout}-bare" / "koala.json").unlink()
             found[f"{layout}-bare"] = folder / f"{layout}-bare"
-    makers = {"recording": _recording, "calibration": _calibration, "points": _points, "picture": _pictures, "trajectory": _trajectory,
-              "rig": _rig, "path": _path, "session": _session, "run": _run}  # fmt: skip
+    makers = {
+        "recording": _recording,
+        "calibration": _calibration,
+        "points": _points,
+        "picture": _pictures,
+        "trajectory": _trajectory,
+        "rig": _rig,
+        "path": _path,
+        "session": _session,
+        "run": _run,
+    }
     for kind, make in makers.items():
         (folder / kind).mkdir()
         make(folder / kind)
@@ -85,8 +100,22 @@ def _recording(folder: Path) -> None:
         images.write(path, generator.random((18, 24, 3)).astype(np.float32))
         images.write(folder / "truth" / "depth" / f"{name}.exr", np.full((18, 24, 1), 1.0, np.float32))
         matrix = pose.look_at((np.cos(number), np.sin(number), 0.5), (0, 0, 0))
-        recording.append(Frame(number, name, "train", f"images/{name}.png", matrix, np.zeros(6), 0.1 * number, number, number, 1e4, 0.1,
-                               files.sha256(path)))  # fmt: skip
+        recording.append(
+            Frame(
+                number,
+                name,
+                "train",
+                f"images/{name}.png",
+                matrix,
+                np.zeros(6),
+                0.1 * number,
+                number,
+                number,
+                1e4,
+                0.1,
+                files.sha256(path),
+            )
+        )
     ply.write_points(folder / "truth" / "object.ply", np.zeros((3, 3)))
     _calibration(folder)
 
@@ -101,7 +130,9 @@ def _points(folder: Path) -> None:
     points = np.random.default_rng(2).normal(size=(20, 3))
     ply.write_points(folder / "little.ply", points)
     rows = "".join(f"{x} {y} {z} 1 2 3\n" for x, y, z in points)
-    properties = "".join(f"property float {axis}\n" for axis in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    properties = "".join(f"property float {axis}\n" for axis in "xyz") + "".join(
+        f"property uchar {c}\n" for c in ("red", "green", "blue")
+    )
     header = f"ply\nformat ascii 1.0\ncomment made for a test\nelement vertex 20\n{properties}end_header\n"
     (folder / "text.ply").write_text(header + rows)
 

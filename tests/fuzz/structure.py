@@ -9,12 +9,58 @@ from typing import Any
 import bombs
 import yaml
 
-NAMES = ("", ".", "..", "../outside", "/etc/passwd", "a/../../../outside/x", "a" * 300, "a\0b", "\ud800", "über/ß", "a\nb", "CON", "-rf",
-         "*", "[a-", "%00", "\u202egnp.exe", "~", "~root", " ", "a//b", "a\\..\\b", "1.5e3", "null")  # fmt: skip
+NAMES = (
+    "",
+    ".",
+    "..",
+    "../outside",
+    "/etc/passwd",
+    "a/../../../outside/x",
+    "a" * 300,
+    "a\0b",
+    "\ud800",
+    "über/ß",
+    "a\nb",
+    "CON",
+    "-rf",
+    "*",
+    "[a-",
+    "%00",
+    "\u202egnp.exe",
+    "~",
+    "~root",
+    " ",
+    "a//b",
+    "a\\..\\b",
+    "1.5e3",
+    "null",
+)
 """Names that trouble file systems, shells, patterns or encodings."""
 ENCODINGS = ("utf-16", "utf-8-sig", "latin-1", "utf-32-le", "cp500")
-BAD: tuple[Any, ...] = (float("nan"), float("inf"), -float("inf"), -1, 0, 1e308, 5e-324, 10**30, 2**63, "x", None, [], {}, True, [[[]]], "\0",
-                        "a" * 5000, {"a": {"b": {}}}, [None] * 3, "1e5", "0x10", -0.0)  # fmt: skip
+BAD: tuple[Any, ...] = (
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    -1,
+    0,
+    1e308,
+    5e-324,
+    10**30,
+    2**63,
+    "x",
+    None,
+    [],
+    {},
+    True,
+    [[[]]],
+    "\0",
+    "a" * 5000,
+    {"a": {"b": {}}},
+    [None] * 3,
+    "1e5",
+    "0x10",
+    -0.0,
+)
 Place = tuple[Any, ...]
 
 
@@ -196,11 +242,20 @@ class Structure:
         key = self.random.choice(keys)
         kept = "\n".join(line for line in path.read_text().splitlines() if not line.startswith((f"{key}:", " ", "-")))
         trap = f"!!python/object/apply:os.mkdir ['{self.outside / 'sprung'}']"
-        text = self.random.choice((
-            bombs.aliases(self.random.choice((6, 9, 20)), self.random.choice((2, 9)), key),
-            f"{key}: &a [*a]\n", f"{key}: &a {{b: *a}}\n", f"{key}: {trap}\n", f"<<: &a {{{key}: 1}}\n{key}: *a\n",
-            f"{key}: {'[' * 40}{']' * 40}\n", f"? [a, b]\n: 1\n{key}: 2\n", f"{key}: !!binary {'A' * 400000}\n",
-            f"{key}: {'9' * 5000}\n", f"{key}: 2001-99-99\n", f"{key}: 190:20:30:15\n",
-        ))  # fmt: skip
+        text = self.random.choice(
+            (
+                bombs.aliases(self.random.choice((6, 9, 20)), self.random.choice((2, 9)), key),
+                f"{key}: &a [*a]\n",
+                f"{key}: &a {{b: *a}}\n",
+                f"{key}: {trap}\n",
+                f"<<: &a {{{key}: 1}}\n{key}: *a\n",
+                f"{key}: {'[' * 40}{']' * 40}\n",
+                f"? [a, b]\n: 1\n{key}: 2\n",
+                f"{key}: !!binary {'A' * 400000}\n",
+                f"{key}: {'9' * 5000}\n",
+                f"{key}: 2001-99-99\n",
+                f"{key}: 190:20:30:15\n",
+            )
+        )
         path.write_text(f"{kept}\n{text}" if self.random.random() < 0.7 else text)
         return False

@@ -82,7 +82,11 @@ def test_a_hundred_connections_at_once_half_open_and_slow(controller: SimulatedC
     good, before = clients.Connection(controller.host), memory(controller)
     ports = (clients.RTDE, clients.SCRIPT, clients.DASHBOARD)
     beginnings = {clients.RTDE: b"\x00\x50V", clients.SCRIPT: b"def p():\n", clients.DASHBOARD: b"robot"}
-    opened = [(port, socket.create_connection((controller.host, port), PATIENCE_S)) for port in ports for _ in range(OPEN_AT_ONCE // 3 + 1)]
+    opened = [
+        (port, socket.create_connection((controller.host, port), PATIENCE_S))
+        for port in ports
+        for _ in range(OPEN_AT_ONCE // 3 + 1)
+    ]
     for port, one in opened:
         one.sendall(beginnings[port][:1])
     for index in (1, 2):
@@ -113,7 +117,9 @@ def test_a_client_that_never_reads_is_cut_off(controller: SimulatedController) -
     good.close()
 
 
-@pytest.mark.xfail(strict=True, reason="ControllerServer.script keeps everything until a line 'end'", raises=pytest.fail.Exception)
+@pytest.mark.xfail(
+    strict=True, reason="ControllerServer.script keeps everything until a line 'end'", raises=pytest.fail.Exception
+)
 def test_a_program_without_an_end_is_refused(controller: SimulatedController) -> None:
     good, before = clients.Connection(controller.host), memory(controller)
     with socket.create_connection((controller.host, clients.SCRIPT), PATIENCE_S) as endless:

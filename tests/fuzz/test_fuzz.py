@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ALL, SHARE = 10_000, 33
-KINDS, WAYS = 21, 42
+KINDS, WAYS = 21, 37
 OPEN: dict[str, str] = {}
 """Faults that are known and not mended yet, as patterns of what `pool.py` says, with where to mend each."""
 
@@ -30,6 +30,6 @@ def test_corrupted_inputs_are_refused(step: int) -> None:
     refused = Counter(r["outcome"] for r in results)["refused"]
     assert refused > 0.6 * len(results)  # the premise: most corruptions matter; the rest hit what nobody reads
     share = 1 if step == 1 else 0.8
-    assert len({r["kind"] for r in results}) >= share * KINDS and len({r["way"] for r in results}) >= share * (WAYS - 6)
+    assert len({r["kind"] for r in results}) >= share * KINDS and len({r["way"] for r in results}) >= share * WAYS
     if step == 1:  # what was mended is not excused any more
         assert not [known for known in OPEN if not any(re.search(known, f"{w[1]} {w[2]}: {w[3]}") for w in wrong)]

@@ -7,8 +7,18 @@ import struct
 import sys
 from pathlib import Path
 
-WATCHED = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "pickle.find_class", "ctypes.dlopen",
-           "socket.connect", "socket.bind", "webbrowser.open")  # fmt: skip
+WATCHED = (
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.fork",
+    "pickle.find_class",
+    "ctypes.dlopen",
+    "socket.connect",
+    "socket.bind",
+    "webbrowser.open",
+)
 """Audit events of what reading a file must not lead to."""
 FOREIGN = "/etc/passwd"
 """A file that corrupted inputs name; whoever opens it was led astray."""
@@ -61,7 +71,11 @@ class Watch:
         appeared = sorted(self._listing(allowed) - self.before)
         for path in reversed(appeared):
             (path.rmdir if path.is_dir() and not path.is_symlink() else path.unlink)()
-        return [*self.events, *(f"touched {name}" for name in touched), *(f"wrote {path.relative_to(self.work)}" for path in appeared)]
+        return [
+            *self.events,
+            *(f"touched {name}" for name in touched),
+            *(f"wrote {path.relative_to(self.work)}" for path in appeared),
+        ]
 
     def _listing(self, allowed: tuple[Path, ...]) -> set[Path]:
         """Everything in `work` but what is in the allowed folders."""

@@ -78,7 +78,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("left", [1_500_000, 700_000, 300_000, 145_000, 20_000])
-def test_a_disk_that_fills_up_costs_no_frame(trajectory: Trajectory, views: list[PlannedView], rig: Rig, small_disk: Path, left: int) -> None:
+def test_a_disk_that_fills_up_costs_no_frame(
+    trajectory: Trajectory, views: list[PlannedView], rig: Rig, small_disk: Path, left: int
+) -> None:
     (small_disk / "filling").write_bytes(bytes(shutil.disk_usage(small_disk).free - left))
     try:
         record(trajectory, rig, small_disk / "rec", planned=views)
@@ -103,6 +105,6 @@ def test_a_recording_without_room_is_refused_before_the_arm_moves(
 ) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: type(usage)(usage.total, usage.total - 100_000, 100_000))
-    with pytest.raises(KoalaError, match="room|free"):
+    with pytest.raises(KoalaError, match=r"room|free"):
         record(trajectory, rig, tmp_path / "rec", planned=views)
     assert rig.robot.moves == 0 and not (tmp_path / "rec").exists()  # type: ignore[attr-defined]

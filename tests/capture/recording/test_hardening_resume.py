@@ -83,7 +83,9 @@ def test_resume_with_another_rig_is_refused_by_name(
         record(trajectory, rig(robot, camera), tmp_path / "rec", planned=views, resume=True)
 
 
-def test_resume_with_the_same_rig_at_another_address_goes_on(trajectory: Trajectory, views: list[PlannedView], tmp_path: Path) -> None:
+def test_resume_with_the_same_rig_at_another_address_goes_on(
+    trajectory: Trajectory, views: list[PlannedView], tmp_path: Path
+) -> None:
     record(trajectory, rig({**ROBOT, "host": "10.0.0.1"}, CAMERA), tmp_path / "rec", planned=views[:2])
     record(trajectory, rig({**ROBOT, "host": "10.0.0.2"}, CAMERA), tmp_path / "rec", planned=views, resume=True)
     assert len(Recording.open(tmp_path / "rec").frames) == 3

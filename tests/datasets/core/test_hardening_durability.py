@@ -48,7 +48,9 @@ def test_new_parent_folders_are_flushed(flushes: Flushes, tmp_path: Path) -> Non
     assert {tmp_path, tmp_path / "b", tmp_path / "b" / "c"} <= flushed
 
 
-@pytest.mark.xfail(strict=True, reason="files.atomic_folder flushes nothing: after a power cut the whole folder may be empty files")
+@pytest.mark.xfail(
+    strict=True, reason="files.atomic_folder flushes nothing: after a power cut the whole folder may be empty files"
+)
 def test_a_folder_that_is_renamed_as_a_whole_is_flushed_with_everything_in_it(flushes: Flushes, tmp_path: Path) -> None:
     with files.atomic_folder(tmp_path / "scene") as folder:
         (folder / "sub").mkdir()

@@ -8,8 +8,13 @@ import viser
 
 from datasets.page import open_page
 
-UPGRADE = (("Upgrade", "websocket"), ("Connection", "Upgrade"), ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
-           ("Sec-WebSocket-Version", "13"), ("Sec-WebSocket-Protocol", f"viser-v{viser.__version__}"))  # fmt: skip
+UPGRADE = (
+    ("Upgrade", "websocket"),
+    ("Connection", "Upgrade"),
+    ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
+    ("Sec-WebSocket-Version", "13"),
+    ("Sec-WebSocket-Protocol", f"viser-v{viser.__version__}"),
+)
 """What a browser sends to open a web socket (RFC 6455)."""
 NO_CHECK = "viser looks at neither Host nor Origin; datasets.page.server wraps nothing around it"
 Headers = Sequence[tuple[str, str]]
@@ -41,7 +46,9 @@ def test_the_page_and_its_web_socket_answer_who_opened_it(port: int) -> None:
 
 
 @pytest.mark.parametrize("more", [(), UPGRADE], ids=["page", "web socket"])
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "192.168.0.7:8080", "localhost.evil.example:1", ""])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "192.168.0.7:8080", "localhost.evil.example:1", ""]
+)
 @pytest.mark.xfail(strict=True, reason=NO_CHECK)
 def test_a_request_with_a_foreign_host_is_refused(port: int, host: str, more: Headers) -> None:
     """DNS rebinding: a site's own name that leads to 127.0.0.1 makes the page part of that site."""
@@ -49,7 +56,9 @@ def test_a_request_with_a_foreign_host_is_refused(port: int, host: str, more: He
 
 
 @pytest.mark.parametrize("more", [(), UPGRADE], ids=["page", "web socket"])
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1.evil.example", "http://127.0.0.1:1", "file://"])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1.evil.example", "http://127.0.0.1:1", "file://"]
+)
 @pytest.mark.xfail(strict=True, reason=NO_CHECK)
 def test_a_request_of_a_foreign_origin_is_refused(port: int, origin: str, more: Headers) -> None:
     """Web sockets know no same-origin policy: any site that a person visits may open one to 127.0.0.1."""
@@ -63,7 +72,16 @@ def test_a_request_without_one_host_is_refused(port: int, headers: Headers) -> N
 
 
 @pytest.mark.parametrize(
-    "path", ["/../_viser.py", "/..%2f..%2f_viser.py", "/%2e%2e/%2e%2e/_viser.py", "/..\\..\\_viser.py", "//etc/passwd", "/etc/passwd", "/."],
-)  # fmt: skip
+    "path",
+    [
+        "/../_viser.py",
+        "/..%2f..%2f_viser.py",
+        "/%2e%2e/%2e%2e/_viser.py",
+        "/..\\..\\_viser.py",
+        "//etc/passwd",
+        "/etc/passwd",
+        "/.",
+    ],
+)
 def test_nothing_but_the_pages_own_assets_is_served(port: int, path: str) -> None:
     assert ask(port, own(port), path) in ((200,) if path == "/." else (400, 403, 404))  # the dot is the page itself

@@ -47,7 +47,9 @@ def flip(path: Path, bit: int) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.xfail(strict=True, reason="checkpoint.load reads the newest alone, without a checksum: wrong numbers, or orbax's traceback")
+@pytest.mark.xfail(
+    strict=True, reason="checkpoint.load reads the newest alone, without a checksum: wrong numbers, or orbax's traceback"
+)
 def test_a_flipped_bit_in_the_newest_checkpoint_is_noticed_and_the_one_before_is_used(tmp_path: Path, capsys) -> None:
     _, newest = saved(tmp_path / "sound")
     wrong = []
@@ -139,7 +141,9 @@ def fill(disk: Path, left: int) -> Path:
     return path
 
 
-@pytest.mark.xfail(strict=True, reason="checkpoint.save lets tensorstore's error through, which is no OSError: no word of a full disk")
+@pytest.mark.xfail(
+    strict=True, reason="checkpoint.save lets tensorstore's error through, which is no OSError: no word of a full disk"
+)
 def test_a_full_disk_amid_a_checkpoint_loses_none_that_was_complete(small_disk: Path) -> None:
     checkpoint.save(small_disk / "run", state(1, 20_000), {"seconds": 1.0})
     filling = fill(small_disk, 60_000)
@@ -150,7 +154,9 @@ def test_a_full_disk_amid_a_checkpoint_loses_none_that_was_complete(small_disk: 
     filling.unlink()
     checkpoint.save(small_disk / "run", state(2, 20_000), {"seconds": 2.0})
     assert int(checkpoint.load(small_disk / "run", state(0, 20_000))[0].step) == 2
-    assert sorted(path.name for path in (small_disk / "run").iterdir()) == ["00000001", "00000002"], "nothing half-written is left"
+    assert sorted(path.name for path in (small_disk / "run").iterdir()) == ["00000001", "00000002"], (
+        "nothing half-written is left"
+    )
 
 
 @pytest.mark.xfail(strict=True, reason="Run._append leaves half a line behind where the disk is full")
@@ -172,5 +178,5 @@ def test_a_training_without_room_for_its_checkpoints_is_refused_before_it_begins
 ) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: type(usage)(usage.total, usage.total - 1000, 1000))
-    with pytest.raises(KoalaError, match="room|free"):
+    with pytest.raises(KoalaError, match=r"room|free"):
         start(*ball_scene, small_config, tmp_path / "run")

@@ -64,7 +64,9 @@ def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog
     assert str(number) in caplog.text or str(number) in str(getattr(program, "reason", ""))
 
 
-@pytest.mark.xfail(strict=True, reason="rtde_protocol.type_of knows registers of both directions: an output is taken for an input")
+@pytest.mark.xfail(
+    strict=True, reason="rtde_protocol.type_of knows registers of both directions: an output is taken for an input"
+)
 def test_an_output_cannot_be_an_input() -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", 2)))
@@ -95,7 +97,9 @@ def test_a_program_of_one_line_is_executed_or_refused(program: str) -> None:
         pytest.fail("the line was neither executed nor refused")
 
 
-_ENDS = pytest.mark.xfail(strict=True, reason="ControlProgram takes any offset: IndexError in ControllerServer.step ends the process")
+_ENDS = pytest.mark.xfail(
+    strict=True, reason="ControlProgram takes any offset: IndexError in ControllerServer.step ends the process"
+)
 
 
 @pytest.mark.parametrize("offset", [47, pytest.param(99, marks=_ENDS), pytest.param(99999999999, marks=_ENDS)])
