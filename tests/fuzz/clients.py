@@ -118,7 +118,8 @@ def rtde_messages(choice: random.Random) -> list[bytes]:
                 packet(choice.randrange(256), choice.randbytes(choice.randrange(100)), choice.choice((0, 1, 2, 3, 65535, None)))
             )
         elif way == 2:
-            names = ",".join(choice.choice(NAMES) for _ in range(choice.choice((1, 3, 40, 2000))))
+            pool = choice.choice((NAMES, NAMES[:2]))  # any, or sound ones
+            names = ",".join(choice.choices(pool, k=choice.choice((1, 3, 40, 2000, 7000))))
             messages.append(
                 packet(
                     ord(choice.choice("OI")),
