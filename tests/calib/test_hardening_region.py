@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calib.calibrate import calibrate_handeye
-from calib.session import observe_recording
+from calib.sessions.session import observe_recording
 from datasets.build import camera_for
 from datasets.calibration import Calibration
 from datasets.recording import Recording

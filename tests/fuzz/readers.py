@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from sound import example_state
 
-from calib import importer
 from calib.errors import TargetError
+from calib.sessions import importer
 from capture.recording.check import check as check_recording
 from capture.rig.description import load_rig
 from capture.trajectory import load_trajectory

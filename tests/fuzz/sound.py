@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import equinox as eqx
 import numpy as np
 import yaml
 
-from calib.targets.target import Board
 from datasets import pose
 from datasets.calibration import Calibration, JointOffsets, UncertainPose
 from datasets.camera_model import Camera
@@ -161,8 +161,8 @@ def _path(folder: Path) -> None:
 
 def _session(folder: Path) -> None:
     """Images of a board with poses in a CSV file, in one YAML file and in one JSON file each."""
-    board = Board.from_json(BOARD, where="board")
-    picture = board.charuco.generateImage((100, 80), marginSize=8)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    picture = cv2.aruco.CharucoBoard((5, 4), 0.03, 0.02, dictionary).generateImage((100, 80), marginSize=8)
     numbers = [[0.1 * i, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0] for i in range(3)]
     for index, values in enumerate(numbers):
         images.write(folder / "images" / f"{index}.png", picture)
