@@ -56,7 +56,7 @@ class Rigged:
     """An arm and a camera in one; its pictures follow from where it stands."""
 
     def __init__(self) -> None:
-        from capture.planning.plan import HOME
+        from capture.planning.solutions import HOME
 
         self.joints = HOME.copy()
 

@@ -12,7 +12,7 @@ import pytest
 
 from capture import kinematics
 from capture.planning import PlannedView, plan
-from capture.planning.plan import HOME
+from capture.planning.solutions import HOME
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
