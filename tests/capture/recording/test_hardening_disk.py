@@ -56,8 +56,8 @@ def rig() -> Rig:
 
 
 @pytest.fixture
-def trajectory(configs: Path) -> Trajectory:
-    return load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+def trajectory() -> Trajectory:
+    return load_trajectory("koala_demo")
 
 
 @pytest.fixture

@@ -55,8 +55,8 @@ def rig(robot: dict[str, Any], camera: dict[str, Any]) -> Rig:
 
 
 @pytest.fixture
-def trajectory(configs: Path) -> Trajectory:
-    return load_trajectory(configs / "trajectories" / "koala_demo.yaml")
+def trajectory() -> Trajectory:
+    return load_trajectory("koala_demo")
 
 
 @pytest.fixture
