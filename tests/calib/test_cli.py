@@ -57,7 +57,7 @@ def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
         (["compare", "{tmp}"], "neither a recording nor a folder to import"),
         (["handeye", "{tmp}", "--import", "{tmp}/none.yaml", "--out", "{tmp}/c.json"], "no such file"),
         (["board", "--out", "{tmp}/board.png"], ".pdf or .svg"),
-        (["board", "--squares", "nine", "--out", "{tmp}/board.pdf"], "given as 9x7"),
+        (["board", "--squares", "nine", "--out", "{tmp}/board.pdf"], "squares such as 9x7"),
         (["refine", "{tmp}/nowhere", "--out", "{tmp}/scene"], "nowhere"),
     ],
 )

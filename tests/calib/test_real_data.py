@@ -77,7 +77,7 @@ def test_park_gives_the_published_answer_for_visp(visp):
 def test_charuco_agrees_with_the_published_answer(charuco, published):
     session, camera = charuco
     assert len(session.observations) == 12
-    distance, angle = pose.difference(closed_form(session, camera, "daniilidis").flange_from_camera, published)
+    distance, angle = pose.difference(closed_form(session, camera, "daniilidis").mount_from_camera, published)
     # the source drew its axes into some corners and found them with an older detector
     assert distance < 3e-4 and np.rad2deg(angle) < 0.15
 
@@ -143,6 +143,6 @@ def test_intrinsics_from_the_pictures_agree_with_the_maker_s(charuco):
 def test_axes_of_the_answer_are_a_camera_on_a_flange(visp):
     session, camera = visp
     found = closed_form(session, camera, "park")
-    forward = (session.base_from_flange @ found.flange_from_camera)[:, :3, 2]
+    forward = (session.base_from_flange @ found.mount_from_camera)[:, :3, 2]
     assert (forward[:, 2] < -0.5).all(), "the camera looks down at the table"
     assert found.translation_residual_m.mean() < 8e-3

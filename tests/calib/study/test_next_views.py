@@ -5,6 +5,7 @@ import pytest
 
 from calib import calibrate
 from calib.errors import CalibrationError
+from calib.study import next_views, variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 from datasets.board import Board
