@@ -44,7 +44,8 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
         "view_rms_px": found.view_rms_px,
         "camera_correlation": correlation(found.lens.free, found.covariance),
     }
-    return Calibration(found.camera, found.std, residuals=residuals, provenance={**session.provenance, "method": "intrinsics"})
+    provenance = {**session.provenance, "method": "intrinsics"}
+    return Calibration(found.camera, found.std, region=session.region, residuals=residuals, provenance=provenance)
 
 
 def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
@@ -224,6 +225,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
         residuals=residuals,
         provenance=provenance,
         joint_offsets=offsets,
+        region=session.region,
         **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
     )
 

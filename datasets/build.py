@@ -6,7 +6,6 @@ world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint 
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.imaging import images
 from datasets.imaging.region import Region
-from datasets.recording import MANIFEST, TRUTH, Frame, Recording
+from datasets.recording import FORMAT, MANIFEST, TRUTH, Frame, Recording
 from datasets.scene import SPLITS, STATED, Scene, View
 from datasets.structure import bounds
 from datasets.structure.measure import measured
@@ -91,17 +90,22 @@ def with_measured_near(scene: Scene) -> Scene:
 def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, list[str]]:
     """The calibrated camera for this recording's images, and a note where it had to be converted.
 
-    The two sessions may differ in sensor region or binning. Where both record their region, the conversion is exact.
+    The two sessions may differ in sensor region or binning. Where both record their region, the conversion is exact. Where one of
+    them does not, the camera is used as it is, and the note says so.
 
     Raises:
         DatasetError: the sizes differ and one session does not record its region, or the images have another size.
     """
     actual = images.size(recording.image_path(recording.frames[0]))
     calibrated, notes = calibration.camera, []
-    ours, theirs = _region(recording.manifest, where=recording.path / MANIFEST), _calibrated_region(calibration)
-    if ours is not None and theirs is not None and ours != theirs:
-        calibrated = theirs.converted(calibrated, ours)
-        notes.append(f"intrinsics converted from {_words(theirs)} to {_words(ours)}")
+    ours, theirs = Region.of_recording(recording.manifest, where=recording.path / MANIFEST), _calibrated_region(calibration)
+    if ours is not None and theirs is not None:
+        if ours != theirs:
+            calibrated = theirs.converted(calibrated, ours)
+            notes.append(f"intrinsics converted from {_words(theirs)} to {_words(ours)}")
+    elif known := ours or theirs:
+        silent = "recording" if ours is None else "calibration"
+        notes.append(f"{silent} does not state its sensor region; intrinsics are right only if it is {_words(known)}")
     if (calibrated.width, calibrated.height) != actual:
         why = f"images are {actual[0]}x{actual[1]}, the calibrated camera is {calibrated.width}x{calibrated.height}"
         remedy = "calibrate with the same region of interest and binning"
@@ -110,18 +114,14 @@ def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, 
 
 
 def _calibrated_region(calibration: Calibration) -> Region | None:
-    """Sensor region of the calibration's images: its own record, else that of its recording."""
-    provenance = calibration.provenance
-    if provenance.get("region") is not None:
-        return Region.from_json(provenance["region"], where="calibration, provenance, region")
-    manifest = Path(provenance.get("recording", "")) / MANIFEST
-    return _region(files.read_json(manifest), where=manifest) if manifest.is_file() else None
-
-
-def _region(manifest: dict[str, Any], *, where: object) -> Region | None:
-    camera = manifest.get("camera")
-    content = camera.get("region") if isinstance(camera, dict) else None
-    return None if content is None else Region.from_json(content, where=f"{where}, camera, region")
+    """Sensor region of the calibration's images: its own record; in older files, which lack it, that of its recording."""
+    folder = calibration.provenance.get("recording")
+    if calibration.region is not None or not isinstance(folder, str):
+        return calibration.region
+    manifest = Path(folder) / MANIFEST
+    if not manifest.is_file():
+        return None
+    return Region.of_recording(files.read_json(manifest, kind=FORMAT), where=manifest)
 
 
 def _words(region: Region) -> str:

@@ -15,6 +15,7 @@ from datasets import pose
 from datasets.board import Board
 from datasets.core import files
 from datasets.imaging import images
+from datasets.imaging.region import Region
 from datasets.recording import FRAMES, MANIFEST, Recording
 
 
@@ -36,6 +37,8 @@ class TargetSession:
     """Whether the camera stands beside the arm and the target is on the flange."""
     joints: NDArray[np.float64] | None = None
     """(views, 6) joint angles as reported [rad], where the session holds them."""
+    region: Region | None = None
+    """Of the sensor that every image shows, where the recording states it."""
     images: dict[str, Path] = field(default_factory=dict)
     """By name of the view, where there are any."""
 
@@ -124,7 +127,8 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     }
     session = observe(board, views, provenance=provenance, seen=seen)
     joints = {frame.name: frame.joints for frame in recording.frames}
-    return replace(session, joints=np.stack([joints[o.name] for o in session.observations]))
+    region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
+    return replace(session, region=region, joints=np.stack([joints[o.name] for o in session.observations]))
 
 
 def describe(board: Board) -> str:
