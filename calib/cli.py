@@ -108,7 +108,13 @@ def report_command(
 
 
 @app.command("view")
-def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: console.Port = 8080, json: Json = False) -> None:
+def view_command(
+    path: CalibrationFile,
+    recording: RecordingMoved = None,
+    description: Import = None,
+    port: console.Port = 8080,
+    json: Json = False,
+) -> None:
     """Show a calibration in the browser.
 
     The page shows the target and the cameras, residuals over the image, coverage and error ellipses.
@@ -119,7 +125,7 @@ def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: 
 
     calibration = Calibration.load(path)
     with open_page(path.stem, port) as page:
-        show(page, calibration, recording=recording)
+        show(page, calibration, recording=recording, description=description)
         rms = calibration.residuals.get("rms_px")
         result = {"url": page.url, "calibration": str(path), "rms_px": rms}
         console.report(result, as_json=json, text=f"{page.url} shows {path}; Ctrl-C ends it")

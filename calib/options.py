@@ -22,11 +22,7 @@ RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
 ]
 Import = Annotated[
-    Path | None,
-    typer.Option(
-        "--import",
-        help="Description of a folder of images and poses: a shipped name or a YAML file. Default: import.yaml in it.",
-    ),
+    Path | None, typer.Option("--import", help="How to read a folder of images and poses: a shipped name or a YAML file.")
 ]
 Lens = Annotated[str, typer.Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
 Intrinsics = Annotated[

@@ -86,11 +86,11 @@ class CalibrationView:
     def _draw_figure(self) -> None:
         self._drawn.image = self._figures[self._figure.value]
 
-    def read(self, recording: Path | None) -> None:
+    def read(self, recording: Path | None, description: Path | None) -> None:
         """Add what the recording holds; where it is missing or cannot be used, say so."""
         try:
             path = recording_of(self.calibration, recording)
-            session, _ = observe_folder(path, seen=self._seen)
+            session, _ = observe_folder(path, description, seen=self._seen)
             self.evidence = evidence = gather(self.calibration, session)
         except KoalaError as error:
             self._state.content = f"*{error}*"
@@ -240,14 +240,17 @@ def decoded(png: bytes) -> NDArray[np.uint8]:
     return np.ascontiguousarray(picture[..., ::-1], np.uint8)
 
 
-def show(page: Page, calibration: Calibration, *, recording: Path | None = None) -> CalibrationView:
+def show(
+    page: Page, calibration: Calibration, *, recording: Path | None = None, description: Path | None = None
+) -> CalibrationView:
     """Put a calibration on a page; what its recording holds follows in the background.
 
     Args:
         page: to draw on.
         calibration: as loaded.
         recording: where its recording is now, if not where it was.
+        description: how to read it, if it is a folder to import.
     """
     shown = CalibrationView(page, calibration)
-    page.in_background(lambda: shown.read(recording))
+    page.in_background(lambda: shown.read(recording, description))
     return shown

@@ -28,7 +28,7 @@ def imported(name, description):
     folder = DATA / name
     if not folder.is_dir():
         pytest.skip(f"the real session {folder} is not there")
-    said = importer.load_description(folder, ROOT / "configs" / "imports" / f"{description}.yaml")
+    said = importer.load_description(ROOT / "configs" / "imports" / f"{description}.yaml")
     return importer.import_session(folder, said), said.camera.camera()
 
 
@@ -120,7 +120,7 @@ def test_camera_beside_the_arm_is_in_front_of_it(beside):
 
 
 def test_poses_read_by_columns_are_refused_with_the_remedy(charuco):
-    said = importer.load_description(DATA, ROOT / "configs" / "imports" / "franka_charuco.yaml")
+    said = importer.load_description(ROOT / "configs" / "imports" / "franka_charuco.yaml")
     with pytest.raises(importer.CalibrationError, match=r"say layout: matrix$"):
         importer.import_session(DATA / "franka_charuco_handeye", said.model_copy(update={"layout": "matrix by columns"}))
 

@@ -98,7 +98,7 @@ def _pictures(folder: Path, out: Path) -> None:
 def _session(folder: Path, out: Path) -> None:
     for name in ("import", "by_yaml", "by_json"):
         try:
-            importer.import_session(folder, importer.load_description(folder, folder / f"{name}.yaml"))
+            importer.import_session(folder, importer.load_description(folder / f"{name}.yaml"))
         except TargetError:
             pass  # a picture this small may not show its board
 
