@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty, verify
 from calib.handeye.model import Accuracy, Known, Session, State
@@ -21,7 +21,6 @@ from datasets import pose
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
-Array = NDArray[np.float64]
 MIN_CORNERS_GIVEN = 20
 """Fewest corners of a session whose camera is known: one tag in five views."""
 MAX_DISTANCE_M = 1e7
@@ -96,7 +95,7 @@ class Solution:
     boards: Array
     """(views, 4, 4) camera_from_board of the views of `first`."""
     closed: closed_forms.HandEye
-    keep: NDArray[np.bool_]
+    keep: Mask
     """(views,) which views of `first` the closed form agrees with."""
     fit: outliers.Fit
 
@@ -135,7 +134,7 @@ def _check_poses(session: TargetSession) -> None:
             raise CalibrationError("arm's pose is not credible", where=where, why=why, remedy="leave this view out")
 
 
-def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, NDArray[np.bool_]]:
+def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, Mask]:
     """A start and the views that agree with it. Raises CalibrationError for weak motion and for mistakes in the arm's poses."""
     try:
         uncertainty.check_motion(session.base_from_flange)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.handeye.model import Accuracy
 from calib.solver.geometry import cross
@@ -21,7 +21,6 @@ from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.scene import Scene, View
 
-Array = NDArray[np.float64]
 ENOUGH_PX = 0.5
 """Median error of held-out points below which the arm's poses explain the pictures: features are no better [px]."""
 MIN_GAIN = 0.02
@@ -37,9 +36,9 @@ LIMIT_PX = 10.0
 class Tracks:
     """n observations of points 0..m-1 in views."""
 
-    point: NDArray[np.int64]
+    point: Indices
     """(n,) ascending."""
-    view: NDArray[np.int64]
+    view: Indices
     """(n,) index in the scene."""
     pixels: Array
     """(n, 2) [px]."""
@@ -206,7 +205,7 @@ def _tracks(model: Any) -> Tracks:
     return Tracks(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:])
 
 
-def reprojection(tracks: Tracks, chosen: NDArray[np.bool_], world_from_camera: Array, camera: Camera) -> Array:
+def reprojection(tracks: Tracks, chosen: Mask, world_from_camera: Array, camera: Camera) -> Array:
     """(k,) distances [px] between the `chosen` (n,) observations and their points, triangulated with given (views, 4, 4) poses.
 
     A point is where its rays come closest, then where the squared distances in the pictures are least (Gauss-Newton).
@@ -233,7 +232,7 @@ def reprojection(tracks: Tracks, chosen: NDArray[np.bool_], world_from_camera: A
     return np.linalg.norm(tracks.pixels[chosen] - camera.project(in_camera), axis=1)
 
 
-def _solved(point: NDArray[np.int64], matrices: Array, sides: Array) -> Array:
+def _solved(point: Indices, matrices: Array, sides: Array) -> Array:
     """(m, 3) solutions of the normal equations that each point's (n, 3, 3) and (n, 3) observations add up to."""
     count = int(point.max()) + 1
     total, side = np.zeros((count, 3, 3)), np.zeros((count, 3))

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from datasets import pose
 from datasets.core.errors import KoalaError, nearest
 
-Array = NDArray[np.float64]
 _RELATIVE = {
     "tsai": cv2.CALIB_HAND_EYE_TSAI,
     "park": cv2.CALIB_HAND_EYE_PARK,
@@ -47,7 +47,7 @@ class HandEye:
     rotation_residual_rad: Array
     """(views,) the same for its orientation [rad]."""
 
-    def score(self, keep: NDArray[np.bool_]) -> float:
+    def score(self, keep: Mask) -> float:
         """Rms disagreement of the views of `keep` (views,) [m], rotations at a lever of half a metre; lower is better."""
         return float(np.sqrt(np.mean(_distance(self)[keep] ** 2)))
 
@@ -111,14 +111,14 @@ def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera:
     return HandEye(method, mount_from_camera, stand_from_board, distances, angles)
 
 
-def _near_the_middle(quaternions: Array) -> NDArray[np.bool_]:
+def _near_the_middle(quaternions: Array) -> Mask:
     """(views,) the half of the rotations nearest to their medoid, which outliers cannot spoil as they spoil a mean."""
     likeness = np.abs(quaternions @ quaternions.T)
     middle = np.median(likeness, axis=1).argmax()
     return likeness[middle] >= np.median(likeness[middle])
 
 
-def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, NDArray[np.bool_]]:
+def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, Mask]:
     """The best closed-form answer by `score`, and which views agree with it, (views,).
 
     A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984):
@@ -181,7 +181,7 @@ def _distance(answer: HandEye) -> Array:
     return np.hypot(answer.translation_residual_m, 0.5 * answer.rotation_residual_rad)
 
 
-def _agreeing(answer: HandEye) -> NDArray[np.bool_]:
+def _agreeing(answer: HandEye) -> Mask:
     """(views,) whose disagreement is not far above the median of all views."""
     distances, angles = answer.translation_residual_m, answer.rotation_residual_rad
     return (distances <= max(5 * np.median(distances), 2e-3)) & (angles <= max(5 * np.median(angles), np.deg2rad(0.5)))

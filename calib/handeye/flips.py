@@ -7,15 +7,13 @@ turn by the same angle between two views, and all views must put the board in th
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.core.errors import KoalaError
-
-Array = NDArray[np.float64]
 
 
 def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
@@ -62,7 +60,7 @@ def as_placed(
     return _turned(session, chosen), both[chosen, np.arange(len(camera_from_board))]
 
 
-def _turned(session: TargetSession, turned: NDArray[np.int64]) -> TargetSession:
+def _turned(session: TargetSession, turned: Indices) -> TargetSession:
     """The session with the views of which `turned` (views,) is 1 read the other way round."""
     points, last = session.board.points, len(session.board.points) - 1
     observations = [
@@ -78,14 +76,14 @@ def half_turn(session: TargetSession) -> Array:
     return pose.from_rotation_vector([0, 0, np.pi], [x, y, 0])
 
 
-def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> NDArray[np.int64]:
+def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> Indices:
     """(views,) 1 where the other reading turns by the angle that the arm turned by since the reference view."""
     arm = pose.rotation_angle(pose.inverse(stand_from_mount[reference]) @ stand_from_mount)
     seen = pose.rotation_angle(both @ pose.inverse(both[0, reference]))
     return np.abs(seen - arm).argmin(0)
 
 
-def _by_place(stand_from_mount: Array, both: Array, mount_from_camera: Array, stand_from_board: Array) -> NDArray[np.int64]:
+def _by_place(stand_from_mount: Array, both: Array, mount_from_camera: Array, stand_from_board: Array) -> Indices:
     """(views,) 1 where the other reading puts the board nearer to where the answer has it."""
     distance, angle = pose.difference(stand_from_mount @ mount_from_camera @ both, stand_from_board)
     return np.hypot(distance, 0.5 * angle).argmin(0)

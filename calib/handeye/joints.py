@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import refine, verify
 from calib.handeye.model import OFFSET_JOINTS, Accuracy, Session
@@ -45,7 +45,7 @@ def check(session: TargetSession, accuracy: Accuracy) -> None:
         )
 
 
-def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -> JointOffsets | None:
+def found(session: Session, refined: Refined, covariance: Array) -> JointOffsets | None:
     """The offsets out of a refinement and the (p, p) covariance of its global parameters; None where none were asked for."""
     if not session.turning:
         return None

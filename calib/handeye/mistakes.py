@@ -6,14 +6,13 @@ Each mistake is undone in turn. If the poses then fit the pictures many times be
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from datasets import pose
 from datasets.core.errors import KoalaError
 
-Array = NDArray[np.float64]
 BETTER = 5.0
 """Factor by which undoing a mistake must improve the agreement of the views."""
 POOR = 0.02

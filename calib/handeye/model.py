@@ -23,15 +23,14 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.intrinsics import projection
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
 
-Array = NDArray[np.float64]
 OFFSET_JOINTS = [1, 2, 3, 4]
 """Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last
 rotates the flange: the two unknown poses absorb them exactly, so they are zero by convention."""
@@ -75,7 +74,7 @@ class Session:
 
     base_from_flange: Array
     """(views, 4, 4) as reported."""
-    view: NDArray[np.int64]
+    view: Indices
     """(n,) view of each corner, ascending."""
     pixels: Array
     """(n, 2) [px]."""
@@ -109,7 +108,7 @@ class Session:
         """Indices of `free` in the intrinsics vector."""
         return [projection.NAMES.index(name) for name in self.free]
 
-    def some(self, chosen: NDArray[np.bool_]) -> "Session":
+    def some(self, chosen: Mask) -> "Session":
         """The same with the corners of `chosen` (n,) alone; views keep their numbers."""
         return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
 

@@ -7,8 +7,8 @@ taken before the arm had settled, or after somebody touched the board, needs one
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Mask
 from calib.handeye import model, refine, uncertainty
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
@@ -67,7 +67,7 @@ def refine_without(
         start = replace(refined.state, corrections=np.zeros((len(session.observations), 6)))
 
 
-def disagreeing(refined: Refined, accuracy: Accuracy) -> NDArray[np.bool_]:
+def disagreeing(refined: Refined, accuracy: Accuracy) -> Mask:
     """(views,) whose correction is larger than `LIMIT` times the usual one, and than what the arm is stated to do."""
     sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)  # (views, 2): translation, rotation
     usual = np.maximum(np.median(sizes, axis=0) / MEDIAN_LENGTH, 0.5 * np.array([accuracy.translation_m, accuracy.rotation_rad]))

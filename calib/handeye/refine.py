@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from calib.handeye.model import Session, State, perturbed, predict
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.levenberg_marquardt import Limits, minimise
 
-Array = NDArray[np.float64]
 HUBER = 3.0
 """Width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times."""
 CHANCE = 0.01
@@ -63,7 +62,7 @@ class Refined:
     """(p, p) of the global parameters, the corrections eliminated: its inverse is their covariance."""
     residuals: Array
     """(n, 2) seen minus predicted, outliers too [px]."""
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     """(n,) corners that were used."""
     steps: int
     """Accepted steps in all."""
@@ -163,7 +162,7 @@ class _Point:
         self._prediction = self.residuals, self._by_global, self._by_view = prediction
         self.cost = self._cost()
 
-    def weighed(self, sigmas: Sigmas, chosen: NDArray[np.bool_]) -> "_Point":
+    def weighed(self, sigmas: Sigmas, chosen: Mask) -> "_Point":
         """The same state weighed by other sigmas, with the corners of `chosen` (n,) alone."""
         return _Point(self.session.some(chosen), self.state, sigmas, tuple(part[chosen] for part in self._prediction))
 

@@ -7,8 +7,8 @@ inverse of the information that corners, the arm's accuracy and known intrinsics
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import Unobservable
 from calib.handeye.model import Session
 from calib.handeye.refine import Refined
@@ -16,7 +16,6 @@ from calib.intrinsics import estimate, projection
 from datasets import pose
 from datasets.calibration import UncertainPose
 
-Array = NDArray[np.float64]
 MIN_TURN_RAD = float(np.deg2rad(3))
 """Rms angle about an axis below which the flange counts as not having turned about it."""
 MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms, model
 from calib.handeye.model import Accuracy, Session, State, camera_points, predict
@@ -17,7 +17,6 @@ from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 from datasets.splits import folds
 
-Array = NDArray[np.float64]
 FOLDS = 5
 """Parts into which a session is divided; each is predicted from the rest."""
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices
 from calib.errors import CalibrationError
 from calib.intrinsics import projection
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.geometry import by_motion, rotate
 from calib.solver.levenberg_marquardt import Limits, minimise
 from datasets import pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ LIMITS = Limits(max_steps=30, tolerance=1e-10, least_cost=1e-8, rounding=1e-12, 
 
 
 def fit(
-    view: NDArray[np.int64],
+    view: Indices,
     pixels: Array,
     points: Array,
     intrinsics: Array,
@@ -68,7 +66,7 @@ def fit(
 class _Corners:
     """What stays the same during a fit."""
 
-    view: NDArray[np.int64]
+    view: Indices
     pixels: Array
     points: Array
     columns: list[int]

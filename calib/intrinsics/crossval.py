@@ -8,15 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.intrinsics import estimate
 from calib.intrinsics.estimate import Lens
 from calib.targets.detection import Observation
 from datasets import pose
 from datasets.camera_model import Camera
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

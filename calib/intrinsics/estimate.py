@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.intrinsics import bundle, projection
 from calib.targets import screening
@@ -21,7 +21,6 @@ from datasets import conventions, pose
 from datasets.camera_model import Camera
 from datasets.splits import folds
 
-Array = NDArray[np.float64]
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
 GAIN = 0.002
@@ -245,7 +244,7 @@ def coverage(observations: Sequence[Observation], width: int, height: int) -> fl
     return len(np.unique(cells, axis=0)) / 64
 
 
-def flat(observations: Sequence[Observation]) -> tuple[NDArray[np.int64], Array, Array]:
+def flat(observations: Sequence[Observation]) -> tuple[Indices, Array, Array]:
     """(n,) view, (n, 2) pixels and (n, 3) points of all corners in one list."""
     view = np.repeat(np.arange(len(observations)), [len(o.ids) for o in observations])
     return view, np.concatenate([o.pixels for o in observations]), np.concatenate([o.points for o in observations])

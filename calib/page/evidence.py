@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.handeye import flips, model, refine, verify
 from calib.handeye.model import Accuracy, State
@@ -17,7 +17,6 @@ from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError
 
-Array = NDArray[np.float64]
 CORRECTED, REPORTED, ALONE = "arm corrected", "arm as reported", "camera alone"
 """Kinds of residuals: each view with the correction that its corners ask for; with the arm's pose as reported; without an arm."""
 
@@ -55,13 +54,13 @@ class Evidence:
     """(all views, 4, 4) camera_from_board as seen."""
     session: TargetSession
     """The views that took part in the calibration."""
-    view: NDArray[np.int64]
+    view: Indices
     """(n,) index of each corner's view in `session`."""
     pixels: Array
     """(n, 2) where the corners are seen [px]."""
     residuals: dict[str, Array]
     """(n, 2) seen minus predicted [px], by kind; the most important kind first."""
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     """(n,) corners that agree with the calibration."""
     corrections: Array | None
     """(views, 6) of the arm's reports: translation [m], rotation vector [rad]; None for a calibration of the camera alone."""

@@ -11,6 +11,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import verify
 from calib.page import figures
@@ -24,8 +25,6 @@ from datasets.core.errors import KoalaError
 from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import WIDTH, bytes_of
-
-Array = NDArray[np.float64]
 
 THUMBNAIL = 96
 """Width of the pictures on the cameras [px]."""

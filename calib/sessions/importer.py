@@ -21,10 +21,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 import configs
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.sessions.session import TargetSession, observe, observe_recording
 from calib.targets.detection import check_markers
@@ -36,7 +36,6 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.core.schema import Schema, load_yaml
 from datasets.recording import MANIFEST, Recording
 
-Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 LAYOUTS = {"x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16}

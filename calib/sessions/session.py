@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.errors import TargetError
 from calib.targets.detection import Observation, detect, read_board
 from datasets import pose
@@ -28,14 +29,14 @@ class TargetSession:
     """Of every image [px]."""
     height: int
     observations: tuple[Observation, ...]
-    base_from_flange: NDArray[np.float64]
+    base_from_flange: Array
     """(views, 4, 4), in the order of `observations`."""
     unseen: tuple[str, ...] = ()
     """Views without a target."""
     provenance: dict[str, Any] = field(default_factory=dict)
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the target is on the flange."""
-    joints: NDArray[np.float64] | None = None
+    joints: Array | None = None
     """(views, 6) joint angles as reported [rad], where the session holds them."""
     region: Region | None = None
     """Of the sensor that every image shows, where the recording states it."""
@@ -43,11 +44,11 @@ class TargetSession:
     """By name of the view, where there are any."""
 
     @property
-    def stand_from_mount(self) -> NDArray[np.float64]:
+    def stand_from_mount(self) -> Array:
         """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; see `calib.handeye.model`."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
-    def chosen(self, keep: NDArray[np.bool_]) -> Self:
+    def chosen(self, keep: Mask) -> Self:
         """The same with the views of `keep` (views,) alone."""
         return self.with_observations([o for o, kept in zip(self.observations, keep, strict=True) if kept])
 
@@ -68,7 +69,7 @@ def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def observe(
     board: Board,
-    views: Sequence[tuple[str, Path, NDArray[np.float64]]],
+    views: Sequence[tuple[str, Path, Array]],
     *,
     provenance: dict[str, Any] | None = None,
     seen: Callable[[str], None] = lambda words: None,

@@ -1,9 +1,8 @@
 """Small rotations and cross products on flat arrays of vectors."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 
 def rotate(rotations: Array, points: Array) -> Array:

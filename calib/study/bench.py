@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.handeye import closed_forms, refine
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import bundle
@@ -29,7 +29,6 @@ from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
 
-Array = NDArray[np.float64]
 RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
 """The Koala rig with a board of 30 corners, seen whole."""
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"

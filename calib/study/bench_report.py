@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.handeye import closed_forms
 from calib.study.bench import BOUND, EXACT, REFINED, Errors, Point, Result
 from calib.study.ratios import Ratio
 from datasets.core import files
 
-Array = NDArray[np.float64]
 TIE = 1.005
 """A thousand trials cannot distinguish methods whose errors differ by less than 0.5 %."""
 ROUNDING = 1e-4

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib import calibrate
+from calib.arrays import Array
 from calib.calibrate import STATED
 from calib.handeye import closed_forms, model, refine, verify
 from calib.handeye.model import Accuracy, Session, State
@@ -22,8 +22,6 @@ from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
 from datasets.splits import folds
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.calibrate import Solution
 from calib.errors import CalibrationError
 from calib.handeye import model, refine
@@ -24,7 +24,6 @@ from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.core import files
 
-Array = NDArray[np.float64]
 LEVER_M = 0.4
 """Rotation errors are weighed by the motion they cause at this distance, that of the object from the camera."""
 CANDIDATES = 400
@@ -47,7 +46,7 @@ class Reach:
         """The box around recorded (views, 4, 4) camera poses, larger by `grow_m` on every side."""
         return cls(base_from_camera[:, :3, 3].min(0) - grow_m, base_from_camera[:, :3, 3].max(0) + grow_m)
 
-    def holds(self, base_from_camera: Array) -> NDArray[np.bool_]:
+    def holds(self, base_from_camera: Array) -> Mask:
         """(n,) whether cameras of (n, 4, 4) poses are inside."""
         places = base_from_camera[:, :3, 3]
         return np.all((places >= self.low) & (places <= self.high), axis=1)

@@ -7,9 +7,10 @@ Two methods that met the same noise are compared trial by trial. Intervals are p
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from calib.arrays import Array, Indices
+
 DRAWS = 1000
 LEVEL = (2.5, 97.5)
 """Percentiles of an interval that holds the truth in 95 of 100 cases."""
@@ -63,7 +64,7 @@ def to_bound(errors: ArrayLike, efficient: ArrayLike, bound: float) -> Ratio:
     return _summed(np.sqrt(max(1 + excess.mean(), 0.0)), np.sqrt(np.maximum(1 + excess[drawn].mean(1), 0.0)))
 
 
-def _draws(number: int) -> NDArray[np.int64]:
+def _draws(number: int) -> Indices:
     return np.random.default_rng(0).integers(number, size=(DRAWS, number))
 
 

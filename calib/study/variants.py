@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib import calibrate
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
@@ -22,7 +22,6 @@ from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
-Array = NDArray[np.float64]
 SIGMA_PX = 0.1
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 """Per axis: what a UR5e repeats to."""

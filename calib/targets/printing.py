@@ -8,13 +8,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from datasets.board import Board
 from datasets.core import files
 from datasets.core.errors import UsageError
 
-Array = NDArray[np.float64]
 MARGIN_MM = 10.0
 FOOTER_MM = 14.0
 POINTS_PER_MM = 72 / 25.4
@@ -48,14 +47,14 @@ def _marker_squares(board: Board) -> list[tuple[int, int]]:
     return squares if board.kind == "tags" else [(x, y) for x, y in squares if not _is_dark(board, x, y)]
 
 
-def _marker(board: Board, number: int) -> NDArray[np.bool_]:
+def _marker(board: Board, number: int) -> Mask:
     """(cells, cells) true where a marker is dark, its border included."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     cells = dictionary.markerSize + 2
     return dictionary.generateImageMarker(number, cells, borderBits=1) < 128
 
 
-def _cells(dark: NDArray[np.bool_], left: float, top: float, size: float) -> list[tuple[float, float, float, float]]:
+def _cells(dark: Mask, left: float, top: float, size: float) -> list[tuple[float, float, float, float]]:
     """Runs of dark cells in a row as one rectangle each: seams between cells could print as hairlines."""
     found = []
     for row, line in enumerate(dark):

@@ -143,7 +143,7 @@ def test_what_is_missing_is_named(folder):
     with pytest.raises(DatasetError, match="is not a CSV file"):
         importer.import_session(path, described(poses="binary.csv"))
     (path / "huge.csv").write_text("image,x\n" + 200_000 * "9" + "\n")
-    with pytest.raises(DatasetError, match="is not a CSV file.*field larger than"):
+    with pytest.raises(DatasetError, match=r"is not a CSV file.*field larger than"):
         importer.import_session(path, described(poses="huge.csv"))
     (path / "short.csv").write_text("image,x,y\n")
     with pytest.raises(DatasetError, match="no column 'z'"):
