@@ -20,14 +20,8 @@ from calib.errors import CalibrationError
 from datasets import pose
 from datasets.core.errors import KoalaError, nearest
 
-_RELATIVE = {
-    "tsai": cv2.CALIB_HAND_EYE_TSAI,
-    "park": cv2.CALIB_HAND_EYE_PARK,
-    "horaud": cv2.CALIB_HAND_EYE_HORAUD,
-    "andreff": cv2.CALIB_HAND_EYE_ANDREFF,
-    "daniilidis": cv2.CALIB_HAND_EYE_DANIILIDIS,
-}
-_ABSOLUTE = {"shah": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, "li": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI}
+_RELATIVE = {n: getattr(cv2, f"CALIB_HAND_EYE_{n.upper()}") for n in ("tsai", "park", "horaud", "andreff", "daniilidis")}
+_ABSOLUTE = {n: getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{n.upper()}") for n in ("shah", "li")}
 METHODS = (*_RELATIVE, *_ABSOLUTE)
 SUBSETS = 40
 """Groups of views tried for a start: with two fifths of the views wrong, one group of five in thirteen is right."""
@@ -67,33 +61,26 @@ def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park
         raise CalibrationError(f"no hand-eye method {method!r}", remedy=nearest(method, METHODS))
     if len(stand_from_mount) < 3:
         raise CalibrationError("hand-eye calibration needs at least 3 views", why=f"{len(stand_from_mount)} given")
-    board_rotation, board_translation = camera_from_board[:, :3, :3], camera_from_board[:, :3, 3]
     if not (np.isfinite(stand_from_mount).all() and np.isfinite(camera_from_board).all()):
         raise CalibrationError("poses are not finite", remedy="leave out the views without a pose")
     try:
         if method in _RELATIVE:  # OpenCV's gripper2base is stand_from_mount, target2cam camera_from_board
-            rotation, translation = cv2.calibrateHandEye(
-                list(stand_from_mount[:, :3, :3]),
-                list(stand_from_mount[:, :3, 3]),
-                list(board_rotation),
-                list(board_translation),
-                method=_RELATIVE[method],
-            )
+            parts = (*_parts(stand_from_mount), *_parts(camera_from_board))
+            rotation, translation = cv2.calibrateHandEye(*parts, method=_RELATIVE[method])
             mount_from_camera = pose.rigid(rotation, translation.ravel())
         else:
-            mount_from_stand = pose.inverse(stand_from_mount)
-            _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(
-                list(board_rotation),
-                list(board_translation),
-                list(mount_from_stand[:, :3, :3]),
-                list(mount_from_stand[:, :3, 3]),
-                method=_ABSOLUTE[method],
-            )
+            parts = (*_parts(camera_from_board), *_parts(pose.inverse(stand_from_mount)))
+            _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(*parts, method=_ABSOLUTE[method])
             mount_from_camera = pose.inverse(pose.rigid(rotation, translation.ravel()))
     except cv2.error as error:
         raise CalibrationError(f"hand-eye method {method} failed", why=str(error.err)) from None
     mount_from_camera = pose.checked(mount_from_camera, where=f"hand-eye method {method}", tolerance=0.1)
     return assess(stand_from_mount, camera_from_board, mount_from_camera, method)
+
+
+def _parts(poses: Array) -> tuple[list[Array], list[Array]]:
+    """Rotations and translations as OpenCV takes them."""
+    return list(poses[:, :3, :3]), list(poses[:, :3, 3])
 
 
 def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera: Array, method: str) -> HandEye:

@@ -42,10 +42,8 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
                 break
             turned = following
     if best is None:
-        raise CalibrationError(
-            "chessboard cannot be read the same way round in all views",
-            remedy="use a board with an odd number of squares one way and an even number the other",
-        )
+        remedy = "use a board with an odd number of squares one way and an even number the other"
+        raise CalibrationError("chessboard cannot be read the same way round in all views", remedy=remedy)
     return _turned(session, best), both[best, views]
 
 
@@ -63,10 +61,8 @@ def as_placed(
 def _turned(session: TargetSession, turned: Indices) -> TargetSession:
     """The session with the views of which `turned` (views,) is 1 read the other way round."""
     points, last = session.board.points, len(session.board.points) - 1
-    observations = [
-        replace(o, ids=last - o.ids, points=points[last - o.ids]) if other else o
-        for o, other in zip(session.observations, turned, strict=True)
-    ]
+    pairs = zip(session.observations, turned, strict=True)
+    observations = (replace(o, ids=last - o.ids, points=points[last - o.ids]) if other else o for o, other in pairs)
     return replace(session, observations=tuple(observations))
 
 

@@ -144,14 +144,8 @@ class State:
         intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
         intrinsics[columns] += step[: len(columns)]
         offsets[OFFSET_JOINTS[: len(turns)]] += turns
-        return replace(
-            self,
-            intrinsics=intrinsics,
-            mount_from_camera=perturbed(self.mount_from_camera, step[-12:-6]),
-            stand_from_board=perturbed(self.stand_from_board, step[-6:]),
-            corrections=self.corrections + view_steps,
-            offsets=offsets,
-        )
+        mount, board = perturbed(self.mount_from_camera, step[-12:-6]), perturbed(self.stand_from_board, step[-6:])
+        return type(self)(intrinsics, mount, board, self.corrections + view_steps, offsets)
 
 
 def perturbed(a_from_b: Array, twist: Array) -> Array:

@@ -60,9 +60,8 @@ def refine_without(
             return Fit(session, measured, refined, left_out)
         sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)
         for i in np.flatnonzero(bad):
-            left_out[session.observations[i].name] = (
-                f"arm and picture disagree by {1e3 * sizes[i, 0]:.2g} mm and {np.rad2deg(sizes[i, 1]):.2g} deg"
-            )
+            why = f"arm and picture disagree by {1e3 * sizes[i, 0]:.2g} mm and {np.rad2deg(sizes[i, 1]):.2g} deg"
+            left_out[session.observations[i].name] = why
         session = session.chosen(~bad)
         start = replace(refined.state, corrections=np.zeros((len(session.observations), 6)))
 

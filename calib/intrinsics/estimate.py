@@ -31,6 +31,7 @@ MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
 OUTLIER = 6.0
 """Corners with larger residuals are left out [robust standard deviations]."""
+_DIRECTIONS = "record views from more directions"
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
@@ -52,12 +53,7 @@ BROWN = tuple(Lens(names) for names in ((), ("k1",), ("k1", "k2"), ("k1", "k2", 
 USUAL = BROWN[3]
 RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
 FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
-LENSES: dict[str, tuple[Lens, ...]] = {
-    "auto": (*BROWN, RATIONAL, *FISHEYE),
-    "brown": BROWN,
-    "rational": (*BROWN, RATIONAL),
-    "fisheye": FISHEYE,
-}
+LENSES = {"auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE}
 """Candidates by the name of the `--lens` option."""
 
 
@@ -127,23 +123,13 @@ def _finished(
     covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
     if not relative.max() <= MAX_FOCAL_STD:
-        raise Unobservable(
-            "focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it", remedy=_TILT
-        )
+        why = f"its standard deviation is {relative.max():.1%} of it"
+        raise Unobservable("focal length is not observable", why=why, remedy=_TILT)
     view = flat(observations)[0]
-    by_view = {o.name: _rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
-    return Intrinsics(
-        camera,
-        lens,
-        covariance,
-        _rms(fitted.residuals),
-        held_out_px,
-        by_view,
-        coverage(observations, camera.width, camera.height),
-        fitted.camera_from_board,
-        tuple(observations),
-        left_out,
-    )
+    by_view = {o.name: rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
+    errors = rms(fitted.residuals), held_out_px, by_view
+    seen, boards = coverage(observations, camera.width, camera.height), fitted.camera_from_board
+    return Intrinsics(camera, lens, covariance, *errors, seen, boards, tuple(observations), left_out)
 
 
 def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
@@ -174,11 +160,9 @@ def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_COR
     """Raise TargetError where there are fewer views or corners than a calibration needs."""
     corners = sum(len(o.ids) for o in observations)
     if len(observations) < MIN_VIEWS or corners < least:
-        raise TargetError(
-            "target is not seen often enough",
-            why=f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed",
-            remedy="record more views with the whole target in the picture, sharp and evenly lit",
-        )
+        why = f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed"
+        remedy = "record more views with the whole target in the picture, sharp and evenly lit"
+        raise TargetError("target is not seen often enough", why=why, remedy=remedy)
 
 
 def _check_directions(camera_from_board: Array) -> None:
@@ -190,9 +174,8 @@ def _check_directions(camera_from_board: Array) -> None:
     mean = normals.mean(0) / np.linalg.norm(normals.mean(0))
     spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
     if spread < MIN_TILT_RAD:
-        raise Unobservable(
-            "focal length is not observable", why=f"the target is tilted by {np.rad2deg(spread):.2g} deg only", remedy=_TILT
-        )
+        why = f"the target is tilted by {np.rad2deg(spread):.2g} deg only"
+        raise Unobservable("focal length is not observable", why=why, remedy=_TILT)
 
 
 def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> Array:
@@ -211,11 +194,6 @@ def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> A
     return np.where((squares[0] <= squares[1])[:, None, None], fits[0].camera_from_board, fits[1].camera_from_board)
 
 
-def camera_from_board(camera: Camera, observation: Observation) -> Array:
-    """(4, 4) pose of a target in one view; see `camera_from_boards`."""
-    return camera_from_boards(camera, [observation])[0]
-
-
 def _planar_poses(camera: Camera, observation: Observation) -> list[Array]:
     """The one or two (4, 4) poses that a flat target can have (Collins & Bartoli 2014), in front of the camera, best first."""
     points, ideal = (np.ascontiguousarray(a) for a in (observation.points, camera.directions(observation.pixels)[:, :2]))
@@ -226,9 +204,8 @@ def _planar_poses(camera: Camera, observation: Observation) -> list[Array]:
     poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
     poses = [p for p in poses if np.isfinite(p).all() and (points @ p[2, :3] + p[2, 3]).min() > 0]
     if not poses:
-        raise CalibrationError(
-            "pose of the target cannot be found", where=f"view {observation.name}", remedy="leave this view out"
-        )
+        where = f"view {observation.name}"
+        raise CalibrationError("pose of the target cannot be found", where=where, remedy="leave this view out")
     return poses
 
 
@@ -258,7 +235,7 @@ def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: 
         start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
     fitted = bundle.fit(*flat(observations), start, poses, lens.free, lens.fisheye)
     if not np.isfinite(fitted.residuals).all():
-        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
     if not fitted.intrinsics[:2].min() > 0:
         raise Unobservable("focal length is not observable", why=f"the fit gives {fitted.intrinsics[0]:.3g} px", remedy=_TILT)
     base = Camera(first.width, first.height, 1, 1, 0, 0, fisheye=lens.fisheye)
@@ -271,15 +248,12 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
     pixels = [conventions.opencv_from_pixels(o.pixels).astype(np.float32) for o in observations]
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
-        rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
-            points, pixels, (width, height), None, None, flags=flags, criteria=_STOP
-        )
+        found = cv2.calibrateCamera(points, pixels, (width, height), None, None, flags=flags, criteria=_STOP)
     except cv2.error as error:
-        raise CalibrationError(
-            "intrinsics cannot be fitted", why=str(error.err), remedy="record views from more directions"
-        ) from None
-    if not np.isfinite(rms):
-        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+        raise CalibrationError("intrinsics cannot be fitted", why=str(error.err), remedy=_DIRECTIONS) from None
+    error_px, matrix, distortion, rotations, translations = found
+    if not np.isfinite(error_px):
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
     focal, centre = matrix[[0, 1], [0, 1]], conventions.pixels_from_opencv(matrix[:2, 2])
     if not focal.min() > 0:
         raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=_TILT)
@@ -319,8 +293,9 @@ def _without_outliers(
     return observations, poses, left_out
 
 
-def _rms(residuals: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=-1))))
+def rms(vectors: Array) -> float:
+    """Root mean square length of (n, 2) vectors."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
 def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> float:
@@ -335,5 +310,5 @@ def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, 
             residuals.append(bundle.fit(*flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
     except (CalibrationError, ArithmeticError):
         return np.inf
-    found = _rms(np.concatenate(residuals))
+    found = rms(np.concatenate(residuals))
     return found if np.isfinite(found) else np.inf
