@@ -34,10 +34,7 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
     residuals = {
         "rms_px": found.rms_px,
         "held_out_px": found.held_out_px,
-        "views_used": len(found.observations),
-        "views_unseen": list(session.unseen),
-        "views_left_out": list(found.left_out),
-        "why_left_out": found.left_out,
+        **_views(session, len(found.observations), found.left_out),
         "corners": sum(len(o.ids) for o in found.observations),
         "coverage": found.coverage,
         "view_rms_px": found.view_rms_px,
@@ -45,6 +42,12 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
     }
     provenance = {**session.provenance, "method": "intrinsics"}
     return Calibration(found.camera, found.std, region=session.region, residuals=residuals, provenance=provenance)
+
+
+def _views(session: TargetSession, used: int, left_out: dict[str, str]) -> dict[str, Any]:
+    """Views used, without a target and left out, for the calibration file."""
+    names = {"views_unseen": list(session.unseen), "views_left_out": list(left_out)}
+    return {"views_used": used, **names, "why_left_out": left_out}
 
 
 def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
@@ -190,10 +193,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
         "sigma_px": refined.sigmas.pixel,
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m,
         "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
-        "views_used": len(session.observations),
-        "views_unseen": list(session.unseen),
-        "views_left_out": list(left_out),
-        "why_left_out": left_out,
+        **_views(session, len(session.observations), left_out),
         "corners": int(refined.inliers.sum()),
         "corners_left_out": int((~refined.inliers).sum()),
         "coverage": estimate.coverage(session.observations, session.width, session.height),

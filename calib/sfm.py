@@ -96,21 +96,11 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
     better = _score(after) < (1 - MIN_GAIN) * _score(before)
     verdict = "fit better" if better else "do not fit better"
     reason = f"held-out points {verdict}: {np.median(before):.2f} px before, {np.median(after):.2f} px after"
-    result = (
-        scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
-        if better
-        else scene
-    )
-    return Refinement(
-        result,
-        better,
-        reason,
-        float(np.median(before)),
-        float(np.median(after)),
-        1e3 * float(np.sqrt(np.mean(distance**2))),
-        float(np.rad2deg(np.sqrt(np.mean(angle**2)))),
-        points,
-    )
+    if better:
+        scene = scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
+    medians = float(np.median(before)), float(np.median(after))
+    moved_mm, moved_deg = 1e3 * float(np.sqrt(np.mean(distance**2))), float(np.rad2deg(np.sqrt(np.mean(angle**2))))
+    return Refinement(scene, better, reason, *medians, moved_mm, moved_deg, points)
 
 
 def _score(errors: Array) -> float:
@@ -121,9 +111,8 @@ def _score(errors: Array) -> float:
 def _one_camera(scene: Scene) -> Camera:
     cameras = {view.camera for view in scene.views}
     if len(cameras) != 1:
-        raise CalibrationError(
-            "views have different cameras", where=scene.name, why=f"{len(cameras)} of them", remedy="refine scenes of one camera"
-        )
+        why, remedy = f"{len(cameras)} of them", "refine scenes of one camera"
+        raise CalibrationError("views have different cameras", where=scene.name, why=why, remedy=remedy)
     return cameras.pop()
 
 
@@ -148,23 +137,14 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
     if any((folder / "masks").glob("*")):
         options.mask_path = folder / "masks"
     database = folder / "features.db"
-    cpu = pycolmap.Device.cpu
-    pycolmap.extract_features(
-        database,
-        folder / "images",
-        image_names=names,
-        camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=options,
-        extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False),
-        device=cpu,
-    )
-    pycolmap.match_exhaustive(
-        database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False), device=cpu
-    )
+    cpu, single = pycolmap.Device.cpu, pycolmap.CameraMode.SINGLE
+    extraction = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
+    matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False)
+    pycolmap.extract_features(database, folder / "images", names, single, options, extraction, cpu)
+    pycolmap.match_exhaustive(database, matching_options=matching, device=cpu)
     model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(camera_id=1, model=kind, width=camera.width, height=camera.height, params=numbers)
-    )
+    theirs = pycolmap.Camera(camera_id=1, model=kind, width=camera.width, height=camera.height, params=numbers)
+    model.add_camera_with_trivial_rig(theirs)
     with pycolmap.Database.open(database) as stored:
         for index, name in enumerate(names):
             found = stored.read_image_with_name(name)
@@ -252,29 +232,20 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
         if not long or number in aside:
             model.delete_point3D(key)
         number += long
-    config, priors = pycolmap.BundleAdjustmentConfig(), []
+    config, priors, cartesian = pycolmap.BundleAdjustmentConfig(), [], pycolmap.PosePriorCoordinateSystem.CARTESIAN
     for image_id, image in model.images.items():
         config.add_image(image_id)
         if image.num_points3D < MIN_SEEN:
             config.set_constant_rig_from_world_pose(image.frame_id)
         centre = scene.views[_index(image.name)].world_from_camera[:3, 3]
-        priors.append(
-            pycolmap.PosePrior(
-                corr_data_id=image.data_id,
-                position=centre,
-                position_covariance=prior_m**2 * np.eye(3),
-                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
-            )
-        )
-    options = pycolmap.BundleAdjustmentOptions(
-        refine_focal_length=False, refine_principal_point=False, refine_extra_params=False, print_summary=False
-    )
+        known = {"position": centre, "position_covariance": prior_m**2 * np.eye(3), "coordinate_system": cartesian}
+        priors.append(pycolmap.PosePrior(corr_data_id=image.data_id, **known))
+    names = ("refine_focal_length", "refine_principal_point", "refine_extra_params", "print_summary")
+    options = pycolmap.BundleAdjustmentOptions(**dict.fromkeys(names, False))
     options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, 1.0
     options.ceres.solver_options.num_threads = 1
-    adjuster = pycolmap.create_pose_prior_bundle_adjuster(
-        options, pycolmap.PosePriorBundleAdjustmentOptions(), config, priors, model
-    )
-    adjuster.solve()
+    of_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+    pycolmap.create_pose_prior_bundle_adjuster(options, of_priors, config, priors, model).solve()
     moved = np.stack([view.world_from_camera for view in scene.views])
     for image in model.images.values():
         matrix = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])

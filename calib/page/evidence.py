@@ -143,23 +143,15 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
     measured = model.measured(chosen, (), None, Accuracy(), calibration.camera.fisheye)
     if not with_arm:
         predicted = [estimate.reproject(calibration.camera, b, o) for b, o in zip(boards[used], chosen.observations, strict=True)]
-        residuals, inliers, corrections = (
-            {ALONE: measured.pixels - np.concatenate(predicted)},
-            np.ones(len(measured.view), bool),
-            None,
-        )
+        found = {ALONE: measured.pixels - np.concatenate(predicted)}, np.ones(len(measured.view), bool), None
     else:
         offsets = np.zeros(6) if calibration.joint_offsets is None else calibration.joint_offsets.offsets
         still = np.zeros((len(chosen.observations), 6))
         state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, offsets)
         refined = refine.with_corrections(measured, state, sigmas_of(calibration))
         plain = verify.errors(measured, replace(state, offsets=0 * offsets))[0]
-        residuals, inliers, corrections = (
-            {CORRECTED: refined.residuals, REPORTED: plain},
-            refined.inliers,
-            refined.state.corrections,
-        )
-    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, residuals, inliers, corrections)
+        found = {CORRECTED: refined.residuals, REPORTED: plain}, refined.inliers, refined.state.corrections
+    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
 
 
 def sigmas_of(calibration: Calibration) -> refine.Sigmas:

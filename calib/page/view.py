@@ -209,15 +209,12 @@ def add_board(page: Page, name: str, board: Board, base_from_board: Array) -> No
     side = board.square_length_m
     columns, rows = np.meshgrid(np.arange(board.squares_x), np.arange(board.squares_y))
     dark = (columns + rows) % 2 == 0
-    vertices, faces = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
-    plate, corners = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
+    squares = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
+    plate = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
     rotation, place = shapes.placed(base_from_board)
-    page.scene.add_mesh_simple(
-        f"{name}/squares", vertices, faces, color=(30, 30, 30), side="double", wxyz=rotation, position=place
-    )
-    page.scene.add_mesh_simple(
-        f"{name}/plate", plate, corners, color=(235, 235, 235), side="double", wxyz=rotation, position=place
-    )
+    for part, mesh, grey in (("squares", squares, 30), ("plate", plate, 235)):
+        colour = (grey, grey, grey)
+        page.scene.add_mesh_simple(f"{name}/{part}", *mesh, color=colour, side="double", wxyz=rotation, position=place)
 
 
 def _squares(origins: Array, side: float | Array, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
@@ -226,9 +223,8 @@ def _squares(origins: Array, side: float | Array, height: float) -> tuple[NDArra
     flat = (origins[:, None] + steps[None]).reshape(-1, 2)
     vertices = np.concatenate([flat, np.full((len(flat), 1), height)], axis=1)
     first = 4 * np.arange(len(origins))[:, None]
-    return vertices.astype(np.float32), np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))]).astype(
-        np.uint32
-    )
+    faces = np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))])
+    return vertices.astype(np.float32), faces.astype(np.uint32)
 
 
 def decoded(png: bytes) -> NDArray[np.uint8]:

@@ -38,6 +38,7 @@ from datasets.recording import MANIFEST, Recording
 
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+Layout = Literal["x y z rx ry rz", "x y z qw qx qy qz", "x y z qx qy qz qw", "matrix", "matrix by columns"]
 LAYOUTS = {"x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16}
 """How many numbers each layout has; a matrix may also be given by its upper three rows."""
 MAX_CSV_BYTES = 2**24
@@ -53,9 +54,7 @@ class CameraNumbers(Schema):
     cx: float = Field(description="principal point [px]")
     cy: float = Field(description="principal point [px]")
     distortion: list[float] = Field(default=[], max_length=8, description="k1 k2 p1 p2 k3 k4 k5 k6, as many as there are")
-    first_pixel: float = Field(
-        0.0, ge=0, le=0.5, multiple_of=0.5, description="centre of the first pixel: 0 for OpenCV and ViSP [px]"
-    )
+    first_pixel: float = Field(0, ge=0, le=0.5, multiple_of=0.5, description="centre of the first pixel; 0 for OpenCV, ViSP [px]")
 
     def camera(self) -> Camera:
         """In our pixel coordinates."""
@@ -71,9 +70,7 @@ class Description(Schema):
     images: str = Field(description="pattern of the images in the folder, with one *, which names the view")
     poses: str = Field(description="pattern of the pose files, with one *, or the one file of all poses (.csv .yaml .json)")
     key: str = Field(default="", description="where the numbers are in a YAML or JSON file; a.b for b inside a")
-    layout: Literal["x y z rx ry rz", "x y z qw qx qy qz", "x y z qx qy qz qw", "matrix", "matrix by columns"] = Field(
-        description="meaning and order of the numbers of a pose"
-    )
+    layout: Layout = Field(description="meaning and order of the numbers of a pose")
     length: Literal["m", "mm"] = Field(default="m", description="unit of lengths")
     angle: Literal["rad", "deg"] = Field(default="rad", description="unit of rotation vectors")
     inverse: bool = Field(default=False, description="true where the poses are flange_from_base; else base_from_flange")
@@ -140,10 +137,8 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
     if not images:
         why = f"nothing matches {description.images!r}"
         raise UsageError("no images found", where=folder, why=why, remedy="correct 'images'")
-    views = [
-        (name, images[name], as_pose(numbers, description, where=f"{folder}, pose of view {name}"))
-        for name, numbers in _numbers(folder, description, images).items()
-    ]
+    numbers = _numbers(folder, description, images).items()
+    views = [(name, images[name], as_pose(n, description, where=f"{folder}, pose of view {name}")) for name, n in numbers]
     hashes = "+".join(files.sha256(path)[:12] for path in images.values())
     provenance = {"folder": str(folder.resolve()), "board": board.to_json(), "frames_sha256": hashes}
     return observe(board, views, provenance=provenance, seen=seen, eye_to_hand=description.eye_to_hand)

@@ -90,12 +90,9 @@ def observe(
         picture = grey(images.read(image))
         size = size or picture.shape
         if picture.shape != size:
-            raise TargetError(
-                "image has another size than the first",
-                where=image,
-                why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
-                remedy="record a session with one camera setting",
-            )
+            why = f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}"
+            remedy = "record a session with one camera setting"
+            raise TargetError("image has another size than the first", where=image, why=why, remedy=remedy)
         observation = detect(board, picture, name)
         if observation is None:
             unseen.append(name)
@@ -114,10 +111,7 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     """Find the target of a recording in its frames. Nothing under its truth folder is read."""
     recording = Recording.open(path)
     board = read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
-    views = [
-        (f.name, files.inside(recording.path, f.image, where=f"{path}, frame {f.name}"), f.base_from_flange)
-        for f in recording.frames
-    ]
+    views = [(f.name, recording.image_path(f), f.base_from_flange) for f in recording.frames]  # paths are checked on opening
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
     provenance = {

@@ -139,9 +139,8 @@ class Result:
 
     def against_bound(self) -> tuple[Ratio, Ratio]:
         """Rms error of the refinement in units of the bound (translation, rotation), the luck of the draws taken out."""
-        return self._both(
-            lambda axis: ratios.to_bound(self.methods[REFINED].of(axis), self.methods[DRAWN].of(axis), self.bound[axis])
-        )
+        refined, drawn = self.methods[REFINED], self.methods[DRAWN]
+        return self._both(lambda axis: ratios.to_bound(refined.of(axis), drawn.of(axis), self.bound[axis]))
 
     def plainly_against_bound(self) -> tuple[float, float]:
         """The same as a plain quotient of what was drawn and the bound."""
@@ -169,12 +168,8 @@ EXACT = (1e-4, 1e-5)
 def full_grid() -> list[Point]:
     """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views, intrinsics given; around the Koala rig also estimated."""
     known = [Point(*levels) for levels in product((0.0, 0.1, 1.0), (0.0, 0.03, 1.0), (0.0, 0.005, 0.1), (5, 10, 20, 50))]
-    along = [
-        Point(px, mm, deg, views, ESTIMATED)
-        for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1))
-        for views in (10, 20, 50)
-    ]
-    return known + along
+    rigs = (0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1)
+    return known + [Point(*levels, views, ESTIMATED) for levels, views in product(rigs, (10, 20, 50))]
 
 
 def quick_grid() -> list[Point]:
@@ -210,9 +205,8 @@ def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG,
 def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, Errors]) -> Array:
     """(2,) what `bound` says of one session, whose errors are counted."""
     sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
-    drawn = simulate(
-        rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm, free=point.free
-    )
+    flown = viewpoints(rng, rig, point.views, Pattern())
+    drawn = simulate(rng, rig, flown, sigma_px=point.sigma_px, arm=point.arm, free=point.free)
     drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
     methods[DRAWN].add(drawn.truth.mount_from_camera, efficient(drawn, sigmas), 0.0)
     _compare(drawn, point, methods)

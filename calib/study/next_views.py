@@ -100,11 +100,8 @@ def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Reach) 
     """Camera poses within reach, as far from the board as the recorded ones and tilted up to `MAX_TILT_DEG`."""
     in_board = pose.inverse(rig.base_from_board) @ flown
     distance = -in_board[:, 2, 3]
-    pattern = Pattern(
-        (0.0, MAX_TILT_DEG),
-        (0.8 * float(distance.min()), 1.2 * float(distance.max())),
-        shift_m=0.25 * float(np.ptp(rig.board.points)),
-    )
+    distances = 0.8 * float(distance.min()), 1.2 * float(distance.max())
+    pattern = Pattern((0.0, MAX_TILT_DEG), distances, shift_m=0.25 * float(np.ptp(rig.board.points)))
     drawn = viewpoints(rng, rig, 20 * CANDIDATES, pattern)
     return list(drawn[reach.holds(drawn)][:CANDIDATES])
 

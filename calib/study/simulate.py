@@ -75,11 +75,9 @@ class Simulated:
         """The corners by view, named "000", "001", ..."""
         ids = np.rint(self.session.points[:, :2] / self.rig.board.square_length_m).astype(np.int64)
         number = (ids[:, 1] - 1) * (self.rig.board.squares_x - 1) + ids[:, 0] - 1
-        return [
-            Observation(f"{i:03d}", number[own], self.session.pixels[own], self.session.points[own])
-            for i in range(len(self.base_from_camera))
-            for own in [self.session.view == i]
-        ]
+        pixels, points = self.session.pixels, self.session.points
+        masks = [self.session.view == i for i in range(len(self.base_from_camera))]
+        return [Observation(f"{i:03d}", number[own], pixels[own], points[own]) for i, own in enumerate(masks)]
 
 
 def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:

@@ -66,6 +66,7 @@ def _with_board(x: int, y: int, square_m: float) -> Rig:
 
 A3, DENSE = _with_board(12, 9, 0.03), _with_board(18, 13, 0.02)
 TILTED = Pattern(tilt_deg=(25.0, 50.0))
+FAR = Pattern((25.0, 50.0), (0.3, 0.6))
 NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
 """As configs/trajectories/calibration.yaml has it."""
 VARIANTS = (
@@ -78,9 +79,7 @@ VARIANTS = (
     Variant("board of 12x9 squares of 30 mm (A3)", A3),
     Variant("A3 board, tilts of 25 to 50 degrees", A3, TILTED),
     Variant("A3 board of 18x13 squares of 20 mm", DENSE),
-    Variant(
-        "A3 board of 18x13 squares of 20 mm, tilts of 25 to 50 degrees, 0.3 to 0.6 m", DENSE, Pattern((25.0, 50.0), (0.3, 0.6))
-    ),
+    Variant("A3 board of 18x13 squares of 20 mm, tilts of 25 to 50 degrees, 0.3 to 0.6 m", DENSE, FAR),
     Variant("A3 board, tilts of 25 to 50 degrees, intrinsics from 60 views of their own", A3, TILTED, separate=60),
     Variant("tilts of 20 to 50 degrees at 0.25 to 0.4 m", KOALA, NEAR),
     Variant("10 views of the first kind, then 15 by `calib plan`", KOALA, planned=15),
@@ -107,14 +106,8 @@ def run(
 def target_session(simulated: Simulated, name: str = "simulated") -> TargetSession:
     """A simulated session in the form of a detected one."""
     camera = simulated.rig.camera
-    return TargetSession(
-        simulated.rig.board,
-        camera.width,
-        camera.height,
-        tuple(simulated.observations()),
-        simulated.session.base_from_flange,
-        provenance={"frames_sha256": name},
-    )
+    seen, flown = tuple(simulated.observations()), simulated.session.base_from_flange
+    return TargetSession(simulated.rig.board, camera.width, camera.height, seen, flown, provenance={"frames_sha256": name})
 
 
 def _once(variant: Variant, rng: np.random.Generator) -> Array:
@@ -131,14 +124,9 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     camera = _plain_camera(session, given)
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
     truth = simulated.truth.mount_from_camera
-    stated = found.flange_from_camera
-    return np.array(
-        [
-            _error(truth, stated.matrix),
-            _error(truth, park.mount_from_camera),
-            [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)],
-        ]
-    )
+    refined = found.flange_from_camera
+    stated = np.linalg.norm(refined.translation_std_mm), np.linalg.norm(refined.rotation_std_deg)
+    return np.array([_error(truth, refined.matrix), _error(truth, park.mount_from_camera), stated])
 
 
 def _flown(variant: Variant, rng: np.random.Generator) -> Array:
