@@ -59,15 +59,11 @@ def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
 def calibrate_handeye(
     session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
 ) -> Calibration:
-    """Hand-eye pose, board pose and intrinsics together.
+    """Hand-eye pose, board pose and intrinsics together; `lens` is a key of `estimate.LENSES`.
 
-    With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange.
-
-    Args:
-        given: intrinsics from another session; they count with their covariance. From the same session they are
-            only the start, because corners must not count twice.
-        accuracy: of the arm, as stated.
-        lens: a key of `estimate.LENSES`.
+    With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange. Intrinsics
+    `given` by another session count with their covariance. From the same session they are only the start, because corners must
+    not count twice.
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.

@@ -275,15 +275,14 @@ def _check_out(out: Path) -> None:
 
 def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
     """Write a calibration and print it."""
-    from calib.page.summary import POSES, describe_calibration, notes
+    from calib.page.summary import describe_calibration, notes
 
     calibration.save(out)
     facts = {name: getattr(calibration, name) for name in ("camera_std", "residuals")}
     result: dict[str, Any] = {"out": str(out), "camera": calibration.camera.to_json(), **facts, "notes": notes(calibration)}
-    for name in POSES:
-        if (value := getattr(calibration, name)) is not None:
-            std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
-            result[name] = {**value.to_json(), **std}
+    for name, value in calibration.poses.items():
+        std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
+        result[name] = {**value.to_json(), **std}
     if calibration.joint_offsets is not None:
         result["joint_offsets"] = calibration.joint_offsets.to_json()
     console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")

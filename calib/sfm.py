@@ -71,8 +71,7 @@ class Refinement:
 def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refinement:
     """Refine the poses of `scene` by its pictures, within the arm's accuracy `prior`.
 
-    Raises:
-        CalibrationError: views of several cameras, or too few points found in the pictures.
+    Raises CalibrationError for views of several cameras, and for too few points found in the pictures.
     """
     camera = _one_camera(scene)
     with tempfile.TemporaryDirectory() as folder:

@@ -47,6 +47,11 @@ class UncertainPose:
         """(3,) standard deviations of the rotation [deg]."""
         return np.rad2deg(np.sqrt(np.diag(self.covariance)[3:]))
 
+    @property
+    def total_std(self) -> tuple[float, float]:
+        """Standard deviations over all axes: translation [mm], rotation [deg]."""
+        return float(np.linalg.norm(self.translation_std_mm)), float(np.linalg.norm(self.rotation_std_deg))
+
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary: translation [m], quaternion `wxyz`, covariance."""
         return {
@@ -122,6 +127,11 @@ class Calibration:
     provenance: dict[str, Any] = field(default_factory=dict)
     """Recording path and hash, target, method, software versions."""
 
+    @property
+    def poses(self) -> dict[str, UncertainPose]:
+        """The poses that were calibrated, by name."""
+        return {name: value for name in _POSES if (value := getattr(self, name)) is not None}
+
     def camera_pose(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
         """(..., 4, 4) `base_from_camera` of a camera on the flange, from what the arm reported.
 
@@ -139,9 +149,8 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""
-        poses = {name: getattr(self, name) for name in _POSES if name in _POSES[:2] or getattr(self, name)}
         content = {"format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std}
-        content |= {name: value.to_json() if value else None for name, value in poses.items()}
+        content |= dict.fromkeys(_POSES[:2]) | {name: value.to_json() for name, value in self.poses.items()}
         optional = {"joint_offsets": self.joint_offsets, "region": self.region}
         content |= {name: value.to_json() for name, value in optional.items() if value}
         files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})

@@ -47,11 +47,7 @@ class HandEye:
 
 
 def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park") -> HandEye:
-    """Solve with one of `METHODS`.
-
-    Args:
-        stand_from_mount: (views, 4, 4) as the arm reported them.
-        camera_from_board: (views, 4, 4) as seen.
+    """Solve with one of `METHODS`, from (views, 4, 4) poses as the arm reported them and as seen.
 
     Raises:
         CalibrationError: fewer than 3 views, an unknown method, or OpenCV found no answer.
@@ -111,10 +107,7 @@ def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[H
     A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984):
     up to two fifths of the views may be wrong. A view disagrees if it is further than 5 medians (and 2 mm or 0.5 degrees)
     from the others, for instance because the arm or the board was moving. Such views are left out, and the answer is computed
-    again.
-
-    Raises:
-        CalibrationError: no method found an answer.
+    again. Raises CalibrationError where no method finds an answer.
     """
     best = _consensus(stand_from_mount, camera_from_board)
     keep = _agreeing(best)
@@ -131,11 +124,7 @@ def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[H
 def _answers(
     stand_from_mount: Array, camera_from_board: Array, groups: Sequence[NDArray[Any]], methods: Sequence[str]
 ) -> list[HandEye]:
-    """The answers of all methods from each group of views, assessed on all views; methods that fail are left out.
-
-    Raises:
-        CalibrationError: all of them fail.
-    """
+    """The answers of all methods from each group of views, assessed on all views. Raises CalibrationError where all fail."""
     answers = []
     for group in groups:
         for method in methods:

@@ -17,10 +17,9 @@ from datasets.core.errors import KoalaError
 
 
 def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
-    """The session with all views read the same way round, and their (views, 4, 4) poses. Other boards are returned as given.
+    """The session with all views read the same way round, and their (views, 4, 4) poses; other boards as given.
 
-    Raises:
-        CalibrationError: no reading of the views fits the arm.
+    Raises CalibrationError where no reading of the views fits the arm.
     """
     if not session.board.is_ambiguous:
         return session, camera_from_board

@@ -59,12 +59,7 @@ def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
 
 
 def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
-    """The mistake that explains the disagreement best, in words; empty if there is none.
-
-    Args:
-        stand_from_mount: (views, 4, 4) as given.
-        camera_from_board: (views, 4, 4) as seen.
-    """
+    """The mistake that explains best why (views, 4, 4) poses as given and as seen disagree, in words; empty if there is none."""
     given = _disagreement(stand_from_mount, camera_from_board)
     if given < POOR:
         return ""

@@ -26,7 +26,7 @@ import numpy as np
 
 from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
-from calib.intrinsics import projection
+from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
@@ -117,11 +117,8 @@ def measured(
     session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
 ) -> Session:
     """All corners of a target session in one list."""
-    counts = [len(o.ids) for o in session.observations]
-    view = np.repeat(np.arange(len(counts)), counts)
-    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in session.observations), strict=True))
     options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints)
-    return Session(session.base_from_flange, view, pixels, points, *options)
+    return Session(session.base_from_flange, *estimate.flat(session.observations), *options)
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,7 @@ def refine_without(
 ) -> Fit:
     """Refine from `start`, leaving out views that disagree, one round after another.
 
-    Raises:
-        TargetError, Unobservable, CalibrationError: too little is left, or nothing fits.
+    Raises TargetError, Unobservable or CalibrationError where too little is left, or nothing fits.
     """
     allowed, left_out = int(MAX_SHARE * len(session.observations)), {}
     while True:

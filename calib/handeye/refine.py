@@ -78,8 +78,7 @@ class Refined:
 def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12) -> Refined:
     """Minimise from `start`; `sigma_px` is a first guess of a corner's standard deviation per axis [px].
 
-    Raises:
-        CalibrationError: the start is too far off, or nearly all corners are outliers.
+    Raises CalibrationError where the start is too far off, or nearly all corners are outliers.
     """
     sigmas = Sigmas(max(sigma_px, MIN_SIGMA_PX), session.accuracy.translation_m, session.accuracy.rotation_rad, HUBER)
     steps, settled, suspicious = 0, False, False
@@ -111,8 +110,7 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
 def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined:
     """What `state` says of a session: each view gets the most likely correction, and everything else stays as it is.
 
-    Raises:
-        CalibrationError: the target comes to lie behind the camera.
+    Raises CalibrationError where the target comes to lie behind the camera.
     """
     inliers, sigmas, settled = np.ones(len(session.view), bool), replace(sigmas, width=HUBER), False
     point = _Point(session, state, sigmas)

@@ -46,11 +46,7 @@ class Verification:
 
 
 def verify(session: TargetSession, calibration: Calibration) -> Verification:
-    """Predict the corners of `session` with `calibration`.
-
-    Raises:
-        UsageError: the calibration has no hand-eye pose, or is for images of another size.
-    """
+    """Predict the corners of a session. Raises UsageError for calibrations without a hand-eye pose or for other image sizes."""
     mount = calibration.base_from_camera if session.eye_to_hand else calibration.flange_from_camera
     if mount is None:
         raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
@@ -76,10 +72,9 @@ def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> 
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
-    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`.
+    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`; None if a fold could not be fitted.
 
-    The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction. They
-    are None if a fold could not be fitted.
+    The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction.
     """
     views = len(session.base_from_flange)
     fold_of = folds(views, FOLDS)

@@ -43,19 +43,14 @@ def fit(
     free: tuple[str, ...] = (),
     fisheye: bool = False,
 ) -> Bundle:
-    """Minimise the distance of seen and predicted corners.
+    """Minimise the distance of seen and predicted corners. Raises CalibrationError where a board starts behind the camera.
 
     Args:
         view: (n,) view of each corner, ascending.
         pixels: (n, 2) [px].
         points: (n, 3) on the board [m].
-        intrinsics: (12,) to start from.
+        intrinsics: (12,) to start from; those of `free` are estimated.
         camera_from_board: (views, 4, 4) to start from.
-        free: intrinsics to estimate; the others stay.
-        fisheye: whether the lens is a fisheye.
-
-    Raises:
-        CalibrationError: a board lies behind the camera at the start.
     """
     corners = _Corners(view, pixels, points, [projection.NAMES.index(name) for name in free], fisheye)
     found, _ = minimise(_Point(corners, intrinsics, camera_from_board), LIMITS)

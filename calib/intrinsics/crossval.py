@@ -35,16 +35,9 @@ class Difference:
 
 
 def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Difference:
-    """Fit every other view, and the rest, with one lens, and compare.
+    """Fit every other view, and the rest, with one lens, and compare. Raises CalibrationError where a half cannot be fitted.
 
-    Args:
-        camera: to start from.
-        lens: what is estimated.
-        observations: the views.
-        camera_from_board: (views, 4, 4) to start from.
-
-    Raises:
-        CalibrationError: a half cannot be fitted.
+    The fits start from `camera` and the (views, 4, 4) poses `camera_from_board`.
     """
     halves = [estimate.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
     return difference(halves[0], halves[1])

@@ -181,8 +181,7 @@ def _check_directions(camera_from_board: Array) -> None:
 def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> Array:
     """(views, 4, 4) poses of a target: in each view the better of the two planar solutions, then least squares in pixels.
 
-    Raises:
-        CalibrationError: a view allows no pose in front of the camera; the message names it.
+    Raises CalibrationError, which names the view, where one allows no pose in front of the camera.
     """
     found = [_planar_poses(camera, observation) for observation in observations]
     fits = []

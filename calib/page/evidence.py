@@ -11,7 +11,6 @@ from calib.errors import CalibrationError
 from calib.handeye import flips, model, refine, verify
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import estimate, projection
-from calib.page.summary import POSES
 from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
@@ -133,15 +132,14 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
     """
     verify.check_size(session, calibration.camera)
     boards = estimate.camera_from_boards(calibration.camera, session.observations)
-    with_arm = any(getattr(calibration, name) is not None for name in POSES)
-    if with_arm:
+    if calibration.poses:
         session, boards = flips.as_placed(session, boards, *poses_of(calibration, session))
     used = np.array([o.name not in left_out(calibration) for o in session.observations])
     if not used.any():
         raise CalibrationError("recording shows no view that the calibration was made from", remedy="give another --recording")
     chosen = session.chosen(used)
     measured = model.measured(chosen, (), None, Accuracy(), calibration.camera.fisheye)
-    if not with_arm:
+    if not calibration.poses:
         predicted = [estimate.reproject(calibration.camera, b, o) for b, o in zip(boards[used], chosen.observations, strict=True)]
         found = {ALONE: measured.pixels - np.concatenate(predicted)}, np.ones(len(measured.view), bool), None
     else:

@@ -8,7 +8,7 @@ from calib.errors import CalibrationError
 from calib.intrinsics import crossval, estimate
 from calib.page import figures
 from calib.page.evidence import Evidence
-from calib.page.summary import POSES, notes
+from calib.page.summary import notes
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.reports.html import Number, ReportPage
@@ -39,8 +39,7 @@ def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
     views = f"{residuals['views_used']} views, {residuals['corners']} corners in {residuals['coverage']:.0%} of the image"
     report.headline([(words, known[name]) for name, words in headings.items() if name in known], views)
     report.section("Result")
-    poses = {name: value for name in POSES if (value := getattr(calibration, name)) is not None}
-    for name, value in poses.items():
+    for name, value in calibration.poses.items():
         _pose(report, name, value)
     _camera(report, calibration)
     report.heading("residuals")
@@ -53,7 +52,7 @@ def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
     else:
         report.paragraph("None.")
     _figures(report, evidence)
-    for name, value in poses.items():
+    for name, value in calibration.poses.items():
         report.section(f"Uncertainty of {name}")
         report.picture(figures.ellipses(name, value), f"Uncertainty of {name}")
     _cross_validation(report, evidence)

@@ -6,16 +6,14 @@ from calib.handeye.verify import Verification
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 
-POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
 _DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
 
 
 def describe_calibration(calibration: Calibration) -> str:
     """Several lines: poses with standard deviations, intrinsics, residuals, notes."""
     lines = []
-    for title in POSES:
-        if (value := getattr(calibration, title)) is not None:
-            lines += _pose_lines(title, value)
+    for title, value in calibration.poses.items():
+        lines += _pose_lines(title, value)
     camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
     if offsets is not None:
         numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:5]

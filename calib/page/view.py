@@ -16,7 +16,7 @@ from calib.errors import CalibrationError
 from calib.handeye import verify
 from calib.page import figures
 from calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
-from calib.page.summary import POSES, describe_calibration
+from calib.page.summary import describe_calibration
 from calib.sessions.importer import observe_folder
 from calib.targets.detection import read_board
 from datasets.board import Board
@@ -51,8 +51,7 @@ class CalibrationView:
         words = "click a camera: arrows lead from the predicted corners to the detected ones"
         self.panel = PicturePanel(page, "View", words)
         self._figures: dict[str, NDArray[np.uint8]] = {}
-        known = {name: value for name in POSES if (value := getattr(calibration, name)) is not None}
-        self._add_figures({f"uncertainty of {name}": figures.ellipses(name, value) for name, value in known.items()})
+        self._add_figures({f"uncertainty of {name}": figures.ellipses(name, value) for name, value in calibration.poses.items()})
         with page.gui.add_folder("Result"):
             page.gui.add_markdown(in_markdown(describe_calibration(calibration)))
         self._target()

@@ -75,11 +75,7 @@ def observe(
     seen: Callable[[str], None] = lambda words: None,
     eye_to_hand: bool = False,
 ) -> TargetSession:
-    """Find the target in `views`: (name, image, (4, 4) base_from_flange) each.
-
-    Args:
-        seen: called after each view with a few words on it.
-        eye_to_hand: whether the camera stands beside the arm.
+    """Find the target in `views`: (name, image, (4, 4) base_from_flange) each. `seen` is called after each with a few words.
 
     Raises:
         TargetError: no view shows the target, or the images differ in size.

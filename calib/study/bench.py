@@ -253,4 +253,4 @@ def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     """(2,) variances of the hand-eye pose over all axes that a session allows: translation [m^2], rotation [rad^2]."""
     inverse = np.linalg.inv(refine.linear_system(drawn.session, drawn.truth, sigmas).root)
     stated = UncertainPose(drawn.truth.mount_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
-    return np.array([np.sum((1e-3 * stated.translation_std_mm) ** 2), np.sum(np.deg2rad(stated.rotation_std_deg) ** 2)])
+    return np.square(np.array(stated.total_std) * [1e-3, np.deg2rad(1)])

@@ -65,10 +65,9 @@ class NextViews:
 
 
 def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
-    """The next `count` views after a session that has been solved, with the camera on the flange.
+    """The next `count` views after a session that has been solved.
 
-    Raises:
-        CalibrationError: no view within reach shows the board; the camera is beside the arm.
+    Raises CalibrationError where no view within reach shows the board, and for a camera beside the arm.
     """
     fit = solution.fit
     if fit.session.eye_to_hand:
@@ -78,20 +77,16 @@ def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: 
     camera = projection.with_vector(solution.first.camera, state.intrinsics)
     rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
     candidates = _candidates(np.random.default_rng(seed), rig, flown, reach or Reach.of(flown, grow_m))
-    informations, showing = [], []
-    for candidate in candidates:
-        information = _information(candidate, rig, fit.measured, fit.refined)
-        if information is not None:
-            informations.append(information)
-            showing.append(candidate)
+    informations = [_information(candidate, rig, fit.measured, fit.refined) for candidate in candidates]
+    showing = [(view, information) for view, information in zip(candidates, informations, strict=True) if information is not None]
     if not showing:
         raise CalibrationError("no view within reach shows the board", remedy="allow more room with --grow-mm")
     total, chosen, after = fit.refined.information, [], []
     for _ in range(count):
-        scores = [_score(total + information, state) for information in informations]
-        best = int(np.argmin(scores))
-        total = total + informations[best]
-        chosen.append(showing[best])
+        scores = [_score(total + information, state) for _, information in showing]
+        best, information = showing[int(np.argmin(scores))]
+        total = total + information
+        chosen.append(best)
         after.append(_deviations(total, state))
     return NextViews(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
 
@@ -126,8 +121,7 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:
     """Standard deviations of the hand-eye pose over all axes: translation [mm], rotation [deg]."""
-    stated = UncertainPose(state.mount_from_camera, np.asarray(np.linalg.inv(information)[-12:-6, -12:-6], np.float64))
-    return float(np.linalg.norm(stated.translation_std_mm)), float(np.linalg.norm(stated.rotation_std_deg))
+    return UncertainPose(state.mount_from_camera, np.asarray(np.linalg.inv(information)[-12:-6, -12:-6], np.float64)).total_std
 
 
 def _score(information: Array, state: State) -> float:
@@ -140,10 +134,8 @@ def write_trajectory(path: Path, found: NextViews, manifest: dict[str, Any]) -> 
     """Write the views as a trajectory file for 'capture plan' and 'capture run', with the other settings of the recording."""
     recorded = manifest.get("trajectory") or {}
     kept = {key: recorded[key] for key in ("camera", "motion", "safety", "target", "board") if recorded.get(key) is not None}
-    poses = [
-        {"position": matrix[:3, 3].round(6).tolist(), "quaternion_wxyz": pose.quaternion(matrix).round(9).tolist()}
-        for matrix in found.base_from_camera
-    ]
+    parts = [(m[:3, 3].round(6).tolist(), pose.quaternion(m).round(9).tolist()) for m in found.base_from_camera]
+    poses = [{"position": position, "quaternion_wxyz": quaternion} for position, quaternion in parts]
     name = f"{recorded.get('name', 'calibration')}_next"
     head = {"format": "koala-trajectory", "version": 1, "name": name, "views": [{"kind": "poses", "poses": poses}]}
     before, after = found.before, found.after[-1]

@@ -125,8 +125,7 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
     truth = simulated.truth.mount_from_camera
     refined = found.flange_from_camera
-    stated = np.linalg.norm(refined.translation_std_mm), np.linalg.norm(refined.rotation_std_deg)
-    return np.array([_error(truth, refined.matrix), _error(truth, park.mount_from_camera), stated])
+    return np.array([_error(truth, refined.matrix), _error(truth, park.mount_from_camera), refined.total_std])
 
 
 def _flown(variant: Variant, rng: np.random.Generator) -> Array:
