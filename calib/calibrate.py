@@ -16,8 +16,8 @@ from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
+from calib.solver.geometry import rms_difference
 from calib.targets import screening
-from datasets import pose
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
@@ -236,11 +236,11 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
     """The closed form's residuals, and how far the refinement moved from it."""
-    distance, angle = pose.difference(closed.mount_from_camera, refined.state.mount_from_camera)
+    moved_mm, moved_deg = rms_difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),
         "rotation_residual_deg": float(np.rad2deg(np.sqrt(np.mean(closed.rotation_residual_rad**2)))),
-        "moved_mm": 1e3 * float(distance),
-        "moved_deg": float(np.rad2deg(angle)),
+        "moved_mm": moved_mm,
+        "moved_deg": moved_deg,
     }

@@ -8,6 +8,7 @@ from typer import Argument, Option
 from calib.options import Arm, Import, JointDeg, Lens, Pictures, Rig, check_lens, spread
 from datasets.core import console
 from datasets.core.console import Json
+from datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
     from datasets.calibration import Calibration
@@ -203,7 +204,6 @@ def board_command(
     """Make a target to print, in true size."""
     from calib.targets import printing
     from calib.targets.detection import read_board
-    from datasets.core.errors import UsageError
 
     numbers = squares.lower().split("x")
     if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
@@ -265,7 +265,6 @@ def study_command(
 
 def _check_out(out: Path) -> None:
     """Raise UsageError before the work begins if `out` cannot be written after it."""
-    from datasets.core.errors import UsageError
     from datasets.core.files import refuse_existing
 
     if out.is_dir():

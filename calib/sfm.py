@@ -15,7 +15,7 @@ import numpy as np
 from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.handeye.model import Accuracy
-from calib.solver.geometry import cross
+from calib.solver.geometry import cross, rms_difference
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.imaging import images
@@ -73,7 +73,10 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
 
     Raises CalibrationError for views of several cameras, and for too few points found in the pictures.
     """
-    camera = _one_camera(scene)
+    camera, *others = {view.camera for view in scene.views}
+    if others:
+        why, remedy = f"{1 + len(others)} of them", "refine scenes of one camera"
+        raise CalibrationError("views have different cameras", where=scene.name, why=why, remedy=remedy)
     with tempfile.TemporaryDirectory() as folder:
         model = _triangulated(scene, camera, Path(folder))
         tracks = _tracks(model)
@@ -91,28 +94,18 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
             return Refinement(scene, False, reason, float(np.median(before)), None, None, None, points)
         moved = aligned(_adjusted(model, scene, set(aside.tolist()), prior.translation_m), given, prior)
     after = reprojection(tracks, judged, moved, camera)
-    distance, angle = pose.difference(given, moved)
     better = _score(after) < (1 - MIN_GAIN) * _score(before)
     verdict = "fit better" if better else "do not fit better"
     reason = f"held-out points {verdict}: {np.median(before):.2f} px before, {np.median(after):.2f} px after"
     if better:
         scene = scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
     medians = float(np.median(before)), float(np.median(after))
-    moved_mm, moved_deg = 1e3 * float(np.sqrt(np.mean(distance**2))), float(np.rad2deg(np.sqrt(np.mean(angle**2))))
-    return Refinement(scene, better, reason, *medians, moved_mm, moved_deg, points)
+    return Refinement(scene, better, reason, *medians, *rms_difference(given, moved), points)
 
 
 def _score(errors: Array) -> float:
     """Mean error with each error limited to `LIMIT_PX` [px]."""
     return float(np.mean(np.minimum(errors, LIMIT_PX)))
-
-
-def _one_camera(scene: Scene) -> Camera:
-    cameras = {view.camera for view in scene.views}
-    if len(cameras) != 1:
-        why, remedy = f"{len(cameras)} of them", "refine scenes of one camera"
-        raise CalibrationError("views have different cameras", where=scene.name, why=why, remedy=remedy)
-    return cameras.pop()
 
 
 def _parameters(camera: Camera) -> tuple[str, list[float]]:

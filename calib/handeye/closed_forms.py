@@ -41,9 +41,14 @@ class HandEye:
     rotation_residual_rad: Array
     """(views,) the same for its orientation [rad]."""
 
+    @property
+    def distance(self) -> Array:
+        """(views,) both together [m], rotations at a lever of half a metre."""
+        return np.hypot(self.translation_residual_m, 0.5 * self.rotation_residual_rad)
+
     def score(self, keep: Mask) -> float:
-        """Rms disagreement of the views of `keep` (views,) [m], rotations at a lever of half a metre; lower is better."""
-        return float(np.sqrt(np.mean(_distance(self)[keep] ** 2)))
+        """Rms `distance` of the views of `keep` (views,) [m]; lower is better."""
+        return float(np.sqrt(np.mean(self.distance[keep] ** 2)))
 
 
 def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park") -> HandEye:
@@ -142,19 +147,10 @@ def _consensus(stand_from_mount: Array, camera_from_board: Array) -> HandEye:
     """The answer with which the majority of the views agrees best, among those from all views and from groups of five."""
     views = len(stand_from_mount)
     rng = np.random.default_rng(0)
-    groups = [np.arange(views)]
+    groups, majority = [np.arange(views)], max(3, int(np.ceil(0.6 * views)))
     groups += [np.sort(rng.permutation(views)[:5]) for _ in range(SUBSETS if views > 5 else 0)]
     found = _answers(stand_from_mount, camera_from_board, groups, ("park", "shah"))
-    return min(found, key=lambda answer: np.sort(_distance(answer))[_majority(views) - 1])
-
-
-def _majority(views: int) -> int:
-    return max(3, int(np.ceil(0.6 * views)))
-
-
-def _distance(answer: HandEye) -> Array:
-    """(views,) disagreement [m], rotations at a lever of half a metre."""
-    return np.hypot(answer.translation_residual_m, 0.5 * answer.rotation_residual_rad)
+    return min(found, key=lambda answer: np.sort(answer.distance)[majority - 1])
 
 
 def _agreeing(answer: HandEye) -> Mask:

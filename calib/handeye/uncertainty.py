@@ -55,7 +55,7 @@ def parameter_names(session: Session) -> list[str]:
 
 
 def covariance(session: Session, refined: Refined) -> Array:
-    """(p, p) covariance of the global parameters. Raises Unobservable, which names the worst one, where they are not determined."""
+    """(p, p) covariance of the global parameters. Raises Unobservable, naming the worst one, where they are undetermined."""
     information = refined.information
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from calib.arrays import Array, Indices
+from calib.arrays import Array
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.intrinsics import bundle, projection
 from calib.targets import screening
@@ -187,7 +187,7 @@ def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> A
     fits = []
     for choice in (0, -1):
         starts = np.stack([poses[choice] for poses in found])
-        fits.append(bundle.fit(*flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
+        fits.append(bundle.fit(flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
     view = flat(observations)[0]
     squares = [np.bincount(view, (f.residuals**2).sum(-1), len(observations)) for f in fits]
     return np.where((squares[0] <= squares[1])[:, None, None], fits[0].camera_from_board, fits[1].camera_from_board)
@@ -220,10 +220,11 @@ def coverage(observations: Sequence[Observation], width: int, height: int) -> fl
     return len(np.unique(cells, axis=0)) / 64
 
 
-def flat(observations: Sequence[Observation]) -> tuple[Indices, Array, Array]:
-    """(n,) view, (n, 2) pixels and (n, 3) points of all corners in one list."""
+def flat(observations: Sequence[Observation]) -> bundle.Corners:
+    """The corners of all views in one list."""
     view = np.repeat(np.arange(len(observations)), [len(o.ids) for o in observations])
-    return view, np.concatenate([o.pixels for o in observations]), np.concatenate([o.points for o in observations])
+    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in observations), strict=True))
+    return bundle.Corners(view, pixels, points)
 
 
 def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> tuple[Camera, bundle.Bundle]:
@@ -232,7 +233,7 @@ def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: 
     if first.fisheye != lens.fisheye or set(lens.coefficients) < {"k1", "k2", "p1", "p2"}:
         start[4:] = 0.0
         start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
-    fitted = bundle.fit(*flat(observations), start, poses, lens.free, lens.fisheye)
+    fitted = bundle.fit(flat(observations), start, poses, lens.free, lens.fisheye)
     if not np.isfinite(fitted.residuals).all():
         raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
     if not fitted.intrinsics[:2].min() > 0:
@@ -306,7 +307,7 @@ def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, 
             rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
             camera, _ = fit(rest, first, poses[fold_of != fold], lens)
             start = projection.vector(camera)
-            residuals.append(bundle.fit(*flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
+            residuals.append(bundle.fit(flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
     except (CalibrationError, ArithmeticError):
         return np.inf
     found = rms(np.concatenate(residuals))

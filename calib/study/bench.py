@@ -21,10 +21,10 @@ from calib.arrays import Array
 from calib.handeye import closed_forms, refine
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import bundle
+from calib.solver.geometry import rms_difference
 from calib.study import ratios
 from calib.study.ratios import Ratio
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets import pose
 from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
@@ -34,7 +34,6 @@ RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
 FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
 """Stated accuracy of an arm without error."""
-GIVEN: tuple[str, ...] = ()
 ESTIMATED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
 
@@ -46,7 +45,7 @@ class Point:
     arm_mm: float
     arm_deg: float
     views: int
-    free: tuple[str, ...] = GIVEN
+    free: tuple[str, ...] = ()
     """Intrinsics that are estimated; for the closed forms from the pictures alone."""
 
     @property
@@ -71,9 +70,8 @@ class Errors:
 
     def add(self, truth: Array, found: Array, seconds: float) -> None:
         """Count one answer."""
-        distance, angle = pose.difference(truth, found)
-        self.translation_mm.append(1e3 * float(distance))
-        self.rotation_deg.append(float(np.rad2deg(angle)))
+        for values, value in zip((self.translation_mm, self.rotation_deg), rms_difference(truth, found), strict=True):
+            values.append(value)
         self.time_ms.append(1e3 * seconds)
 
     def of(self, axis: int) -> list[float]:
@@ -216,7 +214,8 @@ def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, 
 def _compare(drawn: Simulated, point: Point, methods: dict[str, Errors]) -> None:
     """All closed forms, then the refinement from the best of them by residual, as `calib handeye` does."""
     session, truth = drawn.session, drawn.truth
-    seen = bundle.fit(session.view, session.pixels, session.points, truth.intrinsics, drawn.camera_from_board, point.free)
+    corners = bundle.Corners(session.view, session.pixels, session.points)
+    seen = bundle.fit(corners, truth.intrinsics, drawn.camera_from_board, point.free)
     answers = []
     for name in closed_forms.METHODS:
         start = time.process_time()

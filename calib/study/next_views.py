@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calib.arrays import Array, Mask
+from calib.arrays import Array
 from calib.calibrate import Solution
 from calib.errors import CalibrationError
 from calib.handeye import model, refine
@@ -33,26 +33,6 @@ MIN_SHARE = 0.7
 
 
 @dataclass(frozen=True)
-class Reach:
-    """Where the camera may be: the region of the recorded views."""
-
-    low: Array
-    """(3,) lowest corner of a box in the base frame [m]."""
-    high: Array
-    """(3,) highest corner [m]."""
-
-    @classmethod
-    def of(cls, base_from_camera: Array, grow_m: float) -> "Reach":
-        """The box around recorded (views, 4, 4) camera poses, larger by `grow_m` on every side."""
-        return cls(base_from_camera[:, :3, 3].min(0) - grow_m, base_from_camera[:, :3, 3].max(0) + grow_m)
-
-    def holds(self, base_from_camera: Array) -> Mask:
-        """(n,) whether cameras of (n, 4, 4) poses are inside."""
-        places = base_from_camera[:, :3, 3]
-        return np.all((places >= self.low) & (places <= self.high), axis=1)
-
-
-@dataclass(frozen=True)
 class NextViews:
     """Views to take next, the most useful first."""
 
@@ -64,10 +44,11 @@ class NextViews:
     """The same after each view, expected."""
 
 
-def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
+def plan(solution: Solution, count: int, *, reach: Array | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
     """The next `count` views after a session that has been solved.
 
-    Raises CalibrationError where no view within reach shows the board, and for a camera beside the arm.
+    The camera stays inside `reach`, a (2, 3) box in the base frame [m]; by default that of the recorded views, larger by `grow_m`
+    on every side. Raises CalibrationError where no view within reach shows the board, and for a camera beside the arm.
     """
     fit = solution.fit
     if fit.session.eye_to_hand:
@@ -76,7 +57,8 @@ def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: 
     flown = fit.session.base_from_flange @ state.mount_from_camera
     camera = projection.with_vector(solution.first.camera, state.intrinsics)
     rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
-    candidates = _candidates(np.random.default_rng(seed), rig, flown, reach or Reach.of(flown, grow_m))
+    recorded = np.stack([flown[:, :3, 3].min(0) - grow_m, flown[:, :3, 3].max(0) + grow_m])
+    candidates = _candidates(np.random.default_rng(seed), rig, flown, recorded if reach is None else reach)
     informations = [_information(candidate, rig, fit.measured, fit.refined) for candidate in candidates]
     showing = [(view, information) for view, information in zip(candidates, informations, strict=True) if information is not None]
     if not showing:
@@ -91,14 +73,15 @@ def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: 
     return NextViews(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
 
 
-def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Reach) -> list[Array]:
+def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Array) -> list[Array]:
     """Camera poses within reach, as far from the board as the recorded ones and tilted up to `MAX_TILT_DEG`."""
     in_board = pose.inverse(rig.base_from_board) @ flown
     distance = -in_board[:, 2, 3]
     distances = 0.8 * float(distance.min()), 1.2 * float(distance.max())
     pattern = Pattern((0.0, MAX_TILT_DEG), distances, shift_m=0.25 * float(np.ptp(rig.board.points)))
     drawn = viewpoints(rng, rig, 20 * CANDIDATES, pattern)
-    return list(drawn[reach.holds(drawn)][:CANDIDATES])
+    within = np.all((drawn[:, :3, 3] >= reach[0]) & (drawn[:, :3, 3] <= reach[1]), axis=1)
+    return list(drawn[within][:CANDIDATES])
 
 
 def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined) -> Array | None:

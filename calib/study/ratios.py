@@ -28,12 +28,8 @@ class Ratio:
         return f"{self.value:.2f} ({self.low:.2f}–{self.high:.2f})"
 
 
-EQUAL = Ratio(1.0, 1.0, 1.0)
-"""Of two methods that are both exact."""
-BETTER = Ratio(0.0, 0.0, 0.0)
-"""Than a method that failed."""
-WORSE = Ratio(np.inf, np.inf, np.inf)
-"""Of a method that failed."""
+EQUAL, BETTER, WORSE = (Ratio(value, value, value) for value in (1.0, 0.0, np.inf))
+"""Of two methods that are both exact; to a method that failed; of a method that failed."""
 
 
 def of_errors(errors: ArrayLike, reference: ArrayLike) -> Ratio:
@@ -46,18 +42,13 @@ def of_errors(errors: ArrayLike, reference: ArrayLike) -> Ratio:
 
 
 def to_bound(errors: ArrayLike, efficient: ArrayLike, bound: float) -> Ratio:
-    """Rms of (n,) errors in units of a known bound.
+    """Rms of (n,) errors in units of a known bound, given (n,) errors of an efficient estimator on the same trials.
 
     With few trials the plain quotient depends more on the draws than on the method. The expected squared error of an efficient
     estimator is bound^2, so its error on the same noise shows how lucky the draws were; that is removed (a control variate;
     Hammersley & Handscomb 1964, 5.5):
 
         ratio^2 = (mean(errors^2) - mean(efficient^2) + bound^2) / bound^2.
-
-    Args:
-        errors: of the method.
-        efficient: of the efficient estimator on the same trials.
-        bound: in the same unit.
     """
     excess = (np.square(errors) - np.square(efficient)) / bound**2
     drawn = _draws(len(excess))

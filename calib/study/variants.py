@@ -15,12 +15,10 @@ from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate
 from calib.sessions.session import TargetSession
+from calib.solver.geometry import rms_difference
 from calib.study import next_views
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets import pose
 from datasets.board import Board
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
 
 SIGMA_PX = 0.1
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
@@ -121,11 +119,11 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     session = target_session(simulated)
     found = calibrate.calibrate_handeye(session, given, ARM)
     assert found.flange_from_camera is not None  # the camera is on the flange
-    camera = _plain_camera(session, given)
+    camera = given.camera if given else estimate.calibrate(session.observations, session.width, session.height).camera
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
     truth = simulated.truth.mount_from_camera
     refined = found.flange_from_camera
-    return np.array([_error(truth, refined.matrix), _error(truth, park.mount_from_camera), refined.total_std])
+    return np.array([rms_difference(truth, refined.matrix), rms_difference(truth, park.mount_from_camera), refined.total_std])
 
 
 def _flown(variant: Variant, rng: np.random.Generator) -> Array:
@@ -139,16 +137,6 @@ def _flown(variant: Variant, rng: np.random.Generator) -> Array:
 
 def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Array) -> Simulated:
     return simulate(rng, variant.rig, base_from_camera, sigma_px=SIGMA_PX, arm=ARM)
-
-
-def _plain_camera(session: TargetSession, given: Calibration | None) -> Camera:
-    """The camera that the closed form uses."""
-    return given.camera if given else estimate.calibrate(session.observations, session.width, session.height).camera
-
-
-def _error(truth: Array, found: Array) -> tuple[float, float]:
-    distance, angle = pose.difference(truth, found)
-    return 1e3 * float(distance), float(np.rad2deg(angle))
 
 
 def markdown(outcomes: Sequence[Outcome]) -> str:
