@@ -98,7 +98,7 @@ class Recording:
         """Start a new recording in a folder that is missing or empty. Raises UsageError where it is not empty."""
         path = Path(path)
         files.refuse_existing(path)
-        (path / IMAGES).mkdir(parents=True, exist_ok=True)
+        files.make_folder(path / IMAGES)
         manifest = {"format": FORMAT, "version": VERSION, **manifest}
         files.write_json(path / MANIFEST, manifest)
         return cls(path, manifest)
@@ -127,8 +127,9 @@ class Recording:
     def append(self, frame: Frame) -> None:
         """Add a frame; returns once it is on the disk. Its image must exist already."""
         path = self.path / FRAMES
+        begun = path.exists()
         line = json.dumps(frame.to_json(), allow_nan=False) + "\n"
-        with open(path, "r+b" if path.exists() else "w+b") as file:
+        with open(path, "r+b" if begun else "w+b") as file:
             for _ in self.frames:
                 file.readline()
             file.seek(file.tell())
@@ -136,6 +137,8 @@ class Recording:
             file.write(line.encode())
             file.flush()
             os.fsync(file.fileno())
+        if not begun:
+            files.flush(self.path)
         self.frames.append(frame)
 
     @property

@@ -20,7 +20,7 @@ def budget(name: str, default: int) -> int:
 
 
 def free_memory() -> int:
-    """Memory that programs can take without swapping [bytes]; unlimited where the system does not say (elsewhere than on Linux)."""
+    """Memory that programs can take without swapping [bytes]; unlimited where the system does not say."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))

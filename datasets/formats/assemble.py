@@ -1,7 +1,7 @@
 """Shared by the readers of foreign formats: missing files, image sizes, background and bounds."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -85,11 +85,18 @@ class Gathering:
                 checked_name(view.name, where=self.folder / listed_in)
             except DatasetError as error:
                 self.complain(error)
-        counts = Counter(view.name for view in self.views)
-        twice = next((name for name, count in counts.items() if count > 1), None)
-        if twice is not None:
-            self.complain(DatasetError("view is listed twice", where=f"{self.folder / listed_in}, {twice}"))
+        try:
+            listed_once([view.name for view in self.views], where=self.folder / listed_in)
+        except DatasetError as error:
+            self.complain(error)
         return tuple(self.views)
+
+
+def listed_once(names: Iterable[object], *, where: object) -> None:
+    """Raise DatasetError where a name occurs twice. Lists are checked before their images are opened, which takes longer."""
+    twice = next((name for name, count in Counter(map(str, names)).items() if count > 1), None)
+    if twice is not None:
+        raise DatasetError("view is listed twice", where=f"{where}, {twice}")
 
 
 def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:

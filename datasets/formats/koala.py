@@ -109,6 +109,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     views = content.get("views")
     if not isinstance(views, list):
         raise DatasetError("holds no list of views", where=source)
+    assemble.listed_once([entry["name"] for entry in views if isinstance(entry, dict) and "name" in entry], where=source)
     for index, entry in enumerate(views):
         try:
             gathering.views.append(_loaded_view(entry, folder, where=f"{source}, view {index}"))
@@ -137,7 +138,7 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
     try:
         name, split = checked_name(entry["name"], where=where), entry["split"]
         where = f"{where} ({name})"
-        image, mask, unit = entry["image"], entry.get("mask"), float(entry.get("depth_unit", 1e-3))
+        image, mask, unit = entry["image"], entry.get("mask"), sidecar.unit_of(entry, 1e-3)
         truth = sidecar.truth_of(entry.get("truth", {}), folder, where=where)
         camera = Camera.from_json(entry["camera"], where=f"{where}, camera")
         matrix = pose.checked(entry["world_from_camera"], where=f"{where}, world_from_camera")

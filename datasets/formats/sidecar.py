@@ -69,6 +69,14 @@ def truth_of(content: Any, folder: Path, *, where: object) -> dict[str, Path]:
     return {key: files.inside(folder, path, where=where) for key, path in content.items()}
 
 
+def unit_of(entry: dict[str, Any], otherwise: float) -> float:
+    """World units per step of a view's depth file. Raises ValueError where it is not positive."""
+    unit = float(entry.get("depth_unit", otherwise))
+    if not 0 < unit < np.inf:
+        raise ValueError(f"depth_unit is {unit}")
+    return unit
+
+
 def read(folder: Path) -> dict[str, Any] | None:
     """The sidecar's content, or None where there is none."""
     if not (folder / FILE).is_file():
@@ -99,7 +107,7 @@ def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, n
             name = checked_name(entry["name"], where=f"{where}, {view.name}")
             if entry["split"] not in SPLITS:
                 raise DatasetError(f"no split called {entry['split']!r}", where=f"{where}, {view.name}")
-            unit = float(entry.get("depth_unit", view.depth_unit))
+            unit = unit_of(entry, view.depth_unit)
             return replace(view, name=name, split=entry["split"], truth=truth, depth_unit=unit)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise DatasetError("view is not complete", where=f"{where}, {view.name}", why=str(error)) from None

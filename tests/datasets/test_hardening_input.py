@@ -1,4 +1,5 @@
-"""Scenes, recordings and pictures of strangers: nothing is written or copied from outside, nothing takes the computer's memory."""
+"""Scenes, recordings and pictures of strangers: nothing is written or copied from outside,
+nothing takes the computer's memory."""
 
 import json
 import os
@@ -233,3 +234,57 @@ def test_points_of_other_programs_are_read(tmp_path: Path, way: str) -> None:
     text = "ply\nformat ascii 1.0\nelement vertex 5\n" + "".join(f"property float {a}\n" for a in "xyz") + "end_header\n" + rows
     (tmp_path / "a.ply").write_bytes(big_endian(points) if way == "big endian" else text.replace("\n", "\r\n").encode())
     np.testing.assert_allclose(ply.read_points(tmp_path / "a.ply"), points, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["", "..", "a\nb", "a\0b", "\ud800", "x" * 300])
+@pytest.mark.parametrize("layout", ["koala", "nerfstudio"])
+def test_a_view_whose_name_cannot_name_a_file_is_refused(
+    make_scene: Callable[..., Scene], tmp_path: Path, name: str, layout: str
+) -> None:
+    save_scene(make_scene(count=3, truth=False), tmp_path / "scene", layout)
+    path = tmp_path / "scene" / ("cameras.json" if layout == "koala" else "koala.json")
+    content = json.loads(path.read_text())
+    views = content["views"]
+    (views[0] if isinstance(views, list) else next(iter(views.values())))["name"] = name
+    path.write_text(json.dumps(content))
+    with pytest.raises(DatasetError, match="cannot name a file"):
+        load_scene(tmp_path / "scene")
+
+
+@pytest.mark.parametrize("layout", ["koala", "nerfstudio", "blender"])
+def test_a_view_that_is_listed_thousands_of_times_is_refused_before_its_images_are_opened(
+    make_scene: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str
+) -> None:
+    save_scene(make_scene(count=3, truth=False), tmp_path / "scene", layout)
+    name = {"koala": "cameras.json", "nerfstudio": "transforms.json", "blender": "transforms_train.json"}[layout]
+    content = json.loads((tmp_path / "scene" / name).read_text())
+    content["views" if layout == "koala" else "frames"] *= 3000
+    (tmp_path / "scene" / name).write_text(json.dumps(content))
+    monkeypatch.setattr(images, "size", lambda path: pytest.fail("an image was opened"))
+    with pytest.raises(DatasetError, match="listed twice"):
+        load_scene(tmp_path / "scene")
+
+
+@pytest.mark.parametrize(
+    "key, value", [("provenance", {"a": float("nan")}), ("depth_unit", float("nan")), ("near", float("inf"))]
+)
+def test_numbers_that_cannot_be_written_again_are_not_read(
+    make_scene: Callable[..., Scene], tmp_path: Path, key: str, value: object
+) -> None:
+    save_scene(make_scene(count=3, truth=False), tmp_path / "scene", "koala")
+    content = json.loads((tmp_path / "scene" / "cameras.json").read_text())
+    (content["views"][0] if key == "depth_unit" else content)[key] = value
+    (tmp_path / "scene" / "cameras.json").write_text(json.dumps(content))
+    with pytest.raises(DatasetError):
+        load_scene(tmp_path / "scene")
+
+
+@pytest.mark.parametrize(
+    "key, value", [("index", "1"), ("name", "a\nb"), ("exposure_us", float("nan")), ("sha256", 5), ("image", None)]
+)
+def test_a_frame_with_a_value_of_another_kind_is_refused(tmp_path: Path, key: str, value: object) -> None:
+    recording, _ = stranger_recording(tmp_path, "0")
+    line = json.loads((recording / "frames.jsonl").read_text())
+    (recording / "frames.jsonl").write_text(json.dumps({**line, key: value}) + "\n")
+    with pytest.raises(DatasetError, match=r"frames\.jsonl, line 1"):
+        Recording.open(recording)
