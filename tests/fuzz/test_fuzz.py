@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ALL, SHARE = 10_000, 33
-KINDS, WAYS = 21, 37
+KINDS, WAYS = 22, 38
 OPEN = {
     r"pixel_bomb: ": "images._open: a budget of pixels relative to the file's size and to free memory",
     r"(special_file|link_round): ": "read_json, read_yaml, read_points and importer._read open what is no regular file",
