@@ -20,7 +20,7 @@ from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.imaging import images
 from datasets.imaging.region import Region
 from datasets.recording import FORMAT, MANIFEST, TRUTH, Frame, Recording
-from datasets.scene import SPLITS, STATED, Scene, View
+from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from datasets.structure import bounds
 from datasets.structure.measure import measured
 
@@ -50,9 +50,10 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
         remedy = "record a trajectory with an object"
         raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
     camera, notes = camera_for(recording, calibration)
-    views = []
+    views, maps = [], truth_maps(recording.path)
     for frame in frames:
-        views.append(_view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints)))
+        view = _view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints))
+        views.append(replace(view, truth={channel: found[frame.name] for channel, found in maps.items() if frame.name in found}))
         done()
     box, evidence = object_box(recording, tuple(views))
     provenance = {
@@ -138,19 +139,23 @@ def _view(recording: Recording, frame: Frame, camera: Camera, world_from_camera:
     if frame.sha256 and files.sha256(path) != frame.sha256:
         why, remedy = "its SHA-256 differs from frames.jsonl", "restore it, or record the frame again"
         raise DatasetError("image is not the one that was recorded", where=path, why=why, remedy=remedy)
-    return View(frame.name, camera, world_from_camera, frame.split, path, truth=_truth(recording.path, frame.name))
+    return View(frame.name, camera, world_from_camera, frame.split, path)
 
 
-def _truth(recording: Path, name: str) -> dict[str, Path]:
-    """Truth maps of one frame by channel."""
-    channels = sorted(path for path in (recording / TRUTH).glob("*") if path.is_dir())
-    found = {channel.name: sorted(channel.glob(f"{name}.*")) for channel in channels}
-    return {channel: paths[0] for channel, paths in found.items() if paths}
+def truth_maps(recording: Path) -> dict[str, dict[str, Path]]:
+    """Truth maps of a recording by channel and frame. Links inside the truth folder are not followed."""
+    homes = [recording / TRUTH / channel for channel in CHANNELS]
+    return {home.name: {path.stem: path for path in regular_files(home, "*")} for home in homes if not home.is_symlink()}
 
 
 def extra_truth(folder: Path) -> dict[str, Path]:
-    """Ground-truth meshes of a recording or scene, by their relative path in a scene."""
-    return {f"{TRUTH}/{path.name}": path for path in sorted((folder / TRUTH).glob("*.ply"))}
+    """Ground-truth meshes of a recording or scene, by their relative path in a scene; links are left out."""
+    return {f"{TRUTH}/{path.name}": path for path in regular_files(folder / TRUTH, "*.ply")}
+
+
+def regular_files(folder: Path, pattern: str) -> list[Path]:
+    """Sorted files of a folder whose names match, without links."""
+    return sorted(path for path in folder.glob(pattern) if path.is_file() and not path.is_symlink())
 
 
 def object_box(recording: Recording, views: tuple[View, ...]) -> tuple[NDArray[np.float64], str]:

@@ -20,6 +20,7 @@ from datasets.imaging import images
 from datasets.recording import Recording
 from datasets.scene import Scene
 from reconstruct.output import camera_path
+from reconstruct.output.mesh import reading
 from reconstruct.run import Run
 from reconstruct.training import checkpoint
 
@@ -122,5 +123,6 @@ READERS = {
     "path": lambda folder, out: camera_path.from_file(folder / "path.yaml"),
     "session": _session,
     "run": _run,
+    "mesh": lambda folder, out: [reading.read(path) for path in sorted(folder.iterdir())],
 }
 """How each kind that is no scene is read."""

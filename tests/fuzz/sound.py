@@ -64,6 +64,7 @@ def sound_inputs(folder: Path) -> dict[str, Path]:
         "path": _path,
         "session": _session,
         "run": _run,
+        "mesh": _meshes,
     }
     for kind, make in makers.items():
         (folder / kind).mkdir()
@@ -176,6 +177,16 @@ def _session(folder: Path) -> None:
     for name, poses in {"import": "poses.csv", "by_yaml": "pose-*.yaml", "by_json": "pose-*.json"}.items():
         content = {**base, "poses": poses, "key": "" if name == "import" else "data"}
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+
+
+def _meshes(folder: Path) -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=np.full((len(ball.vertices), 4), 200, np.uint8))
+    for suffix in (".ply", ".glb", ".obj", ".stl"):
+        ball.export(folder / f"ball{suffix}")
+    ball.export(folder / "text.ply", encoding="ascii")
 
 
 def _run(folder: Path) -> None:
