@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.controller import rtde_protocol
+from capture.robots.rtde import wire
 from capture.sim.controller.arm import Arm, RobotMode, Safety
 from capture.sim.controller.profiles import Joints
 from capture.sim.controller.script import ControlProgram
@@ -47,14 +47,14 @@ class Outputs:
     def __getitem__(self, name: str) -> Any:
         if name in _CHANGING:
             return _CHANGING[name](self)
-        register = rtde_protocol.register_of(name)
+        register = wire.register_of(name)
         if register is not None:
             kind, number = register
             program = self.controller.program
             if program is None or not name.startswith("output"):
                 return 0
             return (program.output_ints if kind == "int" else program.output_doubles)[number]
-        kind = rtde_protocol.type_of(name)
+        kind = wire.type_of(name)
         return [0] * {"VECTOR3D": 3}.get(kind, 6) if kind.startswith("VECTOR") else 0
 
     @cached_property

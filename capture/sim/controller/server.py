@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from capture.sim.controller import dashboard, rtde_protocol
+from capture.robots.rtde import wire
+from capture.robots.rtde.wire import packet
+from capture.sim.controller import dashboard
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.outputs import Outputs
-from capture.sim.controller.rtde_protocol import packet
 from capture.sim.controller.script import ControlProgram
 from capture.sim.controller.session import Session
 from datasets import pose
@@ -92,7 +93,7 @@ class ControllerServer:
         """Registers and outputs that a client sets; the program sees them at once."""
         program = self.program
         for name, value in values.items():
-            register = rtde_protocol.register_of(name)
+            register = wire.register_of(name)
             if register is not None and program is not None:
                 kind, number = register
                 (program.input_ints if kind == "int" else program.input_doubles)[number] = value
@@ -122,9 +123,7 @@ class ControllerServer:
         for session in list(self.sessions):
             if session.streaming and session.output is not None and wall >= session.due_s:
                 session.due_s = max(session.due_s + session.period_s, wall)
-                session.send(
-                    packet(rtde_protocol.DATA, b"\x01" + session.output.pack([outputs[n] for n in session.output.names]))
-                )
+                session.send(packet(wire.DATA, b"\x01" + session.output.pack([outputs[n] for n in session.output.names])))
 
     def tcp_pose(self, joints: np.ndarray) -> np.ndarray:
         """(6,) position [m] and rotation vector [rad]; kept for the arm at rest, which asks for the same one again and again."""
@@ -143,7 +142,7 @@ class ControllerServer:
             while chunk := await reader.read(65536):
                 await self._answering()
                 buffer += chunk
-                for kind, payload in rtde_protocol.split_packets(buffer):
+                for kind, payload in wire.split_packets(buffer):
                     session.send(session.handle(kind, payload))
         except (ConnectionError, ValueError, struct.error):
             return  # a connection that breaks, or that speaks something else, is closed

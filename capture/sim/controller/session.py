@@ -4,8 +4,8 @@ import asyncio
 import struct
 from typing import Any, Protocol
 
-from capture.sim.controller import rtde_protocol
-from capture.sim.controller.rtde_protocol import Recipe, packet
+from capture.robots.rtde import wire
+from capture.robots.rtde.wire import Recipe, packet
 
 CYCLE_HZ = 500
 MAX_UNREAD = 1 << 20
@@ -36,21 +36,21 @@ class Session:
 
     def handle(self, kind: int, payload: bytes) -> bytes:
         """Reply to one packet; empty where none is due."""
-        if kind == rtde_protocol.PROTOCOL_VERSION:
+        if kind == wire.PROTOCOL_VERSION:
             return packet(kind, b"\x01")
-        if kind == rtde_protocol.CONTROLLER_VERSION:
+        if kind == wire.CONTROLLER_VERSION:
             return packet(kind, struct.pack(">4I", *self.server.version))
-        if kind == rtde_protocol.OUTPUTS:
+        if kind == wire.OUTPUTS:
             frequency = struct.unpack_from(">d", payload)[0]
             self.output, self.streaming = Recipe(_names(payload[8:])), False
             self.period_s = 1.0 / min(max(frequency, 1.0), CYCLE_HZ)
             return packet(kind, b"\x01" + ",".join(self.output.types).encode())
-        if kind == rtde_protocol.INPUTS:
+        if kind == wire.INPUTS:
             return packet(kind, self._register_inputs(Recipe(_names(payload))))
-        if kind in (rtde_protocol.START, rtde_protocol.PAUSE):
-            self.streaming = kind == rtde_protocol.START and (self.output is None or self.output.complete)
-            return packet(kind, b"\x01" if self.streaming or kind == rtde_protocol.PAUSE else b"\x00")
-        if kind == rtde_protocol.DATA and payload:
+        if kind in (wire.START, wire.PAUSE):
+            self.streaming = kind == wire.START and (self.output is None or self.output.complete)
+            return packet(kind, b"\x01" if self.streaming or kind == wire.PAUSE else b"\x00")
+        if kind == wire.DATA and payload:
             self._receive(payload)
         return b""
 

@@ -1,4 +1,4 @@
-"""The controller's side of RTDE version 2: framing, and how values are packed. All numbers are big-endian.
+"""RTDE version 2: framing, and how values are packed. All numbers are big-endian. The client and the simulated controller share it.
 
 A packet is uint16 size (header included), uint8 type, payload (Universal Robots, "Real-Time Data Exchange guide").
 """
@@ -42,7 +42,7 @@ TYPES: dict[str, str] = {
     **_OTHERS,
     **{f"{kind}_digital_output{mask}": "UINT8" for kind in ("standard", "configurable", "tool") for mask in ("", "_mask")},
 }
-"""Every variable that the client may name, and its type; registers aside."""
+"""Every variable that a client may name, and its type, except registers."""
 
 _REGISTER = re.compile(r"(input|output)_(int|double|bit)_register_(\d{1,3})$")
 
