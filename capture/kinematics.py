@@ -28,7 +28,7 @@ __all__ = [
 Joints = NDArray[np.float64]
 
 JOINT_LIMIT = 2 * np.pi
-"""Each joint turns this far to either side [rad]."""
+"""Range of each joint to either side [rad]."""
 MAX_JOINT_SPEED = np.pi
 """Of every joint [rad/s]."""
 REACH = 0.85
@@ -71,7 +71,7 @@ def wrap(angles: ArrayLike) -> Joints:
 
 
 def nearest_turn(joints: ArrayLike, reference: ArrayLike, limit: float = JOINT_LIMIT) -> Joints:
-    """(..., 6) the same configuration with each joint turned by whole turns to be nearest to `reference`, inside the limits [rad]."""
+    """(..., 6) the same configuration, each joint shifted by whole turns to be nearest to `reference` within the limits [rad]."""
     joints, turn = np.asarray(joints, np.float64), 2 * np.pi
     moved = joints + turn * np.round((np.asarray(reference, np.float64) - joints) / turn)
     return np.where(np.abs(moved) > limit, moved - turn * np.sign(moved), moved)

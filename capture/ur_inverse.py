@@ -1,8 +1,9 @@
 """Inverse kinematics of the UR family in closed form, for platforms without EAIK.
 
-The arm has Denavit-Hartenberg lengths d1, a2, a3, d4, d5, d6 and twists 90, 0, 0, 90, -90, 0 degrees: axes 2, 3 and 4 are parallel. That
-decouples the problem (K. Hawkins, "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", 2013): the wrist centre gives
-q1, the tool's axes seen along axis 2 give q5 and q6, and a planar triangle gives q2, q3 and q4. Up to 2 x 2 x 2 branches.
+The arm has Denavit-Hartenberg lengths d1, a2, a3, d4, d5, d6 and twists 90, 0, 0, 90, -90, 0 degrees: axes 2, 3 and 4 are
+parallel, which decouples the problem (K. Hawkins, "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", 2013).
+The wrist centre gives q1, the components of the tool's axes along axis 2 give q5 and q6, and a planar triangle gives q2, q3 and
+q4: up to 2 x 2 x 2 branches.
 """
 
 from collections.abc import Iterator

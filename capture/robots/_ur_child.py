@@ -1,8 +1,8 @@
 """The process that holds the client of the controller: `python -m capture.robots._ur_child FD '{"host": ..., ...}'`.
 
-The vendor's client can hang, hold the interpreter or crash when a connection breaks; here it may, and the parent kills it. Speaks
-JSON lines over the socket FD. It sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample and
-{"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop"}, and ends when the socket closes.
+The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
+exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
+and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop"}. It ends with the socket.
 """
 
 import contextlib
@@ -17,8 +17,7 @@ from typing import Any
 from capture.robots.client import Client, StartError, StartFailure, open_client
 
 MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
-"""The client is asked this often in motion and for a while after it (or at twice its frequency, so that no state waits for more than
-half a period), and else [s]."""
+"""Periods of polling the client: in motion and for a while after it (at least twice per sample), and otherwise [s]."""
 KICK_S = 0.05
 
 

@@ -20,7 +20,7 @@ class Sample:
 
 
 class ChildLink:
-    """The running child: its newest state, how many came (`samples`), its answers, and the means to end it."""
+    """The running child: its newest state, how many came (`samples`), its answers, and the ways to end it."""
 
     def __init__(self, process: "subprocess.Popen[bytes]", link: socket.socket, output: IO[bytes]) -> None:
         self.process, self.link, self._output = process, link, output
@@ -100,7 +100,7 @@ class ChildLink:
             self.next_sample(sample, left)
 
     def close(self) -> None:
-        """Let the child slow the arm down and end; kill it where it does not within a second."""
+        """Let the child slow the arm down and end; kill it after a second."""
         try:
             self.link.shutdown(socket.SHUT_RDWR)
         except OSError:
@@ -112,7 +112,7 @@ class ChildLink:
         self.kill()
 
     def kill(self) -> str:
-        """End the child at once; returns the last line that the vendor's library printed."""
+        """End the child at once; returns the last line that it printed."""
         self.process.kill()
         self.process.wait()
         self._reader.join(1.0)

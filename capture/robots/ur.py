@@ -36,16 +36,16 @@ class UR5e:
     point; its active offset is read on entering, removed here and kept in `description`.
 
     Entering succeeds completely or leaves nothing open; leaving may happen twice. `move_to` returns with the arm within
-    `tolerance` of the target and still. On every exception, Ctrl-C included, the arm has been told to stop. After a fault
-    the connection is gone: enter again. One owner; only `stop` may be called from another thread.
+    `tolerance` of the target and still. On every exception, Ctrl-C included, the arm is ordered to stop. After a fault
+    the connection is closed: enter again. One owner; only `stop` may be called from another thread.
 
     Args:
         host: address of the controller.
-        limits: speeds, accelerations and angles that may be asked for.
+        limits: of speeds, accelerations and angles.
         settling: when the arm counts as still.
-        deadlines: how long to wait for what.
-        tolerance: measured angles are this near to the target at the end of a motion [rad].
-        frequency: samples asked of the controller [Hz].
+        deadlines: how long to wait for each answer.
+        tolerance: largest difference between measured and target angles at the end of a motion [rad].
+        frequency: requested sample rate of the controller [Hz].
         client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed.
     """
 
@@ -77,7 +77,7 @@ class UR5e:
         try:
             self._dashboard = Dashboard.connect(self.host)
             self._dashboard.require_ready()
-            self._dashboard.ask("stop")  # a program left by a killed client would block the next one for minutes
+            self._dashboard.ask("stop")  # a program left by a killed client blocks the next one for minutes
             self._link = ChildLink.start(self.client, self.host, self.frequency, self.deadlines.watchdog_hz)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
@@ -105,12 +105,12 @@ class UR5e:
             try:
                 dashboard.ask("stop")
             except RigConnectionError:
-                return  # nobody to tell: the watchdog has ended the program already
+                return  # unreachable: the watchdog ends the program
             finally:
                 dashboard.close()
 
     def state(self) -> RobotState:
-        """The newest state. Raises RigConnectionError where none that is new enough arrives within a second."""
+        """The newest state. Raises RigConnectionError where no new one arrives within a second."""
         sample = self._connected().fresh_sample(self.deadlines.stale_s, timeout_s=1.0 + self.deadlines.stale_s)
         if sample is None:
             raise self._fault("no state arrives from the robot", RigConnectionError)
@@ -133,7 +133,7 @@ class UR5e:
             SafetyError: the target or the speed is outside the limits; nothing has moved.
             ProtectiveStop: the controller has stopped the arm for safety.
             MotionError: it did not arrive, or was stopped; it stands still.
-            RigConnectionError: the connection was lost; the arm has been told to stop, and stops by its watchdog anyway.
+            RigConnectionError: the connection was lost; the arm is ordered to stop, and stops by its watchdog in any case.
         """
         target = self.limits.check(joints, speed, acceleration)
         start = self.state().joints
@@ -142,14 +142,14 @@ class UR5e:
             self._move(target, start, speed, acceleration)
             self._settle(target)
         except CaptureError:
-            raise  # the arm has been stopped where the error was found
+            raise  # the arm was stopped where the error was found
         except BaseException:
             self.stop()
             raise
 
     @property
     def states_received(self) -> int:
-        """How many states have come since entering, each with another time stamp of the controller."""
+        """Number of states received since entering, each with a different time stamp of the controller."""
         return self._connected().samples
 
     def stop(self) -> None:
@@ -205,7 +205,7 @@ class UR5e:
                 raise self._fault(f"the motion took too long, {left:.1f} degrees are left")
 
     def _refused(self, link: ChildLink) -> CaptureError:
-        """Why the controller did not take a motion: for a moment, look for a reason that says more."""
+        """Why the controller did not accept a motion: waits a moment for a state that gives the reason."""
         deadline, sample = time.monotonic() + 0.3, None
         while time.monotonic() < deadline:
             sample = link.next_sample(sample, timeout_s=0.05) or sample
@@ -223,7 +223,7 @@ class UR5e:
         return self._fault("the controller did not accept the motion")
 
     def _speed_fraction(self, sample: Sample | None) -> float:
-        """Where the speed slider stands, 0.01 to 1: so much slower are motions, and so much longer their deadlines."""
+        """Position of the speed slider, 0.01 to 1: motions are slower and their deadlines longer by this factor."""
         fraction = 1.0 if sample is None else min(max(float(sample.content["speed_fraction"]), 0.01), 1.0)
         if fraction < 1.0 and fraction != self._slider:
             log.warning("the speed slider stands at %.0f %%: motions take %.1f times as long", 100 * fraction, 1 / fraction)
@@ -231,7 +231,7 @@ class UR5e:
         return fraction
 
     def _settle(self, target: NDArray[np.float64]) -> None:
-        """Return once the arm is still, and at the target; the state after that is the one to record."""
+        """Return once the arm is still and at the target."""
         link, begun, sample, still_since = self._connected(), time.monotonic(), None, None
         heard = begun
         while True:
@@ -247,17 +247,17 @@ class UR5e:
                     break
             if now - begun > self.settling.timeout_s + self.settling.time_s:
                 raise self._fault("the arm does not come to rest")
-        off = float(np.abs(np.asarray(sample.content["joints"]) - target).max())
-        if off > self.tolerance:
-            raise self._fault(f"the arm stopped {np.degrees(off):.3f} degrees from its target")
+        missed = float(np.abs(np.asarray(newer.content["joints"]) - target).max())
+        if missed > self.tolerance:
+            raise self._fault(f"the arm stopped {np.degrees(missed):.3f} degrees from its target")
 
     def _watch(self, link: ChildLink, sample: Sample | None, silence_s: float) -> None:
-        """Raise where anything is not as it must be during a motion."""
+        """Raise where a motion cannot continue."""
         if self._stopped.is_set():
             raise self._stopped_error()
         if not link.alive:
             raise self._fault("the connection to the robot broke down", RigConnectionError)
-        if silence_s > self.deadlines.stale_s + (0.0 if sample is not None else 0.3):  # the first may be under way still
+        if silence_s > self.deadlines.stale_s + (0.0 if sample is not None else 0.3):  # the first may still be on its way
             raise self._fault("the robot's data stream stands still", RigConnectionError)
         if sample is None:
             return
@@ -304,7 +304,7 @@ class UR5e:
             return "", ""
 
     def _stop_by_dashboard(self) -> bool:
-        """Whether the dashboard took the order to stop; tries once more over a new connection."""
+        """Whether the dashboard accepted the order to stop; tries again over a new connection."""
         with self._dashboard_lock:
             for attempt in range(2):
                 try:
@@ -332,5 +332,5 @@ class UR5e:
 
 
 def _unsafe(sample: Sample) -> bool:
-    """Whether the controller says that it has stopped the arm for safety."""
+    """Whether the controller has stopped the arm for safety."""
     return bool(sample.content["safety_bits"] & (PROTECTIVE_BIT | EMERGENCY_BIT))

@@ -1,4 +1,4 @@
-"""The vendor's client, ur-rtde. It can hang, hold the interpreter or crash when a connection breaks: only a child process imports it."""
+"""The vendor's client, ur-rtde. Only a child process imports it: it can hang or crash when a connection breaks."""
 
 import time
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ class VendorClient:
         return self._receive.isConnected() and self._control.isConnected()
 
     def state(self) -> State:
-        """The newest sample. After the connection was lost the library goes on returning the last one."""
+        """The newest sample. After the connection is lost the library keeps returning the last one."""
         operation = self._control.getAsyncOperationProgressEx()
         return {
             "robot_time_s": self._receive.getTimestamp(),

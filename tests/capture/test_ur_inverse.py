@@ -47,7 +47,7 @@ def test_branches_arrive_and_include_the_one_we_came_from(use, rng, name):
 
 def test_the_solver_is_chosen_by_what_is_installed(use):
     use("own")
-    assert kinematics._solver().func is ur_inverse.branches
+    assert getattr(kinematics._solver(), "func", None) is ur_inverse.branches
     use("eaik")
     assert "lambda" in kinematics._solver().__qualname__
 

@@ -30,8 +30,8 @@ board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
 motion: {settle_time_s: 0.5}
 camera: {exposure_us: 10000, binning: 4, width: 64, height: 48}
 """
-"""A board seen at 64 x 48: pictures cost next to nothing. The arm settles for longer than it swings (`arm.QUIET_S`), however few of
-its states a busy computer sees, so that pictures are the same to the bit."""
+"""A board at 64 x 48 pixels, cheap to render. The arm settles for longer than it oscillates (`arm.QUIET_S`), so that images are the
+same bit for bit however few states a busy computer receives."""
 RIG = "robot: {host: HOST, client: CLIENT}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
 
 
@@ -91,7 +91,7 @@ class Session:
         return False
 
     def check_whole(self) -> None:
-        """Every frame is there, in order, once, with the image that was taken for it, and nothing else."""
+        """Every frame is there once, in order, with its own image, and nothing else."""
         recording = Recording.open(self.out)
         names = [f"{index:03d}" for index in range(self.count)]
         assert [frame.name for frame in recording.frames] == names

@@ -1,5 +1,7 @@
-"""Every fault three times in one recording, with either client: what the user sees, where the arm is left, and that `--resume` finishes
-with no frame lost or taken twice."""
+"""Every fault three times in one recording, with either client.
+
+Checks what the user sees, where the arm is left, and that `--resume` finishes with no frame lost or taken twice.
+"""
 
 import logging
 import threading
@@ -42,7 +44,7 @@ def _widen_the_limits(session: Session) -> None:
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong, what the user reads, what a person does about it, and the longest that it may take [s]."""
+    """What goes wrong, what the user reads, what a person does about it, and the longest time from fault to message [s]."""
 
     strike: Callable[[Session], None]
     words: tuple[str, ...]
@@ -82,13 +84,13 @@ FAULTS = {
     "program paused": Fault(
         lambda session: session.at_the_pendant("pause"),
         ("the robot's program was stopped or paused", "the arm was stopped"),
-        lambda session: session.at_the_pendant("play"),  # too late: what was paused has been ended, and nothing moves
+        lambda session: session.at_the_pendant("play"),  # too late: the paused program was ended, and nothing moves
     ),
 }
 
 
 LONG = "controller silent"
-"""Takes three deadlines, one after the other: three times in a row only among the slow tests."""
+"""Takes three deadlines one after the other: three times in a row only among the slow tests."""
 
 
 @pytest.mark.parametrize(
@@ -99,7 +101,7 @@ def test_in_a_row(session: Session, name: str, times: int) -> None:
     for repetition in range(times):
         code, words = session.capture_until(fault.strike, after=1 + 2 * repetition, resume=repetition > 0)
         took = time.monotonic() - session.happened
-        assert session.happened > 0  # the premise: something did go wrong
+        assert session.happened > 0  # the premise: the fault occurred
         session.happened = 0.0
         assert code == 1 and words.count("error:") == 1, words
         line = next(line for line in words.splitlines() if line.startswith("error:"))
@@ -114,7 +116,7 @@ def test_in_a_row(session: Session, name: str, times: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["protective stop", "emergency stop"])
-def test_resume_before_the_cause_is_gone_says_so_and_moves_nothing(session: Session, name: str) -> None:
+def test_resume_before_the_cause_is_removed_says_so_and_moves_nothing(session: Session, name: str) -> None:
     session.capture_until(FAULTS[name].strike, after=1, resume=False)
     assert session.at_rest()
     before = session.controller.ask("truth")["joints"]
@@ -164,7 +166,7 @@ def test_joints_beyond_their_range_are_reported_before_anything_moves(session: S
 
 
 def test_inverse_kinematics_of_the_vendors_client_ends_the_program_at_an_unreachable_pose() -> None:
-    """The real client returns False or nothing and leaves a stopped program: why the driver sends joint angles only."""
+    """It returns False or nothing and leaves a stopped program: the reason why the driver sends joint angles only."""
     rtde_control = pytest.importorskip(
         "rtde_control", reason="ur-rtde is not installed: it has no wheel for this Python and platform"
     )
@@ -177,7 +179,7 @@ def test_inverse_kinematics_of_the_vendors_client_ends_the_program_at_an_unreach
 
 
 def test_a_motion_of_the_vendors_client_continues_after_pause_and_play() -> None:
-    """Why the driver ends a program that was paused: played on, it would finish the old motion."""
+    """The reason why the driver ends a paused program: resumed, it would finish the old motion."""
     rtde_control = pytest.importorskip(
         "rtde_control", reason="ur-rtde is not installed: it has no wheel for this Python and platform"
     )

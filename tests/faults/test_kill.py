@@ -31,14 +31,14 @@ def command(trajectory: Path, out: Path) -> list[str]:
 
 
 def run_whole(trajectory: Path, out: Path) -> float:
-    """Seconds until the first frame was there, of a run to the end."""
+    """Run to the end; returns the seconds until the first frame was there."""
     begun, first = time.monotonic(), 0.0
     with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
             if not first and (out / "frames.jsonl").exists():
                 first = time.monotonic() - begun
             time.sleep(0.02)
-        assert process.returncode == 0, process.stderr.read()
+        assert process.returncode == 0, process.stderr.read() if process.stderr else ""
     return first
 
 
@@ -94,7 +94,7 @@ def test_twenty_kills_in_a_row_in_one_recording(tmp_path: Path, trajectory_of: C
     rng, before = random.Random(0), []
     while len(before) < 20:
         more = rng.randrange(4)
-        wait_s = rng.uniform(0.0, 0.4) if more else rng.uniform(0.0, first)  # amid the frames, or while it starts
+        wait_s = rng.uniform(0.0, 0.4) if more else rng.uniform(0.0, first)  # between frames, or during the start
         assert kill_during(trajectory, tmp_path / "killed", more, wait_s), (
             "the recording was finished before it was killed 20 times"
         )

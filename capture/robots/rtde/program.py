@@ -1,19 +1,19 @@
 """The control program: URScript that the client uploads, and the registers through which the two talk.
 
-Registers are numbered from `FIRST` = 24: the controller's manual keeps 0 to 23 for field buses and gives 24 to 47 to RTDE clients.
+Registers are numbered from `FIRST` = 24: the controller reserves 0 to 23 for field buses and leaves 24 to 47 to RTDE clients.
 
-    input_int_register_24       command, 0: none; see `Command`. It stands until the program has answered DONE, then goes back to 0
-    input_double_register_24..  arguments. MOVE: six joint angles [rad], speed [rad/s], acceleration [rad/s^2]. STOP: deceleration
-                                [rad/s^2]. WATCHDOG: lowest frequency at which the client writes the command register [Hz]
-    input_int_register_25       1 with MOVE and STOP: answer before the motion ends
-    output_int_register_24      state, READY: waits for a command; DONE: has carried one out and waits for command 0
-    output_int_register_26      progress of the motion: bits 24-30 its number (0 to 127, then 0 again), 16-22 how often this register was
-                                written, 15 whether it is under way
+    input_int_register_24       command, see `Command`. The client sets it back to 0 after the program has answered DONE
+    input_int_register_25       1: answer MOVE and STOP at once; read by the simulated controller only
+    input_double_register_24..  arguments. MOVE: six joint angles [rad], speed [rad/s], acceleration [rad/s^2].
+                                STOP: deceleration [rad/s^2]. WATCHDOG: minimum rate of writing the command register [Hz]
+    output_int_register_24      state. 0: starting; READY: waiting for a command; DONE: command executed, waiting for 0
+    output_int_register_26      the latest motion. Bits 24-30: its number (0 to 127, then 0 again); 16-22: how often this register
+                                was written; 15: set while the motion is under way
     output_double_register_24.. six results. TCP_OFFSET: position [m] and rotation vector [rad] of the tool in the flange
 
-The numbers and their meaning are those of the vendor's control program, so that the simulated controller serves both alike. This program
-answers STOP when the arm stands still. It takes no command before it has seen the register at 0: after a crash of the client the
-controller may still hold an old one.
+Numbers and meaning are those of the vendor's control program, so that the simulated controller serves both. MOVE is answered at
+once, STOP when the arm stands still. No command is accepted before the register was 0: the controller may still hold the command
+of a client that crashed. The watchdog stops the program, and with it the arm, when the command register is not written in time.
 
 It uses documented functions only, those of PolyScope 5.6 and newer ("The URScript Programming Language for e-Series").
 """

@@ -46,7 +46,7 @@ class RtdeStream:
             raise
 
     def newest(self, wait_s: float = 0.0) -> dict[str, Any] | None:
-        """The newest sample that has arrived, older ones dropped; waits for one where none has. None: none came, or not `connected`."""
+        """The newest sample received, waiting for one where none is there; None: none came in time, or not `connected`."""
         sample, deadline = None, time.monotonic() + wait_s
         while self.connected:
             left = 0.0 if sample else max(0.0, deadline - time.monotonic())

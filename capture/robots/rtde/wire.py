@@ -1,4 +1,4 @@
-"""RTDE version 2: framing, and how values are packed. All numbers are big-endian. The client and the simulated controller share it.
+"""RTDE version 2: framing, and how values are packed. All numbers are big-endian. Our client and the simulated controller use it.
 
 A packet is uint16 size (header included), uint8 type, payload (Universal Robots, "Real-Time Data Exchange guide").
 """

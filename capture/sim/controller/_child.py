@@ -1,7 +1,6 @@
 """The process that is the simulated controller: `python -m capture.sim.controller._child '{"seed": 0, ...}'`.
 
-Says {"host": ..., "side_port": ...} on standard output once all ports accept; ends when standard input closes, so that it
-never outlives who started it.
+Prints {"host": ..., "side_port": ...} once all ports accept. Ends with standard input, so that it never outlives its parent.
 """
 
 import asyncio
@@ -23,7 +22,7 @@ from capture.sim.controller.session import CYCLE_HZ
 
 
 async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
-    """Open all ports on the address `wanted`, or on a loopback address that nobody uses; returns it and the side channel's port."""
+    """Open all ports on the address `wanted`, or on a free loopback address; returns it and the side channel's port."""
     handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
     ports = ", ".join(map(str, handlers))
     for _ in range(1 if wanted else 50):
@@ -45,12 +44,9 @@ async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
 
 async def _run(options: dict[str, Any]) -> None:
     seed = int(options["seed"])
-    length_m, angle_rad = options["length_error_m"], options["angle_error_rad"]
-    links = (
-        UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
-        if length_m or angle_rad
-        else UR5E
-    )
+    length_m, angle_rad, links = options["length_error_m"], options["angle_error_rad"], UR5E
+    if length_m or angle_rad:
+        links = UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
     arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
     server = ControllerServer(arm, options["time_scale"])
     host, side_port = await _listen(server, options["host"])

@@ -1,5 +1,7 @@
-"""What the simulated controller's output variables say at one moment. Each is computed when a connection's recipe asks for it, and once
-for all of them: a tool pose costs more than everything else of a cycle, and few recipes have one."""
+"""Values of the simulated controller's output variables at one moment.
+
+Each is computed at most once, and only where a connection's recipe contains it: a tool pose costs more than the rest of a cycle.
+"""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -17,7 +19,7 @@ STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 
 
 class Controller(Protocol):
-    """What outputs are read from."""
+    """What outputs are computed from."""
 
     arm: Arm
     program: ControlProgram | None
@@ -30,7 +32,7 @@ class Controller(Protocol):
 
     @property
     def program_paused(self) -> bool:
-        """Whether a program waits to be played on."""
+        """Whether a program is paused."""
         ...
 
     def tcp_pose(self, joints: Joints) -> NDArray[np.float64]:
@@ -39,7 +41,7 @@ class Controller(Protocol):
 
 
 class Outputs:
-    """The variables at the controller's time `now` [s], by name; those that nothing changes are zero."""
+    """The variables at the controller's time `now` [s], by name; those that never change are zero."""
 
     def __init__(self, controller: Controller, now: float) -> None:
         self.controller, self.arm, self.now = controller, controller.arm, now
@@ -59,7 +61,7 @@ class Outputs:
 
     @cached_property
     def target(self) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds, accelerations that the controller asks for."""
+        """(6,) commanded angles, speeds and accelerations."""
         return self.arm.target(self.now)
 
     @cached_property

@@ -13,17 +13,17 @@ MAX_UNREAD = 1 << 20
 
 
 class Registers(Protocol):
-    """What a connection needs of the controller."""
+    """What a connection uses of the controller."""
 
     version: tuple[int, int, int, int]
     sessions: "list[Session]"
 
     def write_inputs(self, values: dict[str, Any]) -> None:
-        """Take what a client has set."""
+        """Apply what a client has set."""
 
 
 class Session:
-    """One RTDE connection: its recipes and what it is owed."""
+    """One RTDE connection: its recipes and when its next sample is due."""
 
     def __init__(self, server: Registers, writer: asyncio.StreamWriter) -> None:
         self.server, self.writer = server, writer
@@ -35,7 +35,7 @@ class Session:
         self.registers: set[str] = set()
 
     def handle(self, kind: int, payload: bytes) -> bytes:
-        """Reply to one packet; empty where none is due."""
+        """Reply to one packet; empty where there is none."""
         if kind == wire.PROTOCOL_VERSION:
             return packet(kind, b"\x01")
         if kind == wire.CONTROLLER_VERSION:
@@ -76,7 +76,7 @@ class Session:
         self.server.write_inputs(values)
 
     def send(self, data: bytes) -> None:
-        """Queue bytes, or cut the connection where nobody reads them."""
+        """Queue bytes, or cut the connection where they are not read."""
         if self.writer.transport.get_write_buffer_size() > MAX_UNREAD:
             self.writer.transport.abort()
         elif data and not self.writer.transport.is_closing():

@@ -18,6 +18,8 @@ def opened(monkeypatch):
     names = []
 
     class Opened:
+        kind = ""
+
         def __init__(self, *options):
             names.append(self.kind)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from capture.sim.controller.process import SimulatedController
 from datasets import pose
 
 GOALS = np.array([[0.2, -1.4, 0.9, -1.5, -1.5, 0.2], [0.5, -1.2, 1.2, -1.5, -1.2, 0.4], [0.1, -1.3, 1.0, -1.8, -1.5, -0.2]])
-SET_TCP = 29
+SET_TCP: Any = 29
 """A command of the simulated controller, which the driver never sends."""
 FAR = np.array([2.0, -1.2, 0.8, -1.5, -1.0, 0.2])
 
@@ -109,7 +110,7 @@ def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(connect, s
             timer.cancel()
     assert "\n" not in str(caught.value) and slow.host in str(caught.value)
     assert _at_rest(slow)
-    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3  # it did not simply go on to the end
+    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3  # it did not continue to the end
 
 
 def test_after_a_lost_connection_the_driver_can_enter_again(connect, slow):
@@ -139,12 +140,15 @@ def test_stop_from_another_thread(connect, slow):
 
 
 def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
-    code = (
-        "import sys\nfrom capture.robots.ur import UR5e\nwith UR5e(sys.argv[1], client=sys.argv[2]) as robot:\n    print('ready', flush=True)\n"
-        "    robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.5, acceleration=1.4)"
-    )
+    code = """if True:
+        import sys
+        from capture.robots.ur import UR5e
+        with UR5e(sys.argv[1], client=sys.argv[2]) as robot:
+            print("ready", flush=True)
+            robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.5, acceleration=1.4)
+    """
     program = subprocess.Popen([sys.executable, "-c", code, slow.host, client], stdout=subprocess.PIPE, text=True)
-    assert program.stdout.readline() == "ready\n"
+    assert program.stdout is not None and program.stdout.readline() == "ready\n"
     time.sleep(0.8)
     assert slow.ask("truth")["moving"]
     program.kill()
@@ -158,7 +162,7 @@ def test_the_same_seed_gives_the_same_poses_bit_for_bit(connect):
     for time_scale in (20.0, 10.0):
         with SimulatedController.start(seed=5, time_scale=time_scale) as simulated, connect(simulated) as robot:
             robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
-            time.sleep(0.5)  # settled is slower than a limit; the last 0.1 um of the way take until the arm is at rest
+            time.sleep(0.5)  # settled means slower than a limit: the last 0.1 um are covered later
             visits.append((robot.state().base_from_flange, simulated.true_base_from_flange()))
     np.testing.assert_array_equal(*visits)
 
@@ -187,7 +191,7 @@ def test_entering_a_stopped_robot_says_so_and_leaves_nothing_open(connect, simul
     assert not simulated.ask("truth")["program_running"]
 
 
-def test_nobody_there_is_one_clear_line():
+def test_an_unreachable_controller_is_one_clear_line():
     with pytest.raises(RigConnectionError, match=r"cannot be reached .*robot\.host"), UR5e("127.9.9.9"):
         pytest.fail("entered a robot that is not there")
 
@@ -195,5 +199,5 @@ def test_nobody_there_is_one_clear_line():
 def test_a_second_owner_is_refused(connect, simulated):
     with connect(simulated) as first:
         with pytest.raises(CaptureError, match="does not take the control program"), connect(simulated):
-            pytest.fail("entered a robot that somebody else controls")
+            pytest.fail("entered a robot that another program controls")
         del first

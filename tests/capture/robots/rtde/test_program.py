@@ -1,6 +1,6 @@
 """The control program itself: its text, and what it does when it is run against the simulated arm.
 
-URScript and Python agree on everything that the program uses except `end`, `thread`, `run`, `kill`, `global` and `local`; these are
+The program uses a part of URScript that is Python except for `end`, `thread`, `run`, `kill`, `global` and `local`. These are
 translated, and the controller's functions act on the simulated arm, one cycle at a time.
 """
 
@@ -154,7 +154,7 @@ def _python(text):
     names = sorted(set(re.findall(r"^\s*global (\w+)", text, re.M)))
     lines = []
     for line in text.splitlines():
-        indent, content = re.match(r"(\s*)(.*)", line).groups()
+        indent, content = re.findall(r"^(\s*)(.*)$", line)[0]
         if content == "end" or content.startswith("#"):
             continue
         content = re.sub(r"^(global|local) ", "", content)
@@ -302,8 +302,8 @@ def test_it_answers_as_the_simulated_program_does(controller):
         assert simulated.output_ints[FIRST] == controller.state == READY
         theirs = simulated.output_ints[FIRST + 2]
         assert (theirs >> 24, bool(theirs & RUNNING_BIT)) == (controller.progress[0], controller.progress[2])
-        ends = [arm.target(controller.now)[0] for arm in (controller.arm, simulated.arm)]
-        np.testing.assert_allclose(*ends, atol=1e-12)
-    results = [simulated.output_doubles[FIRST : FIRST + 6], [controller.output_floats[FIRST + i] for i in range(6)]]
-    np.testing.assert_allclose(*results, atol=1e-12)
+        end, expected = (arm.target(controller.now)[0] for arm in (controller.arm, simulated.arm))
+        np.testing.assert_allclose(end, expected, atol=1e-12)
+    results = [controller.output_floats[FIRST + index] for index in range(6)]
+    np.testing.assert_allclose(results, simulated.output_doubles[FIRST : FIRST + 6], atol=1e-12)
     assert simulated.watchdog_s == 1 / controller.watchdog[1]
