@@ -1,17 +1,21 @@
 """The simulated controller as a process: it starts, answers, and never outlives its parent."""
 
+import asyncio
+import errno
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from capture.errors import SimulationError
 from capture.kinematics import forward
+from capture.sim.controller import _child
 from capture.sim.controller.process import HOME, SimulatedController
 from datasets.core.errors import UsageError
 
@@ -52,6 +56,23 @@ def test_a_busy_port_is_reported():
     with SimulatedController.start() as simulated:
         with pytest.raises(SimulationError, match=rf"{simulated.host}.*30004, 30003, 29999 are not free there.*another --host"):
             SimulatedController.start(host=simulated.host)
+
+
+def test_a_computer_with_one_loopback_address_uses_that(monkeypatch):
+    tried = []
+
+    async def start_server(handler, host, port):
+        tried.append(host)
+        if host != "127.0.0.1":
+            raise OSError(errno.EADDRNOTAVAIL, "not here")
+        return SimpleNamespace(close=lambda: None, sockets=[SimpleNamespace(getsockname=lambda: (host, 4711))])
+
+    monkeypatch.setattr(asyncio, "start_server", start_server)
+    server = SimpleNamespace(rtde=None, script=None, dashboard=None)
+    assert asyncio.run(_child._listen(server, "")) == ("127.0.0.1", 4711)  # type: ignore[arg-type]
+    assert len(set(tried)) > 10
+    with pytest.raises(OSError, match="not here"):
+        asyncio.run(_child._listen(server, "127.7.7.7"))  # type: ignore[arg-type]
 
 
 def test_unknown_requests_name_the_known_ones():
