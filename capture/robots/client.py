@@ -5,6 +5,7 @@ Two exist: `ur_rtde`, the vendor's library, and `koala`, one of our own in plain
 
 from collections.abc import Sequence
 from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol, TypedDict
 
 
@@ -81,6 +82,14 @@ class Client(Protocol):
     def leave(self) -> None:
         """Let the arm come to rest."""
         ...
+
+
+def versioned(name: str, package: str) -> str:
+    """The client's name with the version of its package, where that is installed as one."""
+    try:
+        return f"{name} {version(package)}"
+    except PackageNotFoundError:
+        return name
 
 
 def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) -> Client:

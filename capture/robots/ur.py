@@ -326,7 +326,11 @@ class UR5e:
         return False
 
     def _no_connection(self, link: ChildLink, answer: dict[str, Any] | None) -> CaptureError:
-        why = answer["failed"] if answer else f"no answer within {self.deadlines.connect_s:.0f} s. {link.kill()}".strip()
+        if answer:
+            why = answer["failed"]
+        else:
+            silence = f"no answer within {self.deadlines.connect_s:.0f} s" if link.alive else "its client ended"
+            why = f"{silence}. {link.kill()}".strip()
         remedy = START_REMEDIES[StartFailure(answer["failure"]) if answer else StartFailure.OTHER]
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
 

@@ -2,12 +2,11 @@
 
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from capture.robots.client import StartError, StartFailure, State
+from capture.robots.client import StartError, StartFailure, State, versioned
 
 START_S = 2.0
 VARIABLES = [
@@ -27,7 +26,7 @@ class VendorClient:
     """Both connections of the library, as a `Client`."""
 
     def __init__(self, host: str, frequency: float, watchdog_hz: float) -> None:
-        self.name = f"ur_rtde {version('ur-rtde')}"
+        self.name = versioned("ur_rtde", "ur-rtde")
         try:
             self._receive = RTDEReceiveInterface(host, frequency, VARIABLES)
             self._control = RTDEControlInterface(host, frequency)

@@ -6,10 +6,9 @@ It sends the control program to the script port, then talks to it through RTDE r
 import socket
 import time
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import Any
 
-from capture.robots.client import StartError, StartFailure, State
+from capture.robots.client import StartError, StartFailure, State, versioned
 from capture.robots.rtde import program
 from capture.robots.rtde.program import FIRST, Command
 from capture.robots.rtde.stream import RegistersInUse, RtdeStream
@@ -44,7 +43,7 @@ class KoalaClient:
     """The connection and the running program. Takes one thread; no call waits for longer than `ANSWER_S` once it is made."""
 
     def __init__(self, host: str, frequency: float, watchdog_hz: float) -> None:
-        self.name = f"koala {version('koala-capture')}"
+        self.name = versioned("koala", "koala-capture")
         try:
             self._stream = RtdeStream(host, OUTPUTS, INPUTS, frequency)
         except RegistersInUse as error:
