@@ -2,6 +2,7 @@
 
 import sys
 
+import numpy as np
 import pytest
 
 from capture.errors import RigConnectionError
@@ -52,7 +53,12 @@ def test_the_driver_says_how_to_install_it(tmp_path, monkeypatch):
         with pytest.raises(RigConnectionError, match=r"ur-rtde is not installed.*koala-capture\[robot\].*robot\.client: koala"):
             UR5e(simulated.host, client="ur_rtde").__enter__()
         with UR5e(simulated.host) as robot:
-            assert robot.description()["client"].startswith("koala ")
+            assert robot.description()["client"] == client.versioned("koala", "koala-capture")
+
+
+def test_a_client_is_named_with_its_version_where_that_is_known():
+    assert client.versioned("numbers", "numpy") == f"numbers {np.__version__}"
+    assert client.versioned("koala", "no-such-package-here") == "koala"
 
 
 def test_an_unknown_client_is_refused():

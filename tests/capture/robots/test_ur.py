@@ -13,6 +13,7 @@ import pytest
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError
 from capture.kinematics import forward
+from capture.robots.client import versioned
 from capture.robots.rtde.koala_client import KoalaClient
 from capture.robots.ur import UR5e
 from capture.sim.controller.process import SimulatedController
@@ -50,7 +51,7 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is(connect, client, simulate
     with connect(simulated) as robot:
         description = robot.description()
         assert description["model"] == "UR5e" and description["software"].startswith("5.")
-        assert description["client"].split()[0] == client and description["client"].split()[1][0].isdigit()
+        assert description["client"] == versioned(client, {"koala": "koala-capture", "ur_rtde": "ur-rtde"}[client])
         stamps = []
         for goal in GOALS:
             robot.move_to(goal, speed=1.0, acceleration=1.4)
