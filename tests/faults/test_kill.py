@@ -48,14 +48,15 @@ def count_frames(out: Path) -> int:
 
 
 def kill_during(trajectory: Path, out: Path, more: int, seconds: float) -> bool:
-    """Start a run and kill it `seconds` after it has taken `more` frames; whether it was still at work then."""
+    """Start a run and kill it `seconds` after `more` frames, or three frames later; False where it ended before."""
     wanted = count_frames(out) + more
     with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         while count_frames(out) < wanted and process.poll() is None:
             time.sleep(0.01)
-        try:
-            process.wait(seconds)
-        except subprocess.TimeoutExpired:
+        deadline = time.monotonic() + seconds
+        while process.poll() is None and time.monotonic() < deadline and count_frames(out) < wanted + 3:
+            time.sleep(0.01)
+        if process.poll() is None:
             os.kill(process.pid, signal.SIGKILL)
             return True
         return False
