@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from capture import kinematics, ur_inverse
+from capture.planning import plan
+from capture.rig.description import RigDescription
+from capture.trajectory import load_trajectory
 from datasets import pose
 
 
@@ -85,6 +88,28 @@ def test_at_a_singularity_what_is_found_arrives(use, rng, joint, share):
     for target, branches in zip(targets, found, strict=True):
         distance, angle = pose.difference(kinematics.forward(branches), target)
         assert (distance < 1e-6).all() and (angle < 1e-6).all()
+
+
+SYMMETRIC = """\
+format: koala-trajectory
+version: 1
+name: symmetric
+up: -z
+views: [{kind: orbit, target: [0, 0, 1.1], distance: 1.0, elevation_deg: 40, azimuth_deg: [60, 240], count: 3, roll_deg: [0, 180]}]
+safety: {table_z: 1.2, ceiling_z: 0.0}
+object: {centre: [0, 0, 1.1], size: [0.2, 0.2, 0.2]}
+"""
+"""An arm and views that are their own mirror image: two plans cost the same."""
+
+
+def test_the_choice_between_equal_plans_does_not_depend_on_the_solver(use, tmp_path):
+    (tmp_path / "symmetric.yaml").write_text(SYMMETRIC)
+    trajectory, mount = load_trajectory(tmp_path / "symmetric.yaml"), RigDescription().flange_from_camera.matrix()
+    joints = []
+    for name in ("own", "eaik"):
+        use(name)
+        joints.append(np.stack([view.joints for view in plan(trajectory, mount)]))
+    np.testing.assert_allclose(joints[0], joints[1], atol=1e-9)
 
 
 @pytest.mark.parametrize("position", [[1.2, 0, 0.3], [0, 0, 0.5], [0.05, 0.05, 0.4]])
