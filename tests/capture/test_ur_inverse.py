@@ -95,7 +95,8 @@ format: koala-trajectory
 version: 1
 name: symmetric
 up: -z
-views: [{kind: orbit, target: [0, 0, 1.1], distance: 1.0, elevation_deg: 40, azimuth_deg: [60, 240], count: 3, roll_deg: [0, 180]}]
+views:
+  - {kind: orbit, target: [0, 0, 1.1], distance: 1.0, elevation_deg: 40, azimuth_deg: [60, 240], count: 3, roll_deg: [0, 180]}
 safety: {table_z: 1.2, ceiling_z: 0.0}
 object: {centre: [0, 0, 1.1], size: [0.2, 0.2, 0.2]}
 """
