@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from typing import IO, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,28 +78,11 @@ class SimulatedController(ControllerHandle):
             "length_error_m": length_error_mm / 1000,
             "angle_error_rad": float(np.radians(angle_error_deg)),
         }
-        output = tempfile.TemporaryFile()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "capture.sim.controller._child", json.dumps(options)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=output,
-            start_new_session=True,
-        )
-        assert process.stdout is not None  # it is a pipe
-        timer = threading.Timer(START_TIMEOUT_S, process.kill)
-        timer.start()
-        try:
-            line = process.stdout.readline()
-        finally:
-            timer.cancel()
-        if not line:
-            process.kill()
-            process.communicate()
+        process, ready, output = _launch(options)
+        if not ready:
             why = _last_line(output).removeprefix("OSError: ")
             remedy = "end the other program, or choose another --host"
             raise SimulationError("the simulated controller did not start", where=host, why=why, remedy=remedy)
-        ready = json.loads(line)
         return cls(process, ready["host"], ready["side_port"], output)
 
     @classmethod
@@ -127,6 +110,29 @@ class SimulatedController(ControllerHandle):
     def last_line(self) -> str:
         """The last line that the process printed."""
         return _last_line(self._output)
+
+
+def _launch(options: dict[str, Any]) -> tuple["subprocess.Popen[bytes]", dict[str, Any], IO[bytes]]:
+    """The process, what it reports once its ports accept (empty: it ended), and its error output."""
+    output = tempfile.TemporaryFile()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "capture.sim.controller._child", json.dumps(options)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=output,
+        start_new_session=True,
+    )
+    assert process.stdout is not None  # it is a pipe
+    timer = threading.Timer(START_TIMEOUT_S, process.kill)
+    timer.start()
+    try:
+        line = process.stdout.readline()
+    finally:
+        timer.cancel()
+    if not line:
+        process.kill()
+        process.communicate()
+    return process, json.loads(line or b"{}"), output
 
 
 def _is_loopback(host: str) -> bool:
