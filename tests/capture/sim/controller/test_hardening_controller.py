@@ -102,5 +102,5 @@ def test_a_program_with_an_impossible_register_offset_does_not_end_the_controlle
         with socket.create_connection((controller.host, 30003), 10) as client:
             client.sendall(text.encode())
             time.sleep(0.6)
-        assert controller.process.poll() is None, controller.last_words()
+        assert controller.process.poll() is None, controller.last_line()
         controller.ask("truth")
