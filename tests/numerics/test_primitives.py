@@ -23,7 +23,7 @@ from reconstruct.field.encodings.view import view_encoding
 from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
 from reconstruct.numerics import stepfun
 from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
-from reconstruct.rendering.volume import volume_weights
+from reconstruct.numerics.volume import volume_weights
 from reconstruct.sampling.packing import draw_probability
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.rays import Rays

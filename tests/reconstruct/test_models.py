@@ -132,7 +132,7 @@ def test_merging_replaces_values_and_keeps_what_is_not_named() -> None:
 
 def test_the_rows_of_the_paper_s_table() -> None:
     """Encoding, appearance and whether regularised, as the paper's table has them."""
-    rows = {row["name"]: (row["encoding"], row["appearance"], bool(row["regularisers"])) for row in overview()}
+    rows = {row["name"]: (row["encoding"], row["appearance"], bool(row["regularisers"])) for row in overview("paper")}
     assert rows == {
         "mipnerf": ("frequencies", "view", False),
         "mipnerf_diffuse": ("frequencies", "view_diffuse", False),

@@ -15,12 +15,12 @@ import pytest
 
 from datasets.core.errors import UsageError
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
-from reconstruct.models import load_config
+from reconstruct.rendering.model import Model
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training import checkpoint, distributed
-from reconstruct.training.step import StepFunctions
+from reconstruct.training import distributed
+from reconstruct.training.batches import Division
 
 PATIENCE_S = 840
 """For processes that compile on a computer that may be busy with other things."""
@@ -130,8 +130,8 @@ def test_two_processes_come_to_what_one_comes_to(ball_scene: tuple[Scene, Path],
     assert len(one.log()) == len(two.log()) and two.log()[-1]["terms"] == pytest.approx(one.log()[-1]["terms"], rel=1e-3)
     leaves = []
     for run in (one, two):
-        like = StepFunctions(run.config, run.normalisation).initial(jax.random.key(0), None)
-        leaves.append(jax.tree.leaves(checkpoint.load(run.path / CHECKPOINTS, like)[0].model))
+        like = Model.create(jax.random.key(0), run.config, run.facts)
+        leaves.append(jax.tree.leaves(checkpoint.load_model(run.path / CHECKPOINTS, like)[0].split()[0]))
     for alone, divided in zip(*leaves, strict=True):
         np.testing.assert_allclose(divided, alone, atol=1e-3)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("one", "two", "cache")]
@@ -174,7 +174,6 @@ def test_devices_of_several_processes_must_divide_every_batch() -> None:
         def __init__(self, process_index: int) -> None:
             self.process_index = process_index
 
-    functions = StepFunctions(load_config(), Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
     with pytest.raises(UsageError, match="3 devices do not divide a batch evenly"):
-        functions.over([Device(process) for process in range(3)])
-    assert functions.over([Device(0)] * 3).mesh is None, "one process leaves devices out"
+        Division.among([Device(process) for process in range(3)], (2048, 8192))
+    assert Division.among([Device(0)] * 3, (2048, 8192)).mesh is None, "one process leaves devices out"

@@ -46,10 +46,10 @@ def test_every_skip_has_words_for_everybody() -> None:
 
 
 def test_the_end_tells_what_came_of_it() -> None:
-    told = outcome.told(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
-    assert told[0].evidence == "masks; in the end 90% of it was empty"
-    assert told[1] == SKIPS[1], "what was not skipped has no outcome"
-    assert told[2].evidence == "all run; 5 of 8 second passes were left out"
+    found = outcome.with_outcome(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
+    assert found[0].evidence == "masks; in the end 90% of it was empty"
+    assert found[1] == SKIPS[1], "what was not skipped has no outcome"
+    assert found[2].evidence == "all run; 5 of 8 second passes were left out"
 
 
 def test_passes_grow_rare_while_normals_agree_and_come_back_at_once() -> None:
