@@ -220,8 +220,9 @@ class Matte(eqx.Module):
 Appearance = Reflection | Matte | ViewColour
 
 
-def create_appearance(key: PRNGKeyArray, field: FieldConfig, start: Start) -> Appearance:
-    """The appearance that a configuration names."""
+def create_appearance(key: PRNGKeyArray, field: FieldConfig, start: Start | None = None) -> Appearance:
+    """The appearance that a configuration names. `start`: where the object is; None: as far as the configuration says so."""
+    start = start or Start(field.towards, field.half_box)
     if field.appearance == "diffuse":
         return Matte(field.diffuse_bias, StartNormals.of(field, start))
     return Reflection.create(key, field, start) if field.appearance == "reflection" else ViewColour.create(key, field)

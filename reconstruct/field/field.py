@@ -26,7 +26,7 @@ class Field(eqx.Module):
     spatial: Mlp
     appearance: Appearance
     density_bias: float = eqx.field(static=True)
-    deferred: bool = eqx.field(static=True, default=True)
+    deferred: bool = eqx.field(static=True)
     """Whether a ray is shaded once, on its composited material, or at each of its samples."""
 
     @classmethod
@@ -47,7 +47,7 @@ class Field(eqx.Module):
         """
         encoding_key, spatial_key, view_key = jax.random.split(key, 3)
         encoded = create_encoding(encoding_key, encoding, volume)
-        appearance = create_appearance(view_key, field, start or Start(field.towards, field.half_box))
+        appearance = create_appearance(view_key, field, start)
         spatial = Mlp.create(
             spatial_key,
             channels=encoded.num_channels,

@@ -18,9 +18,21 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import BRIGHTEST, Normalisation, Pixels, read_scaled
 from reconstruct.training.step import Step
 
-SMALL = ["encoding.levels=3", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8", "field.ide_degree=2",
-         "sampler.rays=128", "sampler.samples=1024", "sampler.grid=16", "sampler.outer_grid=8", "sampler.steps=32",
-         "sampler.max_per_ray=8", "surface.rays=16", "surface.samples=8"]  # fmt: skip
+SMALL = [
+    "encoding.levels=3",
+    "encoding.log2_size=8",
+    "field.spatial_width=8",
+    "field.view_width=8",
+    "field.ide_degree=2",
+    "sampler.rays=128",
+    "sampler.samples=1024",
+    "sampler.grid=16",
+    "sampler.outer_grid=8",
+    "sampler.steps=32",
+    "sampler.max_per_ray=8",
+    "surface.rays=16",
+    "surface.samples=8",
+]
 
 
 def enlarged(scene: Scene, factor: float) -> Scene:

@@ -22,10 +22,19 @@ PIXELS, VIEWS, CHUNKS, STEPS = 1500, 5, 4, 6
 SMALL = {
     "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 32.0},
     "field": {"spatial_width": 8, "view_width": 8, "bottleneck": 4, "ide_degree": 3, "view_depth": 2, "view_skip": 0},
-    "sampler": {"rays": 64, "samples": 768, "grid": 16, "outer_grid": 8, "steps": 32, "max_per_ray": 8, "proposals": (8, 8), "final": 8,
-                "proposal_finest": (8.0, 16.0)},
+    "sampler": {
+        "rays": 64,
+        "samples": 768,
+        "grid": 16,
+        "outer_grid": 8,
+        "steps": 32,
+        "max_per_ray": 8,
+        "proposals": (8, 8),
+        "final": 8,
+        "proposal_finest": (8.0, 16.0),
+    },
     "surface": {"rays": 16, "samples": 8},
-}  # fmt: skip
+}
 PICTURES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "noise": lambda rng: rng.random((PIXELS, 4)),
     "black": lambda rng: np.tile([0.0, 0, 0, 1], (PIXELS, 1)),
@@ -48,12 +57,17 @@ def scene_of(rng: np.random.Generator, pictures: str) -> Pixels:
     directions = rng.uniform(-1, 1, (PIXELS, 3)) * rng.choice([0.1, 1.0, 3.0]) - origins[view]
     directions /= rng.choice([1.0, 30.0])  # t counts in other units then
     single = lambda values: jnp.asarray(values, jnp.float32)  # noqa: E731
-    return Pixels(jnp.asarray(PICTURES[pictures](rng), jnp.float16), single(directions), jnp.asarray(view, jnp.int32), single(origins),
-                  single(10.0 ** rng.uniform(-6, -1, VIEWS)))  # fmt: skip
+    return Pixels(
+        jnp.asarray(PICTURES[pictures](rng), jnp.float16),
+        single(directions),
+        jnp.asarray(view, jnp.int32),
+        single(origins),
+        single(10.0 ** rng.uniform(-6, -1, VIEWS)),
+    )
 
 
 def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Config, Normalisation]:
-    """A model made small, with hyperparameters up to ten times too small or large, and planes of depth up to twelve decades apart."""
+    """A model made small, hyperparameters up to ten times too small or large, planes of depth up to twelve decades apart."""
 
     def varied(value: float) -> float:
         return float(value * 10 ** rng.uniform(-1, 1))
@@ -61,13 +75,26 @@ def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Conf
     config = models.load_config(model, preset)
     changes: dict[str, Any] = {
         "train": {"rate": varied(0.01), "final_rate": varied(0.001), "first_blur": float(rng.choice([0, 0.02, 0.3]))},
-        "losses": {"orientation": varied(0.1), "predicted_normals": varied(0.03), "density_normals": varied(0.03), "distortion": varied(0.01),
-                   "hollowness": varied(0.1), "decay": varied(0.1), "charbonnier": varied(1e-3)},
-        "surface": {"density": varied(0.1), "normal": varied(3.0), "bias": varied(0.01), "variation": varied(1e-3),
-                    "density_form": str(rng.choice(["tangent", "published"])), "kappa": float(rng.choice([0, 1, 1e6])),
-                    "reach": varied(3.0)},
+        "losses": {
+            "orientation": varied(0.1),
+            "predicted_normals": varied(0.03),
+            "density_normals": varied(0.03),
+            "distortion": varied(0.01),
+            "hollowness": varied(0.1),
+            "decay": varied(0.1),
+            "charbonnier": varied(1e-3),
+        },
+        "surface": {
+            "density": varied(0.1),
+            "normal": varied(3.0),
+            "bias": varied(0.01),
+            "variation": varied(1e-3),
+            "density_form": str(rng.choice(["tangent", "published"])),
+            "kappa": float(rng.choice([0, 1, 1e6])),
+            "reach": varied(3.0),
+        },
         "field": {"density_bias": float(rng.uniform(-4, 6)), "outward": float(rng.choice([0, 1]))},
-    }  # fmt: skip
+    }
     config = Config.model_validate(models.merged(models.merged(config.model_dump(), SMALL), changes))
     near, far = ((1e-6, 1e6), (0.05, 20.0), (1e-3, 1e3))[int(rng.integers(3))]
     return config, Normalisation((0.0, 0.0, 0.0), 1.0, bool(rng.integers(2)), near, far)

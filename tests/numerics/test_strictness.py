@@ -20,6 +20,7 @@ from reconstruct.sampling.footprint import Footprint, cloud_of
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.surface import ball, first_surface, regularisers
 from reconstruct.surface.first_surface import find_surfaces
 from reconstruct.surface.second_pass import Place
 from reconstruct.training import losses, objective

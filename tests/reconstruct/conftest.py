@@ -109,8 +109,16 @@ def ball_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
 @pytest.fixture(scope="session")
 def small_config() -> Config:
     """The fast preset with everything made small."""
-    return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8",
-                                  "sampler.grid=32", "field.density_bias=0.5"])  # fmt: skip
+    return load_config(
+        overrides=[
+            "encoding.levels=2",
+            "encoding.log2_size=8",
+            "field.spatial_width=8",
+            "field.view_width=8",
+            "sampler.grid=32",
+            "field.density_bias=0.5",
+        ]
+    )
 
 
 class Painted(Ball):
@@ -133,8 +141,18 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
             tmp_path / "run", config, folder, facts, {"budget_s": 10.0, "device": "cpu", "notes": ["made for a test"]}
         )
         for step in range(3):
-            run.append_log({"step": step, "seconds": 1.0 * step, "progress": step / 2, "psnr_train": 10.0 + step,
-                            "psnr_unseen": 9.0 + step, "skipped": 0, "occupied": 0.1, "terms": {}})  # fmt: skip
+            run.append_log(
+                {
+                    "step": step,
+                    "seconds": 1.0 * step,
+                    "progress": step / 2,
+                    "psnr_train": 10.0 + step,
+                    "psnr_unseen": 9.0 + step,
+                    "skipped": 0,
+                    "occupied": 0.1,
+                    "terms": {},
+                }
+            )
         if checkpointed:
             possible = np.random.default_rng(0).random(config.sampler.grid**3) < 0.3
             state = Step.of(config, run.facts).initial(jax.random.key(0), possible)
@@ -148,7 +166,7 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
 def painted(ball: TrainedModel) -> TrainedModel:
     """The ball with a painted surface."""
     field = ball.model.field
-    solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, radius=field.radius)
+    solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=field.radius)
     return replace(ball, model=replace(ball.model, field=solid))
 
 
@@ -165,7 +183,7 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
         jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
     )
     field = model.field
-    solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, radius=radius)
+    solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
     assert run.normalisation.bounded
     return TrainedModel(run, ball_scene[0], model, 0, Renderer(run.normalisation))

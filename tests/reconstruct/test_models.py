@@ -20,8 +20,16 @@ def test_every_model_loads_in_every_preset_and_survives_being_written(model: str
 
 
 def test_with_surroundings_the_first_fog_is_thinner_and_the_first_reflection_sharper() -> None:
-    config = load_config("surfnerf", "fast", ["field.density_bias=-1", "field.surroundings_bias=-2.5",
-                                              "field.roughness_bias=-1.5", "field.surroundings_roughness_bias=-2"])  # fmt: skip
+    config = load_config(
+        "surfnerf",
+        "fast",
+        [
+            "field.density_bias=-1",
+            "field.surroundings_bias=-2.5",
+            "field.roughness_bias=-1.5",
+            "field.surroundings_roughness_bias=-2",
+        ],
+    )
     field = config.with_surroundings().field
     assert (field.density_bias, field.roughness_bias) == (-3.5, -3.5)
     assert config.with_surroundings().model_copy(update={"field": config.field}) == config  # nothing else is changed

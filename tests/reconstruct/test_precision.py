@@ -20,8 +20,20 @@ from reconstruct.scene.rays import Normalisation, Pixels, Rays
 from reconstruct.training.step import Step, TrainState
 
 STEPS = 80
-SMALL = ["encoding.levels=3", "encoding.log2_size=10", "encoding.finest=32", "field.spatial_width=16", "field.view_width=16",
-         "sampler.grid=16", "sampler.rays=256", "sampler.samples=4096", "sampler.steps=32", "surface.rays=32", "surface.samples=8", "train.rate=0.03"]  # fmt: skip
+SMALL = [
+    "encoding.levels=3",
+    "encoding.log2_size=10",
+    "encoding.finest=32",
+    "field.spatial_width=16",
+    "field.view_width=16",
+    "sampler.grid=16",
+    "sampler.rays=256",
+    "sampler.samples=4096",
+    "sampler.steps=32",
+    "surface.rays=32",
+    "surface.samples=8",
+    "train.rate=0.03",
+]
 
 
 def trained(config: Config, scene: Scene) -> tuple[TrainState, np.ndarray]:
@@ -64,8 +76,8 @@ def test_a_short_training_comes_to_the_same_error(both: dict[str, tuple[TrainSta
 def test_colours_are_those_of_single_precision(both: dict[str, tuple[TrainState, np.ndarray]]) -> None:
     """The same parameters and rays in both.
 
-    Two networks of two products one after the other, each rounding its factors to 2^-8 of values of order one: 4 x 2 x 2^-8 = 0.03
-    of what the sigmoid, slope 1/4, and sRGB, slope up to 3 for what is not dark, make a colour of: 0.025. Densities differ by as
+    Two networks of two products one after the other, each rounding its factors to 2^-8 of values of order one: 4 x 2 x 2^-8 =
+    0.03 of what the sigmoid, slope 1/4, and sRGB, slope up to 3 for what is not dark, make a colour of: 0.025. Densities differ by as
     much of themselves, weights by less. On average roundings have both signs.
     """
     field, rng = both["float32"][0].model.field, np.random.default_rng(0)

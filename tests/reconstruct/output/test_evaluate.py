@@ -46,7 +46,7 @@ class Walled(Field):
 
     @classmethod
     def around(cls, inner: Field) -> "Walled":
-        return cls(inner.encoding, inner.spatial, inner.appearance, inner.density_bias, inner)
+        return cls(inner.encoding, inner.spatial, inner.appearance, inner.density_bias, inner.deferred, inner)
 
     def density(self, cloud: Cloud) -> jax.Array:
         return jnp.maximum(self.inner.density(cloud), 2000 * jax.nn.sigmoid((-0.9 - cloud.points[1]) / 0.002))

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering import pictures
@@ -36,7 +36,7 @@ def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     _, _, normals = field.with_normals(cloud)
     every = composite(normals, samples.packed(rendered.weights), samples)
     monkeypatch.setattr(pictures, "BLOCK", block)
-    ours = jax.jit(composited_normals)(field, cloud, samples, rendered)
+    ours = jit(composited_normals)(field, cloud, samples, rendered)
     visible = np.asarray(rendered.opacity) > 0.01
     assert visible.sum() > 100
     bound = 1.01 * trained.run.config.sampler.max_per_ray * pictures.FAINT  # each left out is unit, times less than its share

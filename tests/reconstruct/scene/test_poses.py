@@ -129,7 +129,8 @@ def test_a_disabled_refinement_costs_nothing(
     assert state.model.poses is None
     with progress("reading", 4) as shown:
         pixels = Pixels.load(ball_scene[0].split("train"), facts.normalisation, 1.0, shown)
-    program = lambda: str(jax.make_jaxpr(one_step)(state, pixels, jnp.asarray(0), jnp.asarray(0.5), jnp.asarray(True)))  # noqa: E731
+    arguments = (state, pixels, jnp.asarray(0), jnp.asarray(0.5), jnp.asarray(True))
+    program = lambda: str(jax.make_jaxpr(one_step)(*arguments))  # noqa: E731
     complete = program()
     monkeypatch.setattr(batches, "moved", lambda rays, twists: rays)
     monkeypatch.setattr(objective, "followed", lambda rays, twists: rays)

@@ -23,8 +23,8 @@ STORED = Path(__file__).parent / "stored_losses.json"
 STEPS, BLOCK, SECOND = 100, 10, 5
 """Steps; steps whose mean is stored; every how many steps there is a second pass."""
 RTOL = {0: 1e-3, 9: 0.05}
-"""Of the first and of the last ten steps. One machine repeats them bit for bit. Another one sums in another order: 1e-7 of a value,
-of which Adam makes a step wherever a gradient is next to nothing, and which a hundred steps enlarge. A wrong loss is further off."""
+"""Of the first and of the last ten steps. One machine repeats them bit for bit. Another one sums in another order: 1e-7 of a
+value, of which Adam makes a step wherever a gradient is tiny, and which a hundred steps enlarge. A wrong loss is further away."""
 ATOL = 1e-7
 """Of terms that are next to nothing, such as the decay of tables that begin within 1e-4."""
 SMALL = {
@@ -77,7 +77,7 @@ def shaded_ball() -> Pixels:
 
 
 def trained(model: str, level: int = 0) -> tuple[TrainState, TrainState, dict[str, list[float]]]:
-    """State before and after, and the means of each term over ten steps; for terms of the second pass, over steps that have one."""
+    """State before and after, and the means of each term over ten steps, without a second pass in most of them."""
     step = Step.of(small(model), FACTS)
     state = start = step.initial(jax.random.key(0), None, 4)
     call = lambda i: (jnp.asarray(0), jnp.asarray(i / STEPS, jnp.float32), jnp.asarray(i % SECOND == SECOND - 1))  # noqa: E731

@@ -34,7 +34,7 @@ DIRECTIONS = np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0], [-1.0, 0, 0]])
 
 
 class HalfSpace(Field):
-    """Density 10 where z <= 0. Normals are z on the surface and `TILTED` elsewhere; the reflected colour is max(0, -d_z) in direction d."""
+    """Density 10 where z <= 0. Normals: z on the surface, `TILTED` elsewhere. Reflected colour in direction d: max(0, -d_z)."""
 
     def with_normals(self, cloud: Cloud) -> tuple[jax.Array, Material, jax.Array]:
         z, count = cloud.points[2], cloud.points.shape[1]
@@ -51,7 +51,7 @@ class HalfSpace(Field):
 
 def half_space(appearance: str = "reflection") -> HalfSpace:
     field = Model.create(jax.random.key(0), load_config(overrides=[*SMALL, f"field.appearance={appearance}"]), FACTS).field
-    return HalfSpace(field.encoding, field.spatial, field.appearance, field.density_bias)
+    return HalfSpace(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred)
 
 
 @pytest.fixture
@@ -84,7 +84,8 @@ def test_colours_count_over_the_background_for_used_rays_alone() -> None:
     truth = jnp.array([[0.4, 0.4, 0.4, 0.5], [0.5, 0.5, 0.5, 1.0], [0.9, 0.9, 0.9, 1.0]])
     used = jnp.array([True, True, False])
     found = objective.photometric(seen, truth, jnp.ones((3, 3)), used, 0.3)
-    # over white: 0.2 + 0.5 against 0.4 * 0.5 + 0.5, no error, Charbonnier 0.3; then 0.4 off: sqrt(0.16 + 0.09) = 0.5; third ignored
+    # over white: 0.2 + 0.5 against 0.4 * 0.5 + 0.5, no error, Charbonnier 0.3
+    # then an error of 0.4: sqrt(0.16 + 0.09) = 0.5; the third ray is ignored
     np.testing.assert_allclose(found["photometric"], (0.3 + 0.5) / 2, rtol=1e-5)
     np.testing.assert_allclose(found["mse"], 0.16 / 2, rtol=1e-5)
     np.testing.assert_allclose(objective.total(found), 0.4, rtol=1e-5, err_msg="the mean square error is for the log")

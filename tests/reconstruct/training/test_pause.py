@@ -16,7 +16,7 @@ def test_nobody_moves(tmp_path: Path) -> None:
 
 
 def test_while_somebody_moves_the_training_has_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.1 s of work at a quarter of the time: 0.3 s of rest, up to a nap more; the hold is long, so that a busy computer does not end it."""
+    """0.1 s of work at a quarter of the time: 0.3 s of rest, up to a nap more; the hold is long enough for a busy computer."""
     monkeypatch.setattr(pause, "HOLD_S", 60.0)
     PauseRequests(tmp_path).request(0.25)
     assert wanted_share(tmp_path) == 0.25

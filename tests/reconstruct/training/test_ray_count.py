@@ -39,9 +39,13 @@ def test_rays_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.slow
 def test_more_rays_need_more_memory() -> None:
     """As the compiler plans it: the tables and a part that grows with the rays."""
-    tiny = {"encoding": {"levels": 2, "log2_size": 10}, "surface": {"enabled": False}, "losses": {"decay": 0},
-            "field": {"spatial_width": 8, "view_width": 8, "bottleneck": 4, "ide_degree": 1},
-            "sampler": {"proposals": (8, 8), "final": 8, "proposal_finest": (8.0, 16.0), "frustum": "point"}}  # fmt: skip
+    tiny = {
+        "encoding": {"levels": 2, "log2_size": 10},
+        "surface": {"enabled": False},
+        "losses": {"decay": 0},
+        "field": {"spatial_width": 8, "view_width": 8, "bottleneck": 4, "ide_degree": 1},
+        "sampler": {"proposals": (8, 8), "final": 8, "proposal_finest": (8.0, 16.0), "frustum": "point"},
+    }
     config = Config.model_validate(merged(load_config("zipnerf", "paper").model_dump(), tiny))
     few, many = (ray_count.needed_bytes(ray_count.scaled(config, rays), FACTS, some_pixels()) for rays in (256, 1024))
     assert many > 1.5 * few > 0

@@ -24,10 +24,18 @@ from reconstruct.training.step import Step, TrainState
 SMALL = {
     "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
     "field": {"spatial_width": 16, "view_width": 16, "bottleneck": 4, "ide_degree": 2, "view_depth": 3},
-    "sampler": {"rays": 64, "samples": 512, "grid": 16, "steps": 32, "max_per_ray": 8, "proposals": (8, 8), "final": 8,
-                "proposal_finest": (8.0, 16.0)},
+    "sampler": {
+        "rays": 64,
+        "samples": 512,
+        "grid": 16,
+        "steps": 32,
+        "max_per_ray": 8,
+        "proposals": (8, 8),
+        "final": 8,
+        "proposal_finest": (8.0, 16.0),
+    },
     "surface": {"rays": 16, "samples": 8},
-}  # fmt: skip
+}
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
 PROPOSAL = {"surfnerf", "mipnerf", "zip_refnerf"}
 """Tested with their paper preset, which together has every kind of frustum; the others with the fast one."""

@@ -9,8 +9,11 @@ from reconstruct.models import load_config
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.record import Skip
 
-SKIPS = [Skip.of("empty_rays", True, "masks", "much"), Skip.of("converged", False, "not watched", "the rest"),
-         Skip.of("consistent_passes", True, "all run", "passes")]  # fmt: skip
+SKIPS = [
+    Skip.of("empty_rays", True, "masks", "much"),
+    Skip.of("converged", False, "not watched", "the rest"),
+    Skip.of("consistent_passes", True, "all run", "passes"),
+]
 
 
 def test_decisions_survive_the_file_as_a_plain_list(tmp_path: Path) -> None:
@@ -37,7 +40,9 @@ def test_a_person_reads_what_was_left_out_why_and_what_it_saved_and_nothing_else
     beside = Skip.of("multisampling", True, "this model takes one place per sample", record.NOTHING_MORE)
     elsewhere = Skip.of("structure_from_motion", True, "poses from the scene", "matching the views")
     assert record.left_out([*SKIPS, beside, elsewhere]) == [
-        "empty space: masks; saves much", "comparing normals that agree already: all run; saves passes"]  # fmt: skip
+        "empty space: masks; saves much",
+        "comparing normals that agree already: all run; saves passes",
+    ]
     assert not any(name in line for line in record.left_out(SKIPS) for name in record.NAMES), "words, and no names of settings"
 
 
