@@ -159,10 +159,10 @@ def _sweep(out: Path) -> None:
 def _identity(manifest: dict[str, Any]) -> dict[str, Any]:
     """What must not change when a recording is resumed.
 
-    The network address of the controller does not matter, nor do defaults that were added since.
+    Address and client of the controller do not matter, nor do defaults that were added since.
     """
     description = recorded_rig(manifest)
-    anywhere = description.robot.model_copy(update={"host": "anywhere"})
+    anywhere = description.robot.model_copy(update={"host": "anywhere", "client": "auto"})
     return {
         "trajectory": Trajectory.model_validate(manifest["trajectory"]),
         "rig": description.model_copy(update={"robot": anywhere, "simulation": None}),
