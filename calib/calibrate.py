@@ -79,7 +79,6 @@ class First:
     session: TargetSession
     camera: Camera
     free: tuple[str, ...]
-    """Intrinsics to estimate."""
     known: Known | None
     sigma_px: float
     """Standard deviation of a corner per axis."""

@@ -51,9 +51,7 @@ class Refinement:
     scene: Scene
     """With the poses to use, refined or unchanged."""
     used: bool
-    """Whether the refined poses are used."""
     reason: str
-    """Why or why not."""
     before_px: float
     """Median error of the held-out points with the arm's poses [px]."""
     after_px: float | None

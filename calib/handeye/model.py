@@ -81,13 +81,11 @@ class Session:
     points: Array
     """(n, 3) on the board [m]."""
     free: tuple[str, ...] = ("fx", "fy", "cx", "cy")
-    """Intrinsics that are estimated; the others stay."""
     known: Known | None = None
     """Of `free` intrinsics, from elsewhere."""
     accuracy: Accuracy = Accuracy()
     """The arm's, as stated."""
     fisheye: bool = False
-    """Whether the lens is a fisheye."""
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the board is on the flange."""
     joints: Array | None = None

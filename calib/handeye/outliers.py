@@ -31,7 +31,6 @@ class Fit:
     measured: Session
     refined: Refined
     left_out: dict[str, str]
-    """Views left out, and why."""
 
 
 def refine_without(

@@ -65,7 +65,6 @@ class Refined:
     inliers: Mask
     """(n,) corners that were used."""
     steps: int
-    """Accepted steps in all."""
     settled: bool
     """Whether sigmas and outliers stopped changing; if not, the solution may still move."""
 

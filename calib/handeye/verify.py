@@ -33,7 +33,6 @@ class Verification:
     view_rms_px: dict[str, float]
     """By name of the view [px]."""
     corners: int
-    """Corners compared."""
     stand: str
     """What carries the board: "base" or "flange"."""
     stand_from_board: Array

@@ -63,7 +63,6 @@ class _Problem(NamedTuple):
 
     corners: Corners
     columns: list[int]
-    """Indices of the free intrinsics."""
     fisheye: bool
 
 

@@ -76,9 +76,7 @@ class Intrinsics:
     camera_from_board: Array
     """(views, 4, 4), in the order of `observations`."""
     observations: tuple[Observation, ...]
-    """The observations that were used."""
     left_out: dict[str, str] = field(default_factory=dict)
-    """Views left out, and why."""
 
     @property
     def std(self) -> dict[str, float]:

@@ -35,7 +35,6 @@ class Sighting:
     residuals: dict[str, Array]
     """(n, 2) seen minus predicted [px], by kind; none for a view that was left out."""
     left_out: str = ""
-    """Why the view was left out."""
 
     def rms(self, kind: str) -> float:
         """Root mean square length of one kind of residuals [px]."""
@@ -126,9 +125,7 @@ def poses_of(calibration: Calibration, session: TargetSession) -> tuple[Array, A
 def gather(calibration: Calibration, session: TargetSession) -> Evidence:
     """Hold a stored calibration against a session.
 
-    Raises:
-        UsageError: the images have another size than the camera.
-        CalibrationError: the recording does not fit the calibration at all.
+    Raises UsageError for images of another size, CalibrationError where the recording does not fit the calibration at all.
     """
     verify.check_size(session, calibration.camera)
     boards = estimate.camera_from_boards(calibration.camera, session.observations)

@@ -95,9 +95,7 @@ def observe_folder(
 ) -> tuple[TargetSession, Camera | None]:
     """Find the target in a recording or, as `description` says, in a folder to import; and the camera that the import brings.
 
-    Raises:
-        UsageError: the folder is no recording, and no description is given.
-        KoalaError: what `observe_recording` and `import_session` raise.
+    Raises UsageError where the folder is no recording and no description is given, and what the two functions for them raise.
     """
     imported = _imported(folder, description)
     if imported is None:
@@ -218,9 +216,7 @@ def _csv(path: Path, description: Description) -> dict[str, list[str]]:
 def as_pose(numbers: Sequence[float], description: Description, *, where: object) -> Array:
     """(4, 4) base_from_flange [m] out of the numbers of a file.
 
-    Raises:
-        DatasetError: not as many numbers as the layout has, not finite, left-handed, no rotation.
-        CalibrationError: numbers that betray another unit or order than the description says.
+    Raises DatasetError for numbers that are no pose in this layout, CalibrationError for those that betray another unit or order.
     """
     values, layout = np.asarray(numbers, np.float64), description.layout
     if len(values) != LAYOUTS[layout] and not ("matrix" in layout and len(values) == 12):

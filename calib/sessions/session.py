@@ -32,7 +32,6 @@ class TargetSession:
     base_from_flange: Array
     """(views, 4, 4), in the order of `observations`."""
     unseen: tuple[str, ...] = ()
-    """Views without a target."""
     provenance: dict[str, Any] = field(default_factory=dict)
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the target is on the flange."""

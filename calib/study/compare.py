@@ -37,7 +37,6 @@ class Judged:
     held_out_px: float
     held_out_mm: float
     views: int
-    """Used."""
 
 
 def compare(

@@ -27,7 +27,6 @@ class Observation:
     """Corners of a target in one view."""
 
     name: str
-    """Name of the view."""
     ids: Indices
     """(n,) corner numbers."""
     pixels: Array
