@@ -102,7 +102,7 @@ def report_command(
     _check_out(out)
     calibration = Calibration.load(path)
     session, _ = Pictures(recording=recording_of(calibration, recording), description=description).observe()
-    report.write(out, gather(calibration, session), made_by=console.command_line())
+    report.page(gather(calibration, session), made_by=console.command_line()).write(out)
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 

@@ -1,7 +1,5 @@
 """A stored calibration as one HTML page that needs nothing else: numbers with their uncertainty, figures, views left out."""
 
-from pathlib import Path
-
 import numpy as np
 
 from calib.errors import CalibrationError
@@ -24,13 +22,8 @@ MEANINGS = {
 """Of the numbers at the head of the page."""
 
 
-def write(path: Path, evidence: Evidence, *, made_by: str = "") -> None:
-    """Write the page to `path`; `made_by` is the command. Raises UsageError where something is there already."""
-    page(evidence, made_by=made_by).write(path)
-
-
 def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
-    """The page."""
+    """The page; `made_by` is the command."""
     calibration, residuals = evidence.calibration, evidence.calibration.residuals
     report = ReportPage("Calibration", made_by=[made_by] if made_by else [])
     units = {name: "px" if name.endswith("_px") else "mm" if name.endswith("_mm") else "°" for name in MEANINGS}
