@@ -36,7 +36,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 class State(eqx.Module):
-    """Stands for a training state: `reconstruct.training.checkpoint` takes any tree with a step."""
+    """Stands for a training state: `reconstruct.checkpoint` takes any tree with a step."""
 
     step: Any
     weights: Any
@@ -180,10 +180,10 @@ def _session(folder: Path) -> None:
 
 def _run(folder: Path) -> None:
     """A run with two checkpoints. Its state is small; only how it is stored matters here."""
+    from reconstruct import checkpoint
     from reconstruct.config import Config
     from reconstruct.run import Run
     from reconstruct.scene.rays import Normalisation
-    from reconstruct.training import checkpoint
 
     shutil.rmtree(folder)
     normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)
