@@ -205,7 +205,7 @@ def _run_of(folder: Path) -> Any:
     from reconstruct.config import Config
     from reconstruct.run import Run
     from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
+    from reconstruct.scene.rays import Normalisation
 
     if (folder / "run" / "run.json").exists():
         return Run.open(folder / "run")

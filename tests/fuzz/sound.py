@@ -183,11 +183,12 @@ def _run(folder: Path) -> None:
     from reconstruct import checkpoint
     from reconstruct.config import Config
     from reconstruct.run import Run
+    from reconstruct.scene.facts import SceneFacts
     from reconstruct.scene.rays import Normalisation
 
     shutil.rmtree(folder)
     normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)
-    run = Run.create(folder, Config(), folder / "scene", normalisation, {"budget_s": None})
+    run = Run.create(folder, Config(), folder / "scene", SceneFacts(normalisation), {"budget_s": None})
     state = example_state()
     for step in (1, 2):
         checkpoint.save(run.path / "checkpoints", replace(state, step=np.int32(step)), {"seconds": float(step), "step": step})
