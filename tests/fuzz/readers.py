@@ -19,10 +19,10 @@ from datasets.formats import WRITERS, load_scene, ply, save_scene
 from datasets.imaging import images
 from datasets.recording import Recording
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.output import camera_path
 from reconstruct.output.mesh import reading
 from reconstruct.run import Run
-from reconstruct.training import checkpoint
 
 SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap")
 

@@ -13,10 +13,11 @@ import pytest
 
 from datasets.core.errors import KoalaError
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
-from reconstruct.training import checkpoint
 from reconstruct.training.loop import start, train
 
 State = namedtuple("State", ["step", "weights"])
@@ -101,7 +102,7 @@ def test_a_training_killed_before_its_first_checkpoint_is_started_over_by_resume
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    return Run.create(tmp_path / "run", Config(), tmp_path, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0), {})
+    return Run.create(tmp_path / "run", Config(), tmp_path, SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)), {})
 
 
 @pytest.mark.parametrize("rest", [b'{"step": 2, "sec', bytes(300)], ids=["cut", "zeros"])
@@ -161,7 +162,9 @@ def test_a_full_disk_amid_a_checkpoint_loses_none_that_was_complete(small_disk: 
 
 @pytest.mark.xfail(strict=True, reason="Run._append leaves half a line behind where the disk is full")
 def test_a_full_disk_amid_a_line_of_the_log_loses_none_that_was_complete(small_disk: Path) -> None:
-    run = Run.create(small_disk / "run", Config(), small_disk, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0), {})
+    run = Run.create(
+        small_disk / "run", Config(), small_disk, SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)), {}
+    )
     page = os.sysconf("SC_PAGE_SIZE")
     run.append_log({"step": 1, "words": "x" * (page - 100)})
     filling = fill(small_disk, 0)
