@@ -184,11 +184,12 @@ def check_command(
     from capture.recording import check
     from datasets.recording import Recording
 
-    frames = len(Recording.open(recording).frames)
+    opened = Recording.open(recording)
+    frames = len(opened.frames)
     with console.progress("check", frames, "views") as shown:
         findings = check.check(recording, done=lambda count, total: shown.advance())
     again = check.to_take_again(findings)
-    gone = check.discard(recording, again) if discard else []
+    gone = opened.discard(again) if discard else []
     good = all(finding.note for finding in findings)
     lines = [finding.line for finding in findings]
     if good:
@@ -243,16 +244,17 @@ def replay_command(
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
     from capture.recording.replay import replay, summary
     from capture.rig.opening import open_arm
-    from capture.trajectory import Trajectory
+    from capture.trajectory import recorded_trajectory
     from datasets.core import files
     from datasets.recording import Recording as Recordings
 
     found = Recordings.open(recording)
     if out is not None:
         files.refuse_existing(out)
-    recorded_seed = int(found.manifest.get("seed") or 0)
+    recorded_seed = found.manifest.get("seed")
+    recorded_seed = recorded_seed if isinstance(recorded_seed, int) else 0
     seed = recorded_seed + 1 if seed is None else seed
-    trajectory = Trajectory.model_validate(found.trajectory)
+    trajectory = recorded_trajectory(found)
     with console.progress("replay", len(found.frames), "views") as shown:
         with open_arm(rig, trajectory, seed=seed, links_seed=recorded_seed, time_scale=time_scale) as (robot, controller):
             truth = None if controller is None else controller.true_base_from_flange

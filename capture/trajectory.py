@@ -19,7 +19,8 @@ from capture.geometry import Box, PoseDescription
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
 from datasets.board import Board
-from datasets.core.schema import Schema, load_yaml
+from datasets.core.schema import Schema, load_yaml, validate
+from datasets.recording import MANIFEST, Recording
 
 FORMAT, VERSION = "koala-trajectory", 1
 
@@ -157,6 +158,11 @@ class Trajectory(Schema):
             replace(view, name=f"{index:0{digits}d}", split=split)
             for index, (view, split) in enumerate(zip(views, self.splits, strict=True))
         ]
+
+
+def recorded_trajectory(recording: Recording) -> Trajectory:
+    """The trajectory that a recording was made along; raises an error with the key where its manifest is wrong."""
+    return validate(recording.trajectory, Trajectory, where=f"{recording.path / MANIFEST}, trajectory")
 
 
 def load_trajectory(path: Path | str, *, overrides: list[str] | None = None) -> Trajectory:

@@ -16,7 +16,7 @@ from capture.page.session import CaptureView
 from capture.page.timeline import of_planned, of_recording, of_trajectory
 from capture.planning import PlannedView
 from capture.rig.description import RigDescription, recorded_rig
-from capture.trajectory import Trajectory, load_trajectory
+from capture.trajectory import Trajectory, load_trajectory, recorded_trajectory
 from datasets.page import Page
 from datasets.recording import Recording
 
@@ -38,8 +38,8 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
     """
     if Path(path).is_dir():
         recording = Recording.open(path)
-        trajectory = Trajectory.model_validate(recording.trajectory)
-        mount = recorded_rig(recording.manifest).flange_from_camera.matrix()
+        trajectory = recorded_trajectory(recording)
+        mount = recorded_rig(recording).flange_from_camera.matrix()
         complete = len(recording.frames) == len(trajectory.viewpoints())
         timeline = of_recording(recording, mount) if complete else of_trajectory(trajectory, mount)
     else:

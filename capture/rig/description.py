@@ -1,13 +1,14 @@
 """Rig files: the address of the arm, its camera, and how the camera is mounted."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from capture.geometry import PoseDescription
-from datasets.core.schema import Schema, load_yaml
+from datasets.core.schema import Schema, load_yaml, validate
+from datasets.recording import MANIFEST, Recording
 
 
 class RobotDescription(Schema):
@@ -24,6 +25,9 @@ class CameraDescription(Schema):
 
     model: Literal["basler"] = Field(default="basler", description="kind of camera")
     serial: str = Field(default="", description="serial number; empty: the only connected camera")
+    lens: str = Field(
+        default="", description="setting of the lens: focal length, aperture and focus, in your words; empty: not recorded"
+    )
 
 
 class SimulationDescription(Schema):
@@ -49,9 +53,10 @@ class RigDescription(Schema):
     simulation: SimulationDescription | None = Field(default=None, description="only for a simulated rig; null: a real rig")
 
 
-def recorded_rig(manifest: dict[str, Any]) -> RigDescription:
-    """The rig that a recording was made with, from its manifest; the default rig where the manifest has none."""
-    return RigDescription.model_validate({key: value for key, value in manifest.get("rig", {}).items() if key != "name"})
+def recorded_rig(recording: Recording) -> RigDescription:
+    """The rig that a recording was made with; the default rig where its manifest has none."""
+    content = {key: value for key, value in recording.part("rig").items() if key != "name"}
+    return validate(content, RigDescription, where=f"{recording.path / MANIFEST}, rig")
 
 
 def load_rig(path: Path | str) -> RigDescription:

@@ -17,7 +17,6 @@ OPEN = {
     r"truth_key: ": "koala._loaded_view and sidecar.restore take any key as a channel; koala.link writes wherever it leads",
     r"alias_bomb: ": "schema._note_lines and importer._read walk every alias anew; composing is not limited",
     r"schema\.py:_resolve": "an IndexError where a key of an item of a list in a tuple is missing",
-    r"recording/check\.py:|recording\.py:trajectory": "check._counts validates the manifest's trajectory without schema.validate",
     r"importer\.py:": "importer._read and _csv catch few of the errors of yaml and csv",
     r"checkpoint\.py:|reconstruct/run\.py:|nobody has stored": "checkpoint.load and Run.log: no checksum, no fall-back",
     r"huge_count: (the process was silent|took|raised MemoryError)": "assemble.Gathering: views listed twice",
