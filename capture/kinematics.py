@@ -23,7 +23,7 @@ REACH = 0.85
 
 def inverse(base_from_flange: ArrayLike) -> Joints:
     """(n, 6) joint angles [rad, -pi..pi] of every branch (up to 8) that reaches the pose with the nominal links; n = 0: none."""
-    from ur_analytic_ik import ur5e
+    from ur_analytic_ik import ur5e  # pyright: ignore[reportAttributeAccessIssue]
 
     target = np.ascontiguousarray(base_from_flange, np.float64)
     branches = np.array(ur5e.inverse_kinematics(target), np.float64).reshape(-1, 6)
