@@ -53,25 +53,10 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
 
 
 def watch(
-    page: Page,
-    path: Path,
-    trajectory: Trajectory,
-    flange_from_camera: Array,
-    planned: list[PlannedView],
-    *,
-    stop: Callable[[], None],
+    page: Page, path: Path, trajectory: Trajectory, mount: Array, planned: list[PlannedView], *, stop: Callable[[], None]
 ) -> None:
-    """Show a recording on a page while it is made.
-
-    Args:
-        page: the page to draw on.
-        path: folder of the future recording.
-        trajectory: what is captured.
-        flange_from_camera: (4, 4) nominal mount [m].
-        planned: its plan.
-        stop: called by the stop button.
-    """
-    shown = CaptureView(page, trajectory, flange_from_camera, of_planned(trajectory, planned, flange_from_camera))
-    live = LiveView(shown, path, flange_from_camera)
+    """Show a recording on a page while it is made. The stop button calls `stop`; `mount` is the nominal (4, 4) [m]."""
+    shown = CaptureView(page, trajectory, mount, of_planned(trajectory, planned, mount))
+    live = LiveView(shown, path, mount)
     live.offer_stop(stop)
     page.in_background(live.follow)

@@ -143,11 +143,8 @@ def _exposure(name: str, pixels: NDArray[Any]) -> list[Finding]:
     if white > OVER_SHARE:
         return [Finding("is over-exposed", name, f"{100 * white:.0f} % of the pixels are white; lower camera.exposure_us")]
     if bright < UNDER_LIGHT:
-        return [
-            Finding(
-                "is under-exposed", name, f"99 % of the pixels are below {100 * bright:.1f} % of white; raise camera.exposure_us"
-            )
-        ]
+        why = f"99 % of the pixels are below {100 * bright:.1f} % of white; raise camera.exposure_us"
+        return [Finding("is under-exposed", name, why)]
     return []
 
 

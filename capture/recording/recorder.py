@@ -14,6 +14,7 @@ from capture.recording.manifest import manifest_of, require_same_session
 from capture.recording.writer import Advance, Writer
 from capture.rig.opening import Rig
 from capture.trajectory import Motion, Trajectory
+from datasets.core.errors import UsageError
 from datasets.core.space import require_room
 from datasets.recording import IMAGES, MANIFEST, TRUTH, Frame, Recording
 
@@ -88,32 +89,20 @@ def _expose(
     recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, motion: Motion
 ) -> tuple[Frame, Pixels]:
     """Take the picture of one view from the current pose. The hash of the frame is still missing."""
-    name, split = view.viewpoint.name, view.viewpoint.split
-    if rig.ground_truth is not None:
-        rig.ground_truth.prepare(index)
+    name, split, truth = view.viewpoint.name, view.viewpoint.split, rig.ground_truth
+    if truth is not None:
+        truth.prepare(index)
     state = rig.robot.state()
     image = rig.camera.grab()
     if motion.settle_difference is not None:
         image = _still(rig, image, motion, name)
         state = rig.robot.state()
     settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
-    if rig.ground_truth is not None:
-        rig.ground_truth.save_truth(recording.path / TRUTH, name, split)
-    frame = Frame(
-        index=index,
-        name=name,
-        split=split,
-        image=f"{IMAGES}/{name}.png",
-        base_from_flange=state.base_from_flange,
-        joints=state.joints,
-        robot_time_s=state.robot_time_s,
-        host_time_ns=image.host_time_ns,
-        device_ticks=image.device_ticks,
-        exposure_us=image.exposure_us,
-        settle_s=settle_s,
-        sha256="",
-    )
-    return frame, image.pixels
+    if truth is not None:
+        truth.save_truth(recording.path / TRUTH, name, split)
+    arm = (state.base_from_flange, state.joints, state.robot_time_s)
+    exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
+    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, sha256=""), image.pixels
 
 
 def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
@@ -129,12 +118,9 @@ def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
         if difference < (motion.settle_difference or 0.0):
             return image
         if time.monotonic() > deadline:
-            raise MotionError(
-                "the picture does not come to rest",
-                where=f"view {name}",
-                why=f"two in a row differ by {difference:.4f}, limit {motion.settle_difference:g}",
-                remedy="look for something that moves or flickers, or raise motion.settle_difference",
-            )
+            why = f"two in a row differ by {difference:.4f}, limit {motion.settle_difference:g}"
+            remedy = "look for something that moves or flickers, or raise motion.settle_difference"
+            raise MotionError("the picture does not come to rest", where=f"view {name}", why=why, remedy=remedy)
 
 
 def picture_difference(first: Pixels, second: Pixels) -> float:
@@ -150,7 +136,11 @@ def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool, planned: li
     old = Recording.open(out) if resume and out.exists() else None
     if old is not None:
         require_same_session(old, trajectory, rig)
-        old.discard([frame.name for frame in old.frames if not old.image_path(frame).is_file()])
+        lost = [frame.name for frame in old.frames if not old.image_path(frame).is_file()]
+        if len(lost) == len(old.frames) > 1:
+            remedy = f"bring {IMAGES} back (an unmounted disk?), or choose another --out"
+            raise UsageError("all its images are missing", where=out, why=f"{len(lost)} views", remedy=remedy)
+        old.discard(lost)
     taken = {frame.name for frame in old.frames} if old else set()
     missing = [view.viewpoint.split for view in planned if view.viewpoint.name not in taken]
     require_room(out, _size(trajectory, missing, truth=rig.ground_truth is not None), "the pictures")

@@ -1,7 +1,7 @@
 """Repeats the joint path of a recording and measures how far each pose is from the recorded one."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +36,6 @@ class Deviation:
         """The deviation in one line of text."""
         true = "" if self.true_mm is None else f", truly {self.true_mm:.3f} mm"
         return f"{self.translation_mm:.3f} mm, {self.rotation_deg:.4f} degrees, joints {self.joints_deg:.4f} degrees{true}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain dictionary of the fields."""
-        return asdict(self)
 
 
 def replay(

@@ -25,17 +25,13 @@ class CameraDescription(Schema):
 
     model: Literal["basler"] = Field(default="basler", description="kind of camera")
     serial: str = Field(default="", description="serial number; empty: the only connected camera")
-    lens: str = Field(
-        default="", description="setting of the lens: focal length, aperture and focus, in your words; empty: not recorded"
-    )
+    lens: str = Field(default="", description="focal length, aperture and focus, in your words; empty: not compared")
 
 
 class SimulationDescription(Schema):
     """A running simulated controller, as `capture sim` writes it. A real rig has none."""
 
-    side_port: int = Field(
-        ge=1, le=65535, description="port of the side channel of the simulation, which reports the true pose of the arm"
-    )
+    side_port: int = Field(ge=1, le=65535, description="port of the side channel, which reports the true pose of the arm")
     scene: str = Field(default="gold_head", description="scene in front of the camera")
     seed: int = Field(default=0, ge=0, description="random seed")
 

@@ -132,3 +132,14 @@ def test_a_view_whose_image_is_missing_is_taken_again(trajectory: Trajectory, vi
     recording = Recording.open(tmp_path / "rec")
     assert sorted(frame.name for frame in recording.frames) == ["000", "001", "002"]
     assert all(files.sha256(recording.image_path(frame)) == frame.sha256 for frame in recording.frames)
+
+
+def test_a_recording_whose_images_are_elsewhere_keeps_its_frames(
+    trajectory: Trajectory, views: list[PlannedView], tmp_path: Path
+) -> None:
+    """They may be on a disk that is not mounted."""
+    record(trajectory, rig(ROBOT, CAMERA), tmp_path / "rec", planned=views)
+    (tmp_path / "rec" / "images").rename(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match=r"rec: all its images are missing \(3 views\)"):
+        record(trajectory, rig(ROBOT, CAMERA), tmp_path / "rec", planned=views, resume=True)
+    assert len(Recording.open(tmp_path / "rec").frames) == 3
