@@ -1,5 +1,8 @@
 """Kinematics of the UR5e: joint angles [rad] to `base_from_flange` [m] (`datasets.kinematics`) and back."""
 
+from collections.abc import Callable
+from functools import lru_cache, partial
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -7,14 +10,25 @@ from datasets import pose
 from datasets.kinematics import UR5E, Links, forward, jacobian, link_frames
 
 __all__ = [
-    "JOINT_LIMIT", "MAX_JOINT_SPEED", "REACH", "UR5E", "Joints", "Links", "forward", "inverse", "jacobian", "link_frames",
-    "nearest_turn", "singularity", "wrap",
-]  # fmt: skip
+    "JOINT_LIMIT",
+    "MAX_JOINT_SPEED",
+    "REACH",
+    "UR5E",
+    "Joints",
+    "Links",
+    "forward",
+    "inverse",
+    "jacobian",
+    "link_frames",
+    "nearest_turn",
+    "singularity",
+    "wrap",
+]
 
 Joints = NDArray[np.float64]
 
 JOINT_LIMIT = 2 * np.pi
-"""Each joint turns this far to either side [rad]."""
+"""Range of each joint to either side [rad]."""
 MAX_JOINT_SPEED = np.pi
 """Of every joint [rad/s]."""
 REACH = 0.85
@@ -22,15 +36,32 @@ REACH = 0.85
 
 
 def inverse(base_from_flange: ArrayLike) -> Joints:
-    """(n, 6) joint angles [rad, -pi..pi] of every branch (up to 8) that reaches the pose with the nominal links; n = 0: none."""
-    from ur_analytic_ik import ur5e  # pyright: ignore[reportAttributeAccessIssue]
+    """(n, 6) joint angles [rad, -pi..pi] of every branch (up to 8) that reaches the pose with the nominal links; n = 0: none.
 
+    The order is the same whichever solver is installed: shoulder behind the base axis first, then sin q5 > 0, then sin q3 > 0.
+    """
     target = np.ascontiguousarray(base_from_flange, np.float64)
-    branches = np.array(ur5e.inverse_kinematics(target), np.float64).reshape(-1, 6)
+    branches = _solver()(target)
     branches = branches[np.isfinite(branches).all(axis=1)]
-    reached = forward(branches)  # next to a singularity the closed form may miss: keep what arrives
+    reached = forward(branches)  # next to a singularity, and out of reach, a solver may return angles that miss the pose
     distance, angle = pose.difference(reached, target)
-    return wrap(branches[(distance < 1e-6) & (angle < 1e-6)])
+    branches = wrap(branches[(distance < 1e-6) & (angle < 1e-6)])
+    wrist = target[:3, 3] - UR5E.d[5] * target[:3, 2]
+    ahead = np.cos(branches[:, 0]) * wrist[0] + np.sin(branches[:, 0]) * wrist[1] > 0
+    return branches[np.lexsort((branches[:, 2] < 0, branches[:, 4] < 0, ahead))]
+
+
+@lru_cache(1)
+def _solver() -> Callable[[Joints], Joints]:
+    """EAIK where it is installed, else the closed form of our own: (4, 4) pose to (n, 6) angles."""
+    try:
+        from eaik.IK_DH import DhRobot
+    except ImportError:
+        from capture.ur_inverse import branches
+
+        return partial(branches, links=UR5E)
+    arm = DhRobot(UR5E.alpha, UR5E.a, UR5E.d)
+    return lambda target: np.array(arm.IK(target).Q, np.float64).reshape(-1, 6)
 
 
 def wrap(angles: ArrayLike) -> Joints:
@@ -40,7 +71,7 @@ def wrap(angles: ArrayLike) -> Joints:
 
 
 def nearest_turn(joints: ArrayLike, reference: ArrayLike, limit: float = JOINT_LIMIT) -> Joints:
-    """(..., 6) the same configuration with each joint turned by whole turns to be nearest to `reference`, inside the limits [rad]."""
+    """(..., 6) the same configuration, each joint shifted by whole turns to be nearest to `reference` within the limits [rad]."""
     joints, turn = np.asarray(joints, np.float64), 2 * np.pi
     moved = joints + turn * np.round((np.asarray(reference, np.float64) - joints) / turn)
     return np.where(np.abs(moved) > limit, moved - turn * np.sign(moved), moved)

@@ -15,7 +15,7 @@ def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
     from reconstruct.listing import models_text
     from reconstruct.models import overview
 
-    rows = overview(preset) if overview.__code__.co_argcount else overview()  # pyright: ignore
+    rows = overview(preset)
     console.report({"models": rows}, as_json=as_json, text=models_text(rows))
 
 

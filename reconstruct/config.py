@@ -29,7 +29,8 @@ class EncodingConfig(Schema):
     volume: float | None = Field(
         default=None,
         gt=0,
-        description="Volume that can hold anything [scene unit^3]: levels with few vertices in it get small tables; none: all full.",
+        description="Volume that can hold anything [scene unit^3], for tables that are no larger than needed; none: as measured "
+        "with skip.table_size, else full tables.",
     )
 
 
@@ -60,7 +61,8 @@ class FieldConfig(Schema):
     specular_bias: float = Field(default=0.0, description="Added to the raw reflected colour before the sigmoid.")
     roughness_bias: float = Field(default=-1.0, description="Added to the raw roughness before the softplus.")
     surroundings_roughness_bias: float = Field(
-        default=0.0, description="The same once more where there are surroundings: with them, a blurred start may stay blurred."
+        default=0.0,
+        description="Added to the roughness bias where there are surroundings, among which a blurred start may stay blurred.",
     )
     outward: float = Field(
         default=0.0,
@@ -69,21 +71,21 @@ class FieldConfig(Schema):
     )
     towards: tuple[float, float, float] | None = Field(
         default=None,
-        description="Added to that position; none: the mean direction of the cameras, so that what they see faces them.",
+        description="Added to that position; none: the measured mean direction to the cameras, so that what they see faces them.",
     )
     matte_around: float = Field(
         default=0.0,
         ge=0,
-        description="What is around the object's box starts matte: added to its raw diffuse colour, taken from its tint.",
+        description="Around the object's box, added to the raw diffuse colour and subtracted from the raw tint at the start.",
     )
     half_box: tuple[float, float, float] | None = Field(
         default=None,
-        description="Half the size of that box [scene unit]; none: as the scene has it, where there are surroundings.",
+        description="Half the size of that box [scene unit]; none: as measured, where there are surroundings.",
     )
     density_bias: float = Field(default=0.5, description="Added to the raw density before the exponential.")
     surroundings_bias: float = Field(
         default=0.0,
-        description="The same once more where there are surroundings: rays are longer, and the first fog must stay thin.",
+        description="Added to the density bias where there are surroundings: rays are longer, and the first fog must stay thin.",
     )
 
 
@@ -95,12 +97,12 @@ class SamplerConfig(Schema):
     samples: int = Field(
         default=8192, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped."
     )
-    max_per_ray: int = Field(default=32, ge=1, description="Occupancy: at most so many of a ray's steps are drawn.")
+    max_per_ray: int = Field(default=32, ge=1, description="Occupancy: largest number of samples on a ray.")
     candidates: int | None = Field(
         default=None,
         ge=1,
-        description="Occupancy, among surroundings: rays drawn for each that a step takes, those that meet the object sooner; "
-        "none: 4 where the scene states the object's box, 1 elsewhere.",
+        description="Occupancy, among surroundings: rays drawn per ray taken; those that meet the object are preferred. "
+        "None: 4 where the scene states the object's box, else 1.",
     )
     steps: int = Field(default=192, ge=32, multiple_of=32, description="Occupancy: steps of a ray through the object's box.")
     grid: int = Field(default=128, ge=8, description="Occupancy: cells per axis over the object's box.")
@@ -112,24 +114,28 @@ class SamplerConfig(Schema):
         default=0.0,
         ge=0,
         le=1,
-        description="Occupancy: share of the training before any cell is ruled out, where there are surroundings.",
+        description="Occupancy, among surroundings: share of the training before any cell is ruled out.",
     )
     proposals: tuple[int, ...] = Field(default=(64, 64), description="Proposal: samples of each proposal level.")
     final: int = Field(default=32, ge=2, description="Proposal: samples of the final level.")
     proposal_width: int = Field(default=64, ge=1, description="Proposal: width of each level's network.")
-    proposal_depth: int = Field(default=1, ge=1, description="Proposal: its depth.")
+    proposal_depth: int = Field(default=1, ge=1, description="Proposal: depth of each level's network.")
     proposal_finest: tuple[float, ...] = Field(default=(256.0, 1024.0), description="Proposal: finest resolution of each level.")
     frustum: Literal["point", "gaussian", "hexagon"] = Field(
         default="point",
-        description="Proposal: what stands for a conical frustum: its centre, a Gaussian (Mip-NeRF), six (Zip-NeRF).",
+        description="Proposal: what represents a conical frustum: its centre, one Gaussian (Mip-NeRF) or six (Zip-NeRF).",
     )
 
 
 class SurfaceConfig(Schema):
     """The four surface regularisers and their second pass."""
 
-    enabled: bool = Field(default=True, description="Run the second pass at all.")
-    rays: int = Field(default=128, ge=1, description="Rays with a confident surface that the second pass takes.")
+    enabled: bool = Field(default=True, description="Run the second pass.")
+    rays: int = Field(
+        default=128,
+        ge=1,
+        description="Rays per step whose first surface is used, by the regularisers and by the losses of normals.",
+    )
     samples: int = Field(default=32, ge=4, description="Points and directions on the sphere.")
     sampling: Literal["lattice", "fibonacci", "random"] = Field(
         default="lattice", description="Lattice directions on shells, the same without shells, or independent random directions."
@@ -146,7 +152,7 @@ class SurfaceConfig(Schema):
     neighbours: int = Field(default=3, ge=1, description="Nearest directions in the total variation's graph.")
     neighbour_form: Literal["angular", "published"] = Field(
         default="angular",
-        description="What is near there: by angle, or by the cosine of (polar angle, azimuth, length), as published.",
+        description="Which directions are near: by angle, or by the cosine of (polar angle, azimuth, length), as published.",
     )
     first_period: int = Field(default=512, ge=1, description="Steps between second passes at the start (power of two).")
     last_period: int = Field(default=4, ge=1, description="The same at the end.")
@@ -156,23 +162,25 @@ class LossConfig(Schema):
     """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""
 
     charbonnier: float = Field(default=1e-3, gt=0, description="Colour error below which the photometric loss is quadratic.")
-    interlevel: float = Field(default=0.01, ge=0, description="Proposal levels follow the final one.")
-    distortion: float = Field(default=0.0, ge=0, description="Weights along a ray gather (real scenes: 0.01).")
-    hollowness: float = Field(default=0.0, ge=0, description="What is solid gets no thinner behind its surface.")
+    interlevel: float = Field(default=0.01, ge=0, description="Weight: proposal levels follow the final one.")
+    distortion: float = Field(default=0.0, ge=0, description="Weight: samples gather along a ray (real scenes: 0.01).")
+    hollowness: float = Field(default=0.0, ge=0, description="Weight: solid objects stay dense behind their surface.")
     hollow_from: float = Field(
         default=0.0,
         ge=0,
         le=1,
         description="Share of the training before the hollowness counts: early fog must not be made solid.",
     )
-    orientation: float = Field(default=0.1, ge=0, description="Visible normals face the camera.")
-    predicted_normals: float = Field(default=3e-4, ge=0, description="Predicted normals follow the density's.")
-    density_normals: float = Field(default=3e-4, ge=0, description="The density's normals follow the predicted ones.")
-    decay: float = Field(default=0.1, ge=0, description="Mean square of the table's values, per level.")
+    orientation: float = Field(default=0.1, ge=0, description="Weight: visible normals face the camera.")
+    predicted_normals: float = Field(default=3e-4, ge=0, description="Weight: predicted normals follow the density's.")
+    density_normals: float = Field(default=3e-4, ge=0, description="Weight: the density's normals follow the predicted ones.")
+    decay: float = Field(default=0.1, ge=0, description="Weight: mean square of the tables' values, per level.")
     bounded_distortion: float | None = Field(
-        default=None, ge=0, description="Distortion where the object is all there is; none: the same."
+        default=None, ge=0, description="Weight of the distortion in scenes without surroundings; none: the same."
     )
-    bounded_decay: float | None = Field(default=None, ge=0, description="Decay where the object is all there is; none: the same.")
+    bounded_decay: float | None = Field(
+        default=None, ge=0, description="Weight of the decay in scenes without surroundings; none: the same."
+    )
 
     def in_scene(self, *, bounded: bool) -> "LossConfig":
         """The weights that count in a scene with surroundings, or without."""
@@ -192,27 +200,27 @@ class TrainConfig(Schema):
     first_blur: float = Field(
         default=0.02, ge=0, description="Standard deviation of every sample at the start [scene unit]; 0: none."
     )
-    last_blur: float = Field(default=0.001, ge=0, description="The same once `blur_until` of the training is done.")
+    last_blur: float = Field(default=0.001, ge=0, description="The same from `blur_until` on.")
     blur_until: float = Field(default=0.5, gt=0, le=1, description="Share of the training over which the blur shrinks.")
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32", description="Factors of the networks' products while training; sums and everything else are float32."
     )
     accumulate: int = Field(default=1, ge=1, description="Batches whose mean gradient makes one step.")
     per_image: Literal["none", "exposure", "colour"] = Field(
-        default="none", description="What each training image may have of its own: nothing, a gain, or a gain per colour."
+        default="none", description="Learned per training image: nothing, a gain, or a gain per colour."
     )
     patience: float = Field(
         default=0.0,
         ge=0,
         le=1,
-        description="Stop when held-out training pixels got no better for this share of the training; 0: never.",
+        description="Stop when held-out training pixels have not improved for this share of the training; 0: never.",
     )
     checkpoint_s: float = Field(default=60.0, gt=0, description="Seconds between checkpoints.")
     tensorboard: bool = Field(default=False, description="Write the log as TensorBoard's event files too (extra 'tensorboard').")
 
 
 class PoseConfig(Schema):
-    """Refinement of the training views' poses; docs/poses.md has what it brings."""
+    """Refinement of the training views' poses; docs/poses.md has its results."""
 
     enabled: bool = Field(default=False, description="Learn a small correction of each training view's pose.")
     sigma_m: float = Field(
@@ -224,21 +232,24 @@ class PoseConfig(Schema):
     rate: float = Field(default=0.02, ge=0, description="Learning rate, in these standard deviations.")
     final_rate: float = Field(default=0.001, gt=0, description="The same at the end; log-linear between.")
     start: float = Field(
-        default=0.1, ge=0, le=1, description="Share of the training before poses move; over the next tenth they come to it."
+        default=0.1,
+        ge=0,
+        le=1,
+        description="Share of the training before poses move; over the next tenth their rate rises to its full value.",
     )
     prior: float = Field(default=1e-5, ge=0, description="Weight of the squared corrections, in standard deviations, halved.")
 
     def sigma(self, scale: float) -> tuple[float, ...]:
-        """Standard deviations of a twist's six parts [scene unit, rad], for so many scene units per world unit."""
+        """Standard deviations of a twist's six parts [scene unit, rad], `scale` scene units per world unit."""
         return (self.sigma_m * scale,) * 3 + (self.sigma_rad,) * 3
 
 
 class SkipConfig(Schema):
-    """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has what it costs."""
+    """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has the costs."""
 
     surroundings: bool = Field(default=True, description="Contraction and background, where pictures carry an alpha.")
     empty_rays: bool = Field(
-        default=True, description="Space that masks or the occupancy grid rule out, and rays that meet nothing else."
+        default=True, description="Space that masks or the occupancy grid rule out, and rays that meet only such space."
     )
     fine_levels: bool = Field(default=False, description="Levels finer than the smallest footprint of a pixel at the surface.")
     table_size: bool = Field(default=False, description="Rows that levels with few vertices in the occupied space cannot fill.")
@@ -251,8 +262,8 @@ class SkipConfig(Schema):
     consistent_passes: bool = Field(
         default=False, description="Second passes, while the last one found normals that agree already."
     )
-    converged: bool = Field(default=False, description="Training on, once held-out pixels get no better.")
-    distortion: bool = Field(default=True, description="Undistorting the pixels of pinhole cameras.")
+    converged: bool = Field(default=False, description="The rest of the training, once held-out pixels stop improving.")
+    distortion: bool = Field(default=True, description="Undistortion of pinhole cameras' pixels.")
 
 
 class Config(Schema):

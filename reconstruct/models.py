@@ -76,15 +76,15 @@ def names() -> list[str]:
     return sorted(path.stem for path in _folder().glob("*.yaml"))
 
 
-def overview() -> list[dict[str, Any]]:
-    """Per model: name, encoding, appearance, regularisers (names of those with a weight in the paper preset), about."""
+def overview(preset: str = "fast") -> list[dict[str, Any]]:
+    """Per model: name, encoding, appearance, regularisers (names of those with a weight in this preset), about."""
     rows = []
     for name in names():
-        config, content = load_config(name, "paper"), _read(name, "paper")[1]
+        config, content = load_config(name, preset), _read(name, preset)[1]
         surface = config.surface
         used = [term for term in ("density", "normal", "bias", "variation") if surface.enabled and getattr(surface, term)]
-        rows.append({"name": name, "encoding": config.encoding.kind, "appearance": config.field.appearance,
-                     "regularisers": used, "about": content.about})  # fmt: skip
+        row = {"name": name, "encoding": config.encoding.kind, "appearance": config.field.appearance}
+        rows.append({**row, "regularisers": used, "about": content.about})
     return rows
 
 

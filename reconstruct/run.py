@@ -1,6 +1,6 @@
 """A run on disk: what was trained, on what, with which settings, and where it stands.
 
-RUN/run.json        configuration, scene, normalisation, versions
+RUN/run.json        configuration, scene, facts measured on it, versions
 RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, every loss
 RUN/events.out.*    the same for TensorBoard, where that was wanted
 RUN/checkpoints/    training states
@@ -8,7 +8,7 @@ RUN/poses.json      where poses were refined: those of the training views
 """
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.scene import Scene
 from reconstruct.config import Config
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
@@ -31,19 +32,30 @@ class Run:
     path: Path
     config: Config
     scene_path: str
-    normalisation: Normalisation
+    facts: SceneFacts
     content: dict[str, Any]
     """Everything in run.json."""
 
+    @property
+    def normalisation(self) -> Normalisation:
+        """Of the scene."""
+        return self.facts.normalisation
+
     @classmethod
-    def create(cls, path: Path, config: Config, scene_path: Path, normalisation: Normalisation, about: dict[str, Any]) -> "Run":
+    def create(cls, path: Path, config: Config, scene_path: Path, facts: SceneFacts, about: dict[str, Any]) -> "Run":
         """Start a run in a folder that is missing or empty."""
         path = Path(path)
         files.refuse_existing(path)
-        content = {"format": FORMAT, "version": VERSION, "scene": str(Path(scene_path).resolve()), "config": config.model_dump(mode="json"),
-                   "normalisation": asdict(normalisation), **about}  # fmt: skip
+        content = {
+            "format": FORMAT,
+            "version": VERSION,
+            "scene": str(Path(scene_path).resolve()),
+            "config": config.model_dump(mode="json"),
+            "facts": facts.to_json(),
+            **about,
+        }
         files.write_json(path / RUN, content)
-        return cls(path, config, content["scene"], normalisation, content)
+        return cls(path, config, content["scene"], facts, content)
 
     @classmethod
     def open(cls, path: Path) -> "Run":
@@ -55,8 +67,8 @@ class Run:
             )
         content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
         try:
-            normalisation = Normalisation(**{**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])})
-            return cls(path, Config.model_validate(_current(content["config"])), content["scene"], normalisation, content)
+            facts = SceneFacts.from_json(content.get("facts") or {"normalisation": content["normalisation"]})
+            return cls(path, Config.model_validate(_current(content["config"])), content["scene"], facts, content)
         except (KeyError, TypeError, ValueError) as error:
             raise DatasetError("run is not complete", where=path / RUN, why=str(error).splitlines()[0]) from None
 
@@ -89,7 +101,11 @@ class Run:
 
 
 def _current(config: dict[str, Any]) -> dict[str, Any]:
-    """A run's configuration in today's terms: at first it counted the points that stand for a frustum."""
+    """A run's configuration in today's terms.
+
+    At first it counted the points that stand for a frustum. What is measured on a scene was written into it until the facts had a
+    place of their own; there it still has effect, as a value that a person gave.
+    """
     if "multisamples" not in config["sampler"]:
         return config
     sampler = {**config["sampler"], "frustum": "hexagon" if config["sampler"]["multisamples"] == 6 else "point"}

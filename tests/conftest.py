@@ -33,9 +33,10 @@ _NUMERICS = (
     "scene.rays",
     "field",
     "sampling",
-    "rendering.volume",
+    "rendering.compositing",
     "rendering.model",
     "surface",
+    "training.losses",
     "training.objective",
     "training.schedules",
 )

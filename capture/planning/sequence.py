@@ -13,6 +13,8 @@ Joints = NDArray[np.float64]
 
 DETOUR = 4.0
 """Cost of a path that is not straight, in radians of the fastest joint."""
+COST_DIGITS = 9
+"""Costs are rounded: mirror-symmetric sequences tie and the first is taken, whatever the last digits of the joint angles."""
 
 
 def shortest(layers: list[Joints], obstacles: Obstacles) -> tuple[list[int], float]:
@@ -43,9 +45,9 @@ def _travel(difference: Joints) -> NDArray[np.float64]:
 
 def _cheapest(layers: list[Joints], costs: list[NDArray[np.float64]]) -> list[int]:
     """Index into each layer of the cheapest sequence, by dynamic programming."""
-    total, back = np.abs(layers[0] - HOME).max(-1), []
+    total, back = np.round(np.abs(layers[0] - HOME).max(-1), COST_DIGITS), []
     for cost in costs:
-        through = total[:, None] + cost
+        through = np.round(total[:, None] + cost, COST_DIGITS)
         back.append(through.argmin(axis=0))
         total = through.min(axis=0)
     chosen = [int(total.argmin())]

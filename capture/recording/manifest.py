@@ -43,7 +43,7 @@ def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
 def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig) -> None:
     """Raise UsageError where a session differs from that of a recording, or where one of its devices is another.
 
-    The network address of the controller does not matter, nor do settings that were added to Koala since. A device is compared
+    Address and client of the controller do not matter, nor do settings that were added to Koala since. A device is compared
     where the recording says which it was.
     """
     now = manifest_of(trajectory, rig)
@@ -66,6 +66,9 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
 
 
 def _anywhere(rig: RigDescription) -> RigDescription:
-    """The rig without the address of its controller and without its lens, which is compared as a device."""
-    robot, camera = rig.robot.model_copy(update={"host": "anywhere"}), rig.camera.model_copy(update={"lens": ""})
+    """The rig without address and client of its controller and without its lens, which is compared as a device."""
+    robot, camera = (
+        rig.robot.model_copy(update={"host": "anywhere", "client": "auto"}),
+        rig.camera.model_copy(update={"lens": ""}),
+    )
     return rig.model_copy(update={"robot": robot, "camera": camera, "simulation": None})

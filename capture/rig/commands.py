@@ -40,4 +40,4 @@ def sim(
                 time.sleep(0.2)
         except KeyboardInterrupt:
             return
-        raise SimulationError("the simulated controller has ended", why=controller.last_words(), remedy="start it again")
+        raise SimulationError("the simulated controller has ended", why=controller.last_line(), remedy="start it again")

@@ -16,6 +16,10 @@ class RobotDescription(Schema):
 
     model: Literal["ur5e"] = Field(default="ur5e", description="model of the arm")
     host: str = Field(default="192.168.0.10", min_length=1, description="address of the controller on the network")
+    client: Literal["auto", "ur_rtde", "koala"] = Field(
+        default="auto",
+        description="what speaks to the controller: ur_rtde, the vendor's; koala, our own; auto: ur_rtde if installed",
+    )
     max_joint_speed: float = Field(default=1.05, gt=0, le=np.pi, description="limit of every joint [rad/s]")
     max_joint_acceleration: float = Field(default=1.4, gt=0, le=10, description="limit of every joint [rad/s^2]")
 

@@ -127,9 +127,9 @@ def _arm(description: RigDescription, trajectory: Trajectory, controller: "Contr
     limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
     settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
     if controller is None:
-        return UR5e(robot.host, limits=limits, settling=settling)
+        return UR5e(robot.host, limits=limits, settling=settling, client=robot.client)
     patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
-    return UR5e(controller.host, limits=limits, settling=settling, deadlines=patient, frequency=125.0)
+    return UR5e(controller.host, limits=limits, settling=settling, deadlines=patient, frequency=125.0, client=robot.client)
 
 
 def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, seed: int) -> None:

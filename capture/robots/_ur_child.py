@@ -1,8 +1,8 @@
-"""The process that holds the vendor's client: `python -m capture.robots._ur_child FD '{"host": ..., ...}'`.
+"""The process that holds the client of the controller: `python -m capture.robots._ur_child FD '{"host": ..., ...}'`.
 
-The client can hang, hold the interpreter or crash when a connection breaks; here it may, and the parent kills it. Speaks
-JSON lines over the socket FD. It says {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample and
-{"accepted": id} or {"refused": why} for every motion. It hears {"do": "move" | "stop"}, and ends when the socket closes.
+The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
+exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
+and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop"}. It ends with the socket.
 """
 
 import contextlib
@@ -14,60 +14,15 @@ import sys
 import time
 from typing import Any
 
+from capture.robots.client import Client, StartError, StartFailure, open_client
+
 MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
-"""The client is asked this often in motion and for a while after it (or at twice its frequency, so that no state waits for more than
-half a period), and else [s]."""
+"""Periods of polling the client: in motion and for a while after it (at least twice per sample), and otherwise [s]."""
 KICK_S = 0.05
-VARIABLES = [
-    "timestamp",
-    "actual_q",
-    "actual_qd",
-    "actual_TCP_pose",
-    "robot_mode",
-    "safety_mode",
-    "safety_status_bits",
-    "runtime_state",
-    "target_speed_fraction",
-]
 
 
-class _Client:
-    """Both connections of the vendor's library."""
-
-    def __init__(self, host: str, frequency: float, watchdog_hz: float) -> None:
-        from rtde_control import RTDEControlInterface
-        from rtde_receive import RTDEReceiveInterface
-
-        self.receive = RTDEReceiveInterface(host, frequency, VARIABLES)
-        self.control = RTDEControlInterface(host, frequency)
-        deadline = time.monotonic() + 2.0
-        while not (self.receive.isConnected() and self.control.isConnected() and self.control.isProgramRunning()):
-            if time.monotonic() > deadline:
-                raise RuntimeError("connected, but the control program does not run")
-            time.sleep(0.01)
-        if not self.control.setWatchdog(watchdog_hz):
-            raise RuntimeError("the controller refused the watchdog")
-
-    def state(self) -> dict[str, Any]:
-        """The newest sample, and whether everything is as it must be."""
-        operation = self.control.getAsyncOperationProgressEx()
-        return {
-            "robot_time_s": self.receive.getTimestamp(),
-            "joints": self.receive.getActualQ(),
-            "joint_speeds": self.receive.getActualQd(),
-            "tcp_pose": self.receive.getActualTCPPose(),
-            "speed_fraction": self.receive.getTargetSpeedFraction(),
-            "safety_bits": self.receive.getSafetyStatusBits(),
-            "connected": self.receive.isConnected() and self.control.isConnected(),
-            "running": self.control.isProgramRunning(),
-            "operation": operation.operationId(),
-            "moving": operation.isAsyncOperationRunning(),
-            "host_time_ns": time.monotonic_ns(),
-        }
-
-
-def _serve(client: _Client, link: socket.socket, busy_period_s: float) -> None:
-    """Loop until the link closes; then slow the arm down."""
+def _serve(client: Client, link: socket.socket, busy_period_s: float) -> None:
+    """Loop until the link closes."""
     link.setblocking(False)
     buffer, kicked, stamp, busy_until = b"", 0.0, -1.0, 0.0
     while True:
@@ -75,38 +30,35 @@ def _serve(client: _Client, link: socket.socket, busy_period_s: float) -> None:
         try:
             chunk = link.recv(65536)
             if not chunk:
-                break
+                return
             buffer += chunk
         except BlockingIOError:
-            pass  # nothing was asked
+            pass  # no request
         *lines, buffer = buffer.split(b"\n")
         for line in lines:
             busy_until = begun + BUSY_AFTER_S
-            _say(link, _obey(client, json.loads(line)))
+            _send(link, _obey(client, json.loads(line)))
         if begun - kicked >= KICK_S:
-            client.control.kickWatchdog()
+            client.kick()
             kicked = begun
         state = client.state()
         busy_until = begun + BUSY_AFTER_S if state["moving"] else busy_until
         if state["robot_time_s"] != stamp or not (state["connected"] and state["running"]):
             stamp = state["robot_time_s"]
-            _say(link, {"state": state})
+            _send(link, {"state": state})
         period = busy_period_s if begun < busy_until else IDLE_PERIOD_S
         select.select([link], [], [], max(0.0, period - (time.monotonic() - begun)))
-    client.control.stopJ(2.0, True)
 
 
-def _obey(client: _Client, request: dict[str, Any]) -> dict[str, Any]:
+def _obey(client: Client, request: dict[str, Any]) -> dict[str, Any]:
     if request["do"] == "stop":
-        client.control.stopJ(request["deceleration"], True)
+        client.stop(request["deceleration"])
         return {"stopping": request["number"]}
-    before = client.control.getAsyncOperationProgressEx().operationId()
-    if client.control.moveJ(request["joints"], request["speed"], request["acceleration"], True):
-        return {"accepted": request["number"], "operation_before": before}
-    return {"refused": request["number"]}
+    before = client.move(request["joints"], request["speed"], request["acceleration"])
+    return {"refused": request["number"]} if before is None else {"accepted": request["number"], "operation_before": before}
 
 
-def _say(link: socket.socket, message: dict[str, Any]) -> None:
+def _send(link: socket.socket, message: dict[str, Any]) -> None:
     link.setblocking(True)
     link.settimeout(1.0)
     link.sendall((json.dumps(message) + "\n").encode())
@@ -114,18 +66,20 @@ def _say(link: socket.socket, message: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Connect, serve, and leave without the library's destructors, which sleep and may hang."""
+    """Connect, serve, and leave without the vendor's destructors, which sleep and may hang."""
     link = socket.socket(fileno=int(sys.argv[1]))
     options = json.loads(sys.argv[2])
     try:
-        client = _Client(**options)
-        _say(link, {"ready": True, "tcp_offset": client.control.getTCPOffset()})
+        client = open_client(**options)
+        _send(link, {"ready": True, "tcp_offset": client.tcp_offset(), "client": client.name})
     except (RuntimeError, OSError) as error:
+        failure = error.failure if isinstance(error, StartError) else StartFailure.OTHER
         with contextlib.suppress(OSError):
-            _say(link, {"failed": str(error)})
+            _send(link, {"failed": str(error), "failure": failure})
         os._exit(1)
-    with contextlib.suppress(OSError, KeyboardInterrupt):  # the parent has gone, or the whole group was interrupted
+    with contextlib.suppress(OSError, KeyboardInterrupt):  # the parent has ended, or the whole group was interrupted
         _serve(client, link, min(MAX_BUSY_PERIOD_S, 0.5 / options["frequency"]))
+        client.leave()
     os._exit(0)
 
 

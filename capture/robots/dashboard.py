@@ -1,4 +1,4 @@
-"""A plain client of the UR dashboard server, with a deadline on everything. It can stop the arm when all else hangs."""
+"""A plain client of the UR dashboard server with a deadline on every call. It can stop the arm when everything else hangs."""
 
 import re
 import socket
@@ -21,21 +21,21 @@ class Dashboard:
         """Open the connection and read the greeting.
 
         Raises:
-            RigConnectionError: nobody answers there as a UR controller does.
+            RigConnectionError: no UR controller answers there.
         """
         try:
             link = socket.create_connection((host, PORT), TIMEOUT_S)
         except OSError as error:
+            why, remedy = error.strerror or str(error), "check that it is switched on, the cable, and robot.host in the rig file"
             raise RigConnectionError(
-                "the robot's controller cannot be reached", where=f"{host}:{PORT}", why=error.strerror or str(error),
-                remedy="check that it is switched on, the cable, and robot.host in the rig file",
-            ) from None  # fmt: skip
+                "the robot's controller cannot be reached", where=f"{host}:{PORT}", why=why, remedy=remedy
+            ) from None
         link.settimeout(TIMEOUT_S)
         dashboard = cls(link, host)
         try:
             greeting = dashboard._line()
             if "Dashboard" not in greeting:
-                raise RigConnectionError("is no UR dashboard server", where=f"{host}:{PORT}", why=f"it says {greeting!r}")
+                raise RigConnectionError("not a UR dashboard server", where=f"{host}:{PORT}", why=f"it answers {greeting!r}")
         except RigConnectionError:
             dashboard.close()
             raise
@@ -54,7 +54,7 @@ class Dashboard:
         return self._line(command)
 
     def version(self) -> str:
-        """Software of the controller, "5.11.5.1010327"."""
+        """Software version of the controller, "5.11.5.1010327"."""
         found = re.search(r"\d+(\.\d+)+", self.ask("PolyscopeVersion"))
         return found[0] if found else "unknown"
 
@@ -70,11 +70,11 @@ class Dashboard:
         """Raise NotReady unless the arm could move now."""
         safety, mode = self.safety_status(), self.robot_mode()
         if safety not in ("NORMAL", "REDUCED"):
-            raise NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}",
-                           remedy="find the cause, release it at the pendant, then run again")  # fmt: skip
+            remedy = "find the cause, release it at the pendant, then run again"
+            raise NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}", remedy=remedy)
         if mode != "RUNNING":
-            raise NotReady("the robot is not running", where=self.host, why=f"robot mode {mode}",
-                           remedy="switch the arm on and release the brakes at the pendant")  # fmt: skip
+            remedy = "switch the arm on and release the brakes at the pendant"
+            raise NotReady("the robot is not running", where=self.host, why=f"robot mode {mode}", remedy=remedy)
         if "true" not in self.ask("is in remote control").lower():
             raise NotReady("the robot is in local control", where=self.host, remedy="choose remote control at the pendant")
 
@@ -95,6 +95,6 @@ class Dashboard:
         return line.decode("latin-1").strip()
 
     def _lost(self, command: str, error: OSError) -> RigConnectionError:
-        self.close()  # a late reply must not be taken for that to the next command
-        return RigConnectionError("the dashboard server does not answer", where=f"{self.host}:{PORT}", why=f"{command}: {error}",
-                                  remedy="check the network; the arm stops by its own watchdog")  # fmt: skip
+        self.close()  # a late reply must not be taken as the answer to the next command
+        why, remedy = f"{command}: {error}", "check the network; the arm stops by its own watchdog"
+        return RigConnectionError("the dashboard server does not answer", where=f"{self.host}:{PORT}", why=why, remedy=remedy)

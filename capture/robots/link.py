@@ -1,4 +1,4 @@
-"""The parent's end of the child process that holds the vendor's client."""
+"""The parent's end of the child process that holds the client of the controller."""
 
 import json
 import socket
@@ -8,7 +8,7 @@ import tempfile
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import IO, Any, Self
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class Sample:
 
 
 class ChildLink:
-    """The running child: its newest state, how many there were (`samples`), its answers, and the means to end it."""
+    """The running child: its newest state, how many came (`samples`), its answers, and the ways to end it."""
 
-    def __init__(self, process: "subprocess.Popen[bytes]", link: socket.socket, words: Any) -> None:
-        self.process, self.link, self._words = process, link, words
+    def __init__(self, process: "subprocess.Popen[bytes]", link: socket.socket, output: IO[bytes]) -> None:
+        self.process, self.link, self._output = process, link, output
         self._news = threading.Condition()
         self._sending = threading.Lock()
         self._sample: Sample | None = None
@@ -35,17 +35,21 @@ class ChildLink:
         self._reader.start()
 
     @classmethod
-    def start(cls, host: str, frequency: float, watchdog_hz: float) -> Self:
+    def start(cls, client: str, host: str, frequency: float, watchdog_hz: float) -> Self:
         """Start the child; it connects on its own and answers "ready" or "failed"."""
         ours, theirs = socket.socketpair()
-        words = tempfile.TemporaryFile()
-        options = json.dumps({"host": host, "frequency": frequency, "watchdog_hz": watchdog_hz})
+        output = tempfile.TemporaryFile()
+        options = json.dumps({"choice": client, "host": host, "frequency": frequency, "watchdog_hz": watchdog_hz})
         with theirs:
             process = subprocess.Popen(
                 [sys.executable, "-m", "capture.robots._ur_child", str(theirs.fileno()), options],
-                pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=words, stderr=words, start_new_session=True,
-            )  # fmt: skip
-        return cls(process, ours, words)
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+            )
+        return cls(process, ours, output)
 
     @property
     def alive(self) -> bool:
@@ -53,7 +57,7 @@ class ChildLink:
         return not self._closed and self.process.poll() is None
 
     def request(self, do: str, **arguments: Any) -> int:
-        """Send a request; returns its number for `wait_for`, or 0 where the child has gone or does not listen."""
+        """Send a request; returns its number for `wait_for`, or 0 where the child has ended or does not listen."""
         with self._sending:
             self._number += 1
             message = json.dumps({"do": do, "number": self._number, **arguments}) + "\n"
@@ -63,13 +67,13 @@ class ChildLink:
                 return 0
             return self._number
 
-    def wait_for(self, words: tuple[str, ...], timeout_s: float, *, number: int | None = None) -> dict[str, Any] | None:
-        """The first answer that has one of `words` (and, where given, says `number` to it); None: none came in time."""
+    def wait_for(self, kinds: tuple[str, ...], timeout_s: float, *, number: int | None = None) -> dict[str, Any] | None:
+        """The first answer of one of the `kinds` (and, where given, to the request `number`); None: none came in time."""
         deadline = time.monotonic() + timeout_s
         with self._news:
             while True:
                 for answer in self._answers:
-                    if any(word in answer and number in (None, answer[word]) for word in words):
+                    if any(kind in answer and number in (None, answer[kind]) for kind in kinds):
                         self._answers.remove(answer)
                         return answer
                 left = deadline - time.monotonic()
@@ -96,11 +100,11 @@ class ChildLink:
             self.next_sample(sample, left)
 
     def close(self) -> None:
-        """Let the child slow the arm down and end; kill it where it does not within a second."""
+        """Let the child slow the arm down and end; kill it after a second."""
         try:
             self.link.shutdown(socket.SHUT_RDWR)
         except OSError:
-            pass  # it has gone already
+            pass  # it has ended already
         try:
             self.process.wait(1.0)
         except subprocess.TimeoutExpired:
@@ -108,16 +112,16 @@ class ChildLink:
         self.kill()
 
     def kill(self) -> str:
-        """End the child at once; returns the last line that the vendor's library printed."""
+        """End the child at once; returns the last line that it printed."""
         self.process.kill()
         self.process.wait()
         self._reader.join(1.0)
         self.link.close()
-        if self._words.closed:
+        if self._output.closed:
             return ""
-        self._words.seek(0)
-        lines = self._words.read().decode(errors="replace").strip().splitlines()
-        self._words.close()
+        self._output.seek(0)
+        lines = self._output.read().decode(errors="replace").strip().splitlines()
+        self._output.close()
         return lines[-1].strip() if lines else ""
 
     def _read(self) -> None:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Settling:
-    """When the arm counts as still: every joint slower than `speed` [rad/s] for `time_s`, at the latest after `timeout_s` [s].
+    """The arm is still when every joint was slower than `speed` [rad/s] for `time_s` [s], on the controller's clock.
 
-    The first is measured on the controller's clock, the last on the host's.
+    It is an error where that takes longer than `timeout_s` [s], on the host's clock.
     """
 
     speed: float = 0.001
@@ -17,13 +17,13 @@ class Settling:
 
 @dataclass(frozen=True)
 class Deadlines:
-    """How long to wait, on the host's clock. A busy computer that drives a simulated arm needs longer ones than a real rig."""
+    """How long to wait, on the host's clock. A simulated arm on a busy computer needs longer deadlines than a real rig."""
 
     stale_s: float = 0.2
-    """No new sample for this long: the data stream stands still [s]."""
+    """Without a new sample for this long, the data stream counts as stopped [s]."""
     watchdog_hz: float = 5.0
-    """The controller stops its program when it hears nothing for one period [Hz]."""
+    """The controller stops its program when it receives nothing for one period [Hz]."""
     accept_s: float = 2.0
-    """Until the controller takes a motion [s]."""
+    """Until the controller accepts a motion [s]."""
     connect_s: float = 15.0
     """Until the control program runs [s]."""

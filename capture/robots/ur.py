@@ -1,4 +1,4 @@
-"""A UR5e through the vendor's RTDE client, which lives in a child process because it can hang or crash.
+"""A UR5e. The client of its controller lives in a child process because the vendor's can hang or crash.
 
 The parent keeps every deadline, watches the stream of states, and has a dashboard connection of its own to stop the arm.
 """
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError
 from capture.measurements import RobotState
+from capture.robots.client import ClientChoice, StartFailure
 from capture.robots.dashboard import Dashboard
 from capture.robots.link import ChildLink, Sample
 from capture.robots.timing import Deadlines, Settling
@@ -21,6 +22,11 @@ from datasets import pose
 
 log = logging.getLogger(__name__)
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
+START_REMEDIES = {
+    StartFailure.IN_USE: "end the other program that controls the robot",
+    StartFailure.MISSING: "pip install 'koala-capture[robot]', or use robot.client: koala",
+    StartFailure.OTHER: "check the controller, then run again",
+}
 
 
 class UR5e:
@@ -30,16 +36,17 @@ class UR5e:
     point; its active offset is read on entering, removed here and kept in `description`.
 
     Entering succeeds completely or leaves nothing open; leaving may happen twice. `move_to` returns with the arm within
-    `tolerance` of the target and still. On every exception, Ctrl-C included, the arm has been told to stop. After a fault
-    the connection is gone: enter again. One owner; only `stop` may be called from another thread.
+    `tolerance` of the target and still. On every exception, Ctrl-C included, the arm is ordered to stop. After a fault
+    the connection is closed: enter again. One owner; only `stop` may be called from another thread.
 
     Args:
         host: address of the controller.
-        limits: speeds, accelerations and angles that may be asked for.
+        limits: of speeds, accelerations and angles.
         settling: when the arm counts as still.
-        deadlines: how long to wait for what.
-        tolerance: measured angles are this near to the target at the end of a motion [rad].
-        frequency: samples asked of the controller [Hz].
+        deadlines: how long to wait for each answer.
+        tolerance: largest difference between measured and target angles at the end of a motion [rad].
+        frequency: requested sample rate of the controller [Hz].
+        client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed.
     """
 
     def __init__(
@@ -51,9 +58,11 @@ class UR5e:
         deadlines: Deadlines | None = None,
         tolerance: float = 1e-3,
         frequency: float = 500.0,
+        client: str = ClientChoice.AUTO,
     ) -> None:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
         self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
+        self.client = ClientChoice(client)
         self._dashboard: Dashboard | None = None
         self._link: ChildLink | None = None
         self._tcp_from_flange = np.eye(4)
@@ -68,12 +77,12 @@ class UR5e:
         try:
             self._dashboard = Dashboard.connect(self.host)
             self._dashboard.require_ready()
-            self._dashboard.ask("stop")  # a program left by a killed client would block the next one for minutes
-            self._link = ChildLink.start(self.host, self.frequency, self.deadlines.watchdog_hz)
+            self._dashboard.ask("stop")  # a program left by a killed client blocks the next one for minutes
+            self._link = ChildLink.start(self.client, self.host, self.frequency, self.deadlines.watchdog_hz)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
                 raise self._no_connection(self._link, ready)
-            self._describe(self._dashboard, ready["tcp_offset"])
+            self._describe(self._dashboard, ready["client"], ready["tcp_offset"])
             self._stopped.clear()
             self.state()
         except BaseException:
@@ -96,17 +105,17 @@ class UR5e:
             try:
                 dashboard.ask("stop")
             except RigConnectionError:
-                return  # nobody to tell: the watchdog has ended the program already
+                return  # unreachable: the watchdog ends the program
             finally:
                 dashboard.close()
 
     def state(self) -> RobotState:
-        """The newest state. Raises RigConnectionError where none that is new enough arrives within a second."""
+        """The newest state. Raises RigConnectionError where no new one arrives within a second."""
         sample = self._connected().fresh_sample(self.deadlines.stale_s, timeout_s=1.0 + self.deadlines.stale_s)
         if sample is None:
-            raise self._fault("no state arrives from the robot")
-        if not sample.content["connected"]:  # the vendor's client goes on returning the last values
-            raise self._fault("the connection to the robot was lost")
+            raise self._fault("no state arrives from the robot", RigConnectionError)
+        if not sample.content["connected"]:  # the client goes on returning the last values
+            raise self._fault("the connection to the robot was lost", RigConnectionError)
         numbers = np.asarray(sample.content["tcp_pose"])
         base_from_tcp = pose.from_rotation_vector(numbers[3:], numbers[:3])
         return RobotState(
@@ -124,7 +133,7 @@ class UR5e:
             SafetyError: the target or the speed is outside the limits; nothing has moved.
             ProtectiveStop: the controller has stopped the arm for safety.
             MotionError: it did not arrive, or was stopped; it stands still.
-            RigConnectionError: the connection was lost; the arm has been told to stop, and stops by its watchdog anyway.
+            RigConnectionError: the connection was lost; the arm is ordered to stop, and stops by its watchdog in any case.
         """
         target = self.limits.check(joints, speed, acceleration)
         start = self.state().joints
@@ -133,14 +142,14 @@ class UR5e:
             self._move(target, start, speed, acceleration)
             self._settle(target)
         except CaptureError:
-            raise  # the arm has been stopped where the error was found
+            raise  # the arm was stopped where the error was found
         except BaseException:
             self.stop()
             raise
 
     @property
     def states_received(self) -> int:
-        """How many states have come since entering, each with another time stamp of the controller."""
+        """Number of states received since entering, each with a different time stamp of the controller."""
         return self._connected().samples
 
     def stop(self) -> None:
@@ -152,7 +161,7 @@ class UR5e:
         self._stop_by_dashboard()
 
     def description(self) -> dict[str, Any]:
-        """Model, address, serial number, software and tool offset of the arm."""
+        """Model, address, serial number, software and tool offset of the arm, and the client in use."""
         return dict(self._description)
 
     def _connected(self) -> ChildLink:
@@ -160,14 +169,18 @@ class UR5e:
             raise RigConnectionError("the robot is not connected", where=self.host, remedy="enter the context again")
         return self._link
 
-    def _describe(self, dashboard: Dashboard, tcp_offset: list[float]) -> None:
+    def _describe(self, dashboard: Dashboard, client: str, tcp_offset: list[float]) -> None:
         if len(tcp_offset) != 6:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
         self._tcp_from_flange = pose.inverse(pose.from_rotation_vector(tcp_offset[3:], tcp_offset[:3]))
         self._description = {
-            "model": "UR5e", "host": self.host, "serial": dashboard.ask("get serial number"),
-            "software": dashboard.version(), "tcp_offset": [float(number) for number in tcp_offset],
-        }  # fmt: skip
+            "model": "UR5e",
+            "host": self.host,
+            "serial": dashboard.ask("get serial number"),
+            "software": dashboard.version(),
+            "client": client,
+            "tcp_offset": [float(number) for number in tcp_offset],
+        }
 
     def _move(self, target: NDArray[np.float64], start: NDArray[np.float64], speed: float, acceleration: float) -> None:
         link = self._connected()
@@ -192,15 +205,17 @@ class UR5e:
                 raise self._fault(f"the motion took too long, {left:.1f} degrees are left")
 
     def _refused(self, link: ChildLink) -> CaptureError:
-        """Why the controller did not take a motion: for a moment, look for a reason that says more."""
+        """Why the controller did not accept a motion: waits a moment for a state that gives the reason."""
         deadline, sample = time.monotonic() + 0.3, None
         while time.monotonic() < deadline:
             sample = link.next_sample(sample, timeout_s=0.05) or sample
             if not link.alive or (sample is not None and (_unsafe(sample) or not sample.content["connected"])):
                 break
         if sample is not None and not _unsafe(sample) and sample.content["connected"] and not sample.content["running"]:
-            return self._fault("the controller ended its program instead of moving",
-                               remedy="its log at the pendant says why (a pose that it cannot reach, a limit); then resume")  # fmt: skip
+            return self._fault(
+                "the controller ended its program instead of moving",
+                remedy="its log at the pendant says why (a pose that it cannot reach, a limit); then resume",
+            )
         try:
             self._watch(link, sample, 0.0)
         except CaptureError as error:
@@ -208,7 +223,7 @@ class UR5e:
         return self._fault("the controller did not accept the motion")
 
     def _speed_fraction(self, sample: Sample | None) -> float:
-        """Where the speed slider stands, 0.01 to 1: so much slower are motions, and so much longer their deadlines."""
+        """Position of the speed slider, 0.01 to 1: motions are slower and their deadlines longer by this factor."""
         fraction = 1.0 if sample is None else min(max(float(sample.content["speed_fraction"]), 0.01), 1.0)
         if fraction < 1.0 and fraction != self._slider:
             log.warning("the speed slider stands at %.0f %%: motions take %.1f times as long", 100 * fraction, 1 / fraction)
@@ -216,7 +231,7 @@ class UR5e:
         return fraction
 
     def _settle(self, target: NDArray[np.float64]) -> None:
-        """Return once the arm is still, and at the target; the state after that is the one to record."""
+        """Return once the arm is still and at the target."""
         link, begun, sample, still_since = self._connected(), time.monotonic(), None, None
         heard = begun
         while True:
@@ -232,25 +247,25 @@ class UR5e:
                     break
             if now - begun > self.settling.timeout_s + self.settling.time_s:
                 raise self._fault("the arm does not come to rest")
-        off = float(np.abs(np.asarray(sample.content["joints"]) - target).max())
-        if off > self.tolerance:
-            raise self._fault(f"the arm stopped {np.degrees(off):.3f} degrees from its target")
+        missed = float(np.abs(np.asarray(newer.content["joints"]) - target).max())
+        if missed > self.tolerance:
+            raise self._fault(f"the arm stopped {np.degrees(missed):.3f} degrees from its target")
 
     def _watch(self, link: ChildLink, sample: Sample | None, silence_s: float) -> None:
-        """Raise where anything is not as it must be during a motion."""
+        """Raise where a motion cannot continue."""
         if self._stopped.is_set():
             raise self._stopped_error()
         if not link.alive:
-            raise self._fault("the connection to the robot broke down")
-        if silence_s > self.deadlines.stale_s + (0.0 if sample is not None else 0.3):  # the first may be under way still
-            raise self._fault("the robot's data stream stands still")
+            raise self._fault("the connection to the robot broke down", RigConnectionError)
+        if silence_s > self.deadlines.stale_s + (0.0 if sample is not None else 0.3):  # the first may still be on its way
+            raise self._fault("the robot's data stream stands still", RigConnectionError)
         if sample is None:
             return
         content = sample.content
         if _unsafe(sample):
             raise self._fault("the robot was stopped for safety")
         if not content["connected"]:
-            raise self._fault("the connection to the robot was lost")
+            raise self._fault("the connection to the robot was lost", RigConnectionError)
         if not content["running"]:
             raise self._fault("the robot's program was stopped or paused")
 
@@ -259,34 +274,37 @@ class UR5e:
             self._stop_by_dashboard()
         return MotionError("the motion was stopped on request", where=self.host, why="the arm stands still")
 
-    def _fault(self, what: str, remedy: str = "resume the recording") -> CaptureError:
-        """Stop the arm by every means, close, and find out what happened."""
+    def _fault(self, what: str, kind: type[CaptureError] = MotionError, *, remedy: str = "resume the recording") -> CaptureError:
+        """Stop the arm by every means, close, and find out what happened; an error of `kind` unless the controller knows more."""
         stopped = self._stop_by_dashboard()
         link, self._link = self._link, None
-        words = ""
-        if link is not None:
-            words = link.kill()
-        try:
-            safety, mode = (self._dashboard.safety_status(), self._dashboard.robot_mode()) if self._dashboard else ("", "")
-        except RigConnectionError:
-            safety = mode = ""
+        printed = link.kill() if link is not None else ""
+        safety, mode = self._safety_and_mode()
         self.close()
         if safety == "PROTECTIVE_STOP":
-            return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what,
-                                  remedy="look for the cause, release it at the pendant, then resume")  # fmt: skip
+            remedy = "look for the cause, release it at the pendant, then resume"
+            return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what, remedy=remedy)
         if safety and safety not in ("NORMAL", "REDUCED"):
-            return NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}, robot mode {mode}",
-                            remedy="release it at the pendant, switch the arm on, then resume")  # fmt: skip
+            remedy, why = (
+                "release it at the pendant, switch the arm on, then resume",
+                f"safety status {safety}, robot mode {mode}",
+            )
+            return NotReady("the robot is stopped for safety", where=self.host, why=why, remedy=remedy)
+        why = "the arm was stopped"
         if not stopped:
-            return RigConnectionError(what, where=self.host, why="; ".join(filter(None, ("the dashboard does not answer either", words))),
-                                      remedy="the arm stops by its own watchdog; check network and controller, then resume")  # fmt: skip
-        lost = any(word in what for word in ("connection", "stream", "state"))
-        return (RigConnectionError if lost else MotionError)(
-            what, where=self.host, why="; ".join(filter(None, ("the arm was stopped", words))), remedy=remedy
-        )
+            kind, why = RigConnectionError, "the dashboard does not answer either"
+            remedy = "the arm stops by its own watchdog; check network and controller, then resume"
+        return kind(what, where=self.host, why="; ".join(filter(None, (why, printed))), remedy=remedy)
+
+    def _safety_and_mode(self) -> tuple[str, str]:
+        """What the dashboard says of them; empty where it does not answer."""
+        try:
+            return (self._dashboard.safety_status(), self._dashboard.robot_mode()) if self._dashboard else ("", "")
+        except RigConnectionError:
+            return "", ""
 
     def _stop_by_dashboard(self) -> bool:
-        """Whether the dashboard took the order to stop; tries once more over a new connection."""
+        """Whether the dashboard accepted the order to stop; tries again over a new connection."""
         with self._dashboard_lock:
             for attempt in range(2):
                 try:
@@ -308,11 +326,15 @@ class UR5e:
         return False
 
     def _no_connection(self, link: ChildLink, answer: dict[str, Any] | None) -> CaptureError:
-        why = answer["failed"] if answer else f"no answer within {self.deadlines.connect_s:.0f} s. {link.kill()}".strip()
-        remedy = "end the other program that controls the robot" if "use" in why else "check the controller, then run again"
+        if answer:
+            why = answer["failed"]
+        else:
+            silence = f"no answer within {self.deadlines.connect_s:.0f} s" if link.alive else "its client ended"
+            why = f"{silence}. {link.kill()}".strip()
+        remedy = START_REMEDIES[StartFailure(answer["failure"]) if answer else StartFailure.OTHER]
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
 
 
 def _unsafe(sample: Sample) -> bool:
-    """Whether the controller says that it has stopped the arm for safety."""
+    """Whether the controller has stopped the arm for safety."""
     return bool(sample.content["safety_bits"] & (PROTECTIVE_BIT | EMERGENCY_BIT))

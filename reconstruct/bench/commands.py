@@ -90,9 +90,10 @@ def machine_command(
     from reconstruct.bench import context
     from reconstruct.bench.cost import kernels, machine
     from reconstruct.models import load_config
+    from reconstruct.sampling.create import sampler_type
 
     config = load_config(model, "fast")
-    if config.sampler.kind != "occupancy":
+    if not sampler_type(config.sampler).rules_out_space:
         raise UsageError("kernels cannot be measured", where=model, why="only models with an occupancy grid are supported")
     with console.progress("measuring", 1 if limits_only else 13, "kernels") as bar:
         limits = machine.limits()

@@ -54,22 +54,24 @@ def chosen_views(scene: Scene, count: int) -> Scene:
 
 def trained_work(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     """Train, and measure the work, by the names of `records.WORK`."""
+    import jax
+
     from reconstruct.models import load_config
+    from reconstruct.rendering.model import Model
     from reconstruct.run import Run
     from reconstruct.scene.rays import scaled_camera
     from reconstruct.training.loop import train
-    from reconstruct.training.step import StepFunctions
 
     config = load_config(trial.model, trial.preset, [f"scale={trial.scale}", f"train.seed={trial.seed}"])
     clock, processor = time.perf_counter(), time.process_time()
     found = train(scene, place, config, out, budget_s=trial.budget_s)
     elapsed, processor = time.perf_counter() - clock, time.process_time() - processor
     run = Run.open(out)
-    functions = StepFunctions(run.config, run.normalisation)
-    rate = found["steps"] / max(found["training_s"], 1e-9)
+    sampler = Model.create(jax.random.key(0), run.config, run.facts).sampler
+    rate = run.config.train.accumulate * found["steps"] / max(found["training_s"], 1e-9)
     camera = scaled_camera(scene.split("train")[0], trial.scale)
     kept = ("steps", "training_s", "preparation_s", "compilation_s", "skipped_steps")
-    rates = {"rays_per_s": rate * functions.rays_per_step, "samples_per_s": rate * functions.samples_per_step}
+    rates = {"rays_per_s": rate * sampler.rays_drawn, "samples_per_s": rate * sampler.samples_drawn}
     images = {"width": camera.width, "height": camera.height, "train_views": len(scene.split("train"))}
     machine = {"cores_used": processor / elapsed, "device": run.content.get("device")}
     return {**{name: found[name] for name in kept}, **rates, **images, **machine, "occupied": run.log()[-1].get("occupied")}

@@ -1,8 +1,8 @@
 """From what the spatial network knows of a point to its colour: one class per way to look at light.
 
     Reflection    Ref-NeRF (Verbin et al. 2022, section 3): srgb(diffuse + tint * specular(reflected direction, roughness, n . v))
-    Matte         srgb(diffuse), from wherever it is seen
-    ViewColour    NeRF, Mip-NeRF, Zip-NeRF: colour(view direction); with a diffuse colour, srgb(diffuse + specular(view direction))
+    Matte         srgb(diffuse), from all sides
+    ViewColour    NeRF, Mip-NeRF, Zip-NeRF: colour(view direction); with a diffuse colour srgb(diffuse + specular(direction))
 
 Points, directions and channels come first: (3, n), (channels, n).
 """
@@ -55,6 +55,16 @@ class Shading(eqx.Module):
 
 
 @dataclass(frozen=True)
+class Start:
+    """Where the object and the cameras are; None where that is not known."""
+
+    towards: tuple[float, float, float] | None = None
+    """Mean direction from the object to the cameras."""
+    half_box: tuple[float, float, float] | None = None
+    """Half the size of the object's box [scene unit], where there is something around it."""
+
+
+@dataclass(frozen=True)
 class StartNormals:
     """Normals before anything is learned: those of a ball about the object, turned towards where the cameras are.
 
@@ -66,9 +76,9 @@ class StartNormals:
     towards: tuple[float, float, float]
 
     @classmethod
-    def of(cls, field: FieldConfig) -> "StartNormals":
-        """As configured; turned nowhere where the scene was not looked at."""
-        return cls(field.outward, field.towards or (0.0, 0.0, 0.0))
+    def of(cls, field: FieldConfig, start: Start) -> "StartNormals":
+        """Not turned where the cameras' direction is not known."""
+        return cls(field.outward, start.towards or (0.0, 0.0, 0.0))
 
     def at(self, points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
         """Not unit: its length says how much the network must say to turn it."""
@@ -87,9 +97,9 @@ class StartMatte:
     half_box: tuple[float, float, float]
 
     @classmethod
-    def of(cls, field: FieldConfig) -> "StartMatte":
-        """As configured; nowhere where the scene was not looked at, or is all object."""
-        return cls(field.matte_around if field.half_box else 0.0, field.half_box or (0.0, 0.0, 0.0))
+    def of(cls, field: FieldConfig, start: Start) -> "StartMatte":
+        """Nowhere, if the box is not known or nothing is around it."""
+        return cls(field.matte_around if start.half_box else 0.0, start.half_box or (0.0, 0.0, 0.0))
 
     def at(self, points: Float[Array, "3 n"]) -> Float[Array, "#1 #n"]:
         """Added to raw diffuse colours and taken from raw tints; whole from `RAMP` beside the box on."""
@@ -121,21 +131,23 @@ class Reflection(eqx.Module):
     predicts_normals: ClassVar[bool] = True
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "Reflection":
+    def create(cls, key: PRNGKeyArray, field: FieldConfig, start: Start) -> "Reflection":
         """Fresh weights for the given sizes."""
         channels = field.bottleneck + ide_channels(field.ide_degree) + 1
         network = _view_network(key, channels, field)
         biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
-        return cls(network, field.ide_degree, *biases, StartNormals.of(field), StartMatte.of(field))
+        return cls(network, field.ide_degree, *biases, StartNormals.of(field, start), StartMatte.of(field, start))
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
         matte = self.matte.at(points)
         return Material(
-            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias + matte), tint=jax.nn.sigmoid(raw[3:6] - matte),
-            roughness=jax.nn.softplus(raw[6:7] + self.roughness_bias), normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
+            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias + matte),
+            tint=jax.nn.sigmoid(raw[3:6] - matte),
+            roughness=jax.nn.softplus(raw[6:7] + self.roughness_bias),
+            normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
             bottleneck=raw[10:],
-        )  # fmt: skip
+        )
 
     def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`; `normals` instead of the predicted ones where given."""
@@ -208,12 +220,12 @@ class Matte(eqx.Module):
 Appearance = Reflection | Matte | ViewColour
 
 
-def create_appearance(key: PRNGKeyArray, field: FieldConfig) -> Appearance:
-    """The appearance that a configuration names."""
+def create_appearance(key: PRNGKeyArray, field: FieldConfig, start: Start | None = None) -> Appearance:
+    """The appearance that a configuration names. `start`: where the object is; None: as far as the configuration says so."""
+    start = start or Start(field.towards, field.half_box)
     if field.appearance == "diffuse":
-        return Matte(field.diffuse_bias, StartNormals.of(field))
-    kind = Reflection if field.appearance == "reflection" else ViewColour
-    return kind.create(key, field)
+        return Matte(field.diffuse_bias, StartNormals.of(field, start))
+    return Reflection.create(key, field, start) if field.appearance == "reflection" else ViewColour.create(key, field)
 
 
 def _view_network(key: PRNGKeyArray, channels: int, field: FieldConfig) -> Mlp:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from reconstruct.field.contraction import contract, contraction_scale, pull_back
 from reconstruct.field.encodings.encoding import Encoding, Scale
+from reconstruct.numerics.compiling import barrier
 from reconstruct.scene.rays import Rays
 
 GAUSSIAN_SCALE = 0.5
@@ -38,7 +39,7 @@ class Cloud(eqx.Module):
 
     def encoded(self, encoding: Encoding) -> Float[Array, "channels n"]:
         """Features of each place."""
-        points, scale = jax.lax.optimization_barrier(self.contracted())
+        points, scale = barrier(self.contracted())
         if not self.followed:
             return self._averaged(encoding(points, scale))
         held = jax.lax.stop_gradient(points)
@@ -48,7 +49,7 @@ class Cloud(eqx.Module):
 
     def encoded_with_jacobian(self, encoding: Encoding) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""
-        points, scale = jax.lax.optimization_barrier(self.contracted())
+        points, scale = barrier(self.contracted())
         features, jacobian = encoding.value_and_jacobian(points, scale)
         if not self.bounded:
             jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)

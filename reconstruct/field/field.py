@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import EncodingConfig, FieldConfig
-from reconstruct.field.appearance import Appearance, Material, Shading, create_appearance
+from reconstruct.field.appearance import Appearance, Material, Shading, Start, create_appearance
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.encodings.create import create_encoding
 from reconstruct.field.encodings.encoding import Encoding
@@ -26,16 +26,37 @@ class Field(eqx.Module):
     spatial: Mlp
     appearance: Appearance
     density_bias: float = eqx.field(static=True)
+    deferred: bool = eqx.field(static=True)
+    """Whether a ray is shaded once, on its composited material, or at each of its samples."""
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, encoding: EncodingConfig, field: FieldConfig) -> "Field":
-        """Fresh weights for the given sizes."""
+    def create(
+        cls,
+        key: PRNGKeyArray,
+        encoding: EncodingConfig,
+        field: FieldConfig,
+        *,
+        volume: float | None = None,
+        start: Start | None = None,
+    ) -> "Field":
+        """Fresh weights for the given sizes.
+
+        Args:
+            volume: see `create_encoding`.
+            start: where the object is, for appearances that begin differently around it.
+        """
         encoding_key, spatial_key, view_key = jax.random.split(key, 3)
-        encoded, appearance = create_encoding(encoding_key, encoding), create_appearance(view_key, field)
-        spatial = Mlp.create(spatial_key, channels=encoded.num_channels, width=field.spatial_width, depth=field.spatial_depth,
-                             outputs=1 + appearance.heads + field.bottleneck,
-                             skip=field.spatial_skip)  # fmt: skip
-        return cls(encoded, spatial, appearance, field.density_bias)
+        encoded = create_encoding(encoding_key, encoding, volume)
+        appearance = create_appearance(view_key, field, start)
+        spatial = Mlp.create(
+            spatial_key,
+            channels=encoded.num_channels,
+            width=field.spatial_width,
+            depth=field.spatial_depth,
+            outputs=1 + appearance.heads + field.bottleneck,
+            skip=field.spatial_skip,
+        )
+        return cls(encoded, spatial, appearance, field.density_bias, field.shading == "deferred")
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:
         """Density alone [1 / scene unit]."""

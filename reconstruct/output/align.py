@@ -11,7 +11,6 @@ robust spread of the first errors, sigma the accuracy of the poses as calibrated
 
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,13 +18,13 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from datasets.scene import View
+from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.model import cloud_of, render
-from reconstruct.rendering.pictures import sampled_rays
+from reconstruct.rendering.model import Model, render
+from reconstruct.sampling.footprint import cloud_of
 from reconstruct.scene.poses import corrected
 from reconstruct.scene.rays import Rays, over, read_scaled, view_rays
 from reconstruct.scene.twists import moved
-from reconstruct.training.step import StepFunctions, TrainState
 
 PIXELS = 2048
 """Maximum number of pixels used for the alignment; at most half of the view's."""
@@ -55,8 +54,8 @@ class Aligner:
     trained: TrainedModel
 
     def __post_init__(self) -> None:
-        functions, behind = self.trained.functions, jnp.asarray(self.trained.renderer.behind)
-        self._linearised = eqx.filter_jit(lambda state, rays, twist: _linearised(functions, state, rays, twist, behind))
+        bounded, behind = self.trained.run.normalisation.bounded, jnp.asarray(self.trained.renderer.behind)
+        self._linearised = compiled(lambda model, rays, twist: _linearised(model, rays, twist, behind, bounded))
 
     def __call__(self, view: View) -> Aligned:
         """Align a view to its image."""
@@ -96,7 +95,7 @@ class Aligner:
 
     def _errors(self, rays: Rays, target: NDArray[np.float32], twist: NDArray[np.float64], sigma: NDArray[np.float64]):
         """(n,) colour errors and (n, 6) their slopes per standard deviation of the pose; zeros for dropped rays."""
-        rgb, slopes, used = (np.asarray(v) for v in self._linearised(self.trained.state, rays, jnp.asarray(twist, jnp.float32)))
+        rgb, slopes, used = (np.asarray(v) for v in self._linearised(self.trained.model, rays, jnp.asarray(twist, jnp.float32)))
         error = (rgb - target) * used[:, None]
         return error.reshape(-1).astype(np.float64), (slopes * used[:, None, None]).reshape(-1, 6) * sigma
 
@@ -108,28 +107,22 @@ def _cost(error: NDArray[np.float64], twist: NDArray[np.float64], spread: float)
 
 
 def _linearised(
-    functions: StepFunctions, state: TrainState, rays: Rays, twist: Float[Array, " 6"], behind: Float[Array, " 3"]
+    model: Model, rays: Rays, twist: Float[Array, " 6"], behind: Float[Array, " 3"], bounded: bool
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 6"], Array]:
     """Colours of rays after a twist, their derivative with respect to a further twist, and which rays were not dropped.
 
     A ray's colour depends on no other ray: one backward pass per colour gives its slopes along every ray at once.
     """
     rays = moved(rays, twist[None])
-    samples, footprint, fits = sampled_rays(functions, state, rays)
+    found = model.sampler.look(rays)
 
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         shifted = Rays(origins, directions, rays.radii)
-        cloud = cloud_of(shifted, samples, bounded=functions.normalisation.bounded, footprint=footprint)
-        rendered, _ = render(
-            state.model.field,
-            shifted,
-            samples,
-            replace(cloud, followed=True),
-            deferred=functions.config.field.shading == "deferred",
-        )
+        cloud = cloud_of(shifted, found.samples, bounded=bounded, footprint=found.footprint)
+        rendered, _ = render(model.field, shifted, found.samples, replace(cloud, followed=True))
         return jnp.clip(rendered.over(behind[None]), 0, 1)
 
     rgb, pull = jax.vjp(colours, rays.origins, rays.directions)
     per_colour = [pull(jnp.zeros_like(rgb).at[:, channel].set(1.0)) for channel in range(3)]
     slopes = [jnp.concatenate([shift, jnp.cross(rays.directions, turn)], -1) for shift, turn in per_colour]
-    return rgb, jnp.stack(slopes, 1), fits
+    return rgb, jnp.stack(slopes, 1), found.fits

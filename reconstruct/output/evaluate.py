@@ -59,7 +59,7 @@ def evaluate(
     trained.warm_up(views[0])
     compilation_s = time.perf_counter() - start
     measured = _measured(trained, views, lpips)
-    camera, steps = trained.camera(views[0]), int(trained.state.step)
+    camera, steps = trained.camera(views[0]), trained.step
     result = summary(split, measured, [camera.width, camera.height], lpips)
     result |= {"scale": trained.run.config.scale, "steps": steps, "compilation_s": compilation_s}
     if align:

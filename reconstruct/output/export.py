@@ -54,7 +54,7 @@ def render_along(trained: TrainedModel, frames: Sequence[NDArray[np.float64]], o
     files.refuse_existing(out)
     view = trained.scene.views[0]
     camera = trained.camera(view).undistorted()
-    pictures = (trained.renderer.picture(trained.state, replace(view, world_from_camera=frame), camera) for frame in frames)
+    pictures = (trained.renderer.picture(trained.model, replace(view, world_from_camera=frame), camera) for frame in frames)
     _write(((f"{number:04d}", picture) for number, picture in enumerate(pictures)), len(frames), out)
     return {"out": str(out), "views": len(frames)}
 

@@ -25,10 +25,11 @@ from datasets.scene import View
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.numerics.volume import volume_weights
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.volume import volume_weights
-from reconstruct.surface import losses
-from reconstruct.surface.sphere import ball_samples, first_surface, shell_radii, sphere_directions
+from reconstruct.surface.ball import Ball, ball_samples, shell_radii, sphere_directions
+from reconstruct.surface.first_surface import first_surface
+from reconstruct.surface.regularisers import direction_likeness
 from reconstruct.training.loop import start
 
 STEPS = 600
@@ -178,7 +179,7 @@ def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray
     """
     outward = sphere_directions(HEMISPHERE)
     outward = outward[outward @ normal > 0.02]
-    field, bounded = trained.state.model.field, trained.run.normalisation.bounded
+    field, bounded = trained.model.field, trained.run.normalisation.bounded
     _, material = field(Cloud(jnp.asarray(position, jnp.float32)[:, None], None, bounded))
     repeated = Material.unstacked(jnp.repeat(material.stacked(), len(outward), axis=1))
     shading = field.shade(repeated, jnp.asarray(-outward.T, jnp.float32))
@@ -211,13 +212,13 @@ def draw_bias(trained: TrainedModel) -> Figure:
 
 def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angular", seed: int = 0) -> Figure:
     """D.1: directions flipped into the visible hemisphere and their graph, as a polar map about the normal and from above."""
-    drawn, _ = ball_samples(jax.random.key(seed), 1, count, 0.0, "lattice")
+    drawn, _ = ball_samples(jax.random.key(seed), 1, Ball(count, reach=1.0))
     directions = np.asarray(drawn[0], np.float64)
     flipped = (directions @ normal) < 0
     visible = np.where(flipped[:, None], -directions, directions)
     across, up = _tangents(normal)
     local = np.stack([visible @ across, visible @ up, visible @ normal], -1)
-    likeness = np.asarray(losses.direction_likeness(jnp.asarray(-visible[None], jnp.float32), form))[0] - 4 * np.eye(count)
+    likeness = np.asarray(direction_likeness(jnp.asarray(-visible[None], jnp.float32), form))[0] - 4 * np.eye(count)
     nearest = np.argsort(-likeness, axis=1)[:, :neighbours]
     azimuth, elevation = angles_of(local)
     figure = Figure(figsize=(11, 4.6), layout="constrained")

@@ -112,7 +112,7 @@ def _measured(trained: TrainedModel) -> dict[str, Any]:
     """The run's metrics if they belong to this state; otherwise new ones."""
     path = trained.run.path / METRICS
     result = files.read_json(path, kind=FORMAT, version=VERSION) if path.is_file() else {}
-    return result if result.get("steps") == int(trained.state.step) else evaluate(trained)
+    return result if result.get("steps") == trained.step else evaluate(trained)
 
 
 def side_by_side(truth: dict[str, NDArray[np.float32]], picture: Picture) -> dict[str, Pair]:

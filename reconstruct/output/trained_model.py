@@ -7,12 +7,12 @@ import jax
 
 from datasets.camera_model import Camera
 from datasets.scene import Scene, View
+from reconstruct import checkpoint
+from reconstruct.rendering.model import Model
 from reconstruct.rendering.pictures import Picture, Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
 from reconstruct.scene.rays import scaled_camera, view_rays
-from reconstruct.training import checkpoint
-from reconstruct.training.step import StepFunctions, TrainState
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,9 @@ class TrainedModel:
     run: Run
     scene: Scene
     """With refined poses of the training views, if the run refined them."""
-    functions: StepFunctions
-    state: TrainState
+    model: Model
+    step: int
+    """Steps of the training."""
     renderer: Renderer
 
     @classmethod
@@ -36,10 +37,9 @@ class TrainedModel:
         """
         run = Run.open(path)
         scene = run.scene()
-        functions = StepFunctions(run.config, run.normalisation)
-        state, _ = checkpoint.load(run.path / CHECKPOINTS, functions.initial(jax.random.key(0), None))
-        scene = poses.refined(scene, run.normalisation, state.model.poses)
-        return cls(run, scene, functions, state, Renderer(functions))
+        model, step = checkpoint.load_model(run.path / CHECKPOINTS, Model.create(jax.random.key(0), run.config, run.facts))
+        scene = poses.refined(scene, run.normalisation, model.poses)
+        return cls(run, scene, model, step, Renderer(run.normalisation))
 
     def camera(self, view: View) -> Camera:
         """A view's camera at the scale of the training."""
@@ -47,8 +47,8 @@ class TrainedModel:
 
     def picture(self, view: View) -> Picture:
         """Render all channels of a view at the scale of the training."""
-        return self.renderer.picture(self.state, view, self.camera(view))
+        return self.renderer.picture(self.model, view, self.camera(view))
 
     def warm_up(self, view: View) -> None:
         """Compile what `picture` needs for views of this size."""
-        self.renderer.warm_up(self.state, *view_rays(view, self.run.normalisation, self.camera(view)))
+        self.renderer.warm_up(self.model, *view_rays(view, self.run.normalisation, self.camera(view)))

@@ -18,6 +18,7 @@ from viser import uplot
 from datasets.page import Page, PicturePanel, shapes
 from datasets.scene import View
 from datasets.structure import bounds
+from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.page.compose import (
@@ -37,8 +38,7 @@ from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoin
 from reconstruct.page.status import curves, is_training, skips_text, status_text
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene.rays import view_rays
-from reconstruct.training import checkpoint
-from reconstruct.training.pause import Guest
+from reconstruct.training.pause import PauseRequests
 
 if TYPE_CHECKING:
     import trimesh
@@ -74,7 +74,7 @@ class RunPage:
         self._surface: viser.SceneNodeHandle | None = None
         self._sending = threading.Lock()
         """Held while a picture is sent or removed, so that none arrives after its channel was left."""
-        self.guest, self.training = Guest(run.path), is_training(run)
+        self.pauses, self.training = PauseRequests(run.path), is_training(run)
         self.loop = RenderLoop(page, self._paint, moved=self._moved)
         first = self.train_views[0]
         self.page.look(first.world_from_camera[:3, 3], self.centre, up=shapes.upright(list(matrices)), size=self.reach)
@@ -129,7 +129,7 @@ class RunPage:
     def _moved(self) -> None:
         """A browser's camera moves: slow a running training down as the slider says."""
         if self.training:
-            self.guest.moving(self.pace.value / 100)
+            self.pauses.request(self.pace.value / 100)
 
     def _levels(self) -> int:
         """Number of levels to render; a running training shares the processor."""
@@ -203,14 +203,14 @@ class RunPage:
         cut = max(self.cut.value * normalisation.scale - normalisation.near, 0.0)
         origins = origins + np.float32(cut) * directions  # rays start at the plane: their z is 1
         beyond = np.inf if self.beyond.value >= self.beyond.max else self.beyond.value * normalisation.scale - cut
-        renderer, state = trained.renderer, trained.state
+        renderer, model = trained.renderer, trained.model
         parts: list[Values] = []
         for start in range(0, len(origins), SLICE):
             if cancelled():
                 return None
             rows = np.minimum(np.arange(start, start + SLICE), len(origins) - 1)
             slices = (origins[rows], directions[rows], radii[rows])
-            parts.append(renderer.rays(state, *slices, normals=normals, furthest=beyond))
+            parts.append(renderer.rays(model, *slices, normals=normals, furthest=beyond))
         joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
         shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}
         depth = (shaped["depth"] + cut) * (shaped["depth"] > 0) / normalisation.scale
@@ -262,8 +262,8 @@ class RunPage:
             if self.trained is None:
                 self.trained = TrainedModel.open(self.run.path)
             else:
-                state, _ = checkpoint.load(self.run.path / CHECKPOINTS, self.trained.state)
-                self.trained = replace(self.trained, state=state)
+                model, step = checkpoint.load_model(self.run.path / CHECKPOINTS, self.trained.model)
+                self.trained = replace(self.trained, model=model, step=step)
         except (OSError, ReconstructError) as error:
             logger.info("checkpoint not taken: %s", error)
             return False
@@ -273,7 +273,7 @@ class RunPage:
         """Update step, status, curves and skips."""
         log = self.run.log()
         if self.trained is not None:
-            self._state.content = f"**{self.scene.name}**, {self.run.config.model}, step {int(self.trained.state.step)}"
+            self._state.content = f"**{self.scene.name}**, {self.run.config.model}, step {self.trained.step}"
         self._skips.content = skips_text(self.run) or "*nothing recorded*"
         text = status_text(log, self.run)
         if text == self._log.content:

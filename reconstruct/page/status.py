@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from viser import uplot
 
+from reconstruct import checkpoint
 from reconstruct.run import CHECKPOINTS, LOG, Run
-from reconstruct.training import checkpoint
 from reconstruct.training.skipping import record
 
 QUIET_S = 300.0

@@ -4,6 +4,8 @@ Surroundings fill most of a picture and say little of the object's shape. A step
 tells which of them meet matter in the object's box, and those are taken sooner.
 """
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -21,6 +23,16 @@ CANDIDATES = 4
 anything, and what is around it is as much of the scene."""
 BESIDE = 0.1
 """Weight of a ray that meets nothing in the box; each that surely meets something has 1 more."""
+
+
+@dataclass(frozen=True)
+class Focus:
+    """What is preferred, and by how much."""
+
+    half_box: tuple[float, float, float]
+    """Half the size of the object's box about the origin [scene unit]; it lies in the unit ball."""
+    candidates: int
+    """Rays drawn for each that a step takes."""
 
 
 def weights(

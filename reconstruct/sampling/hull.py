@@ -47,16 +47,16 @@ def cells_in_masks(
         margin = int(np.ceil((slack[0] / normalisation.scale / nearest + slack[1]) * camera.fx))
         reach = int(np.ceil(half_diagonal * camera.fx / nearest)) + 1 + margin
         mask = maximum_filter(masks[index].reshape(camera.height, camera.width), size=2 * min(reach, 32) + 1)
-        pixels = camera.project(np.where(depth[:, None] > 1e-6, points, [0, 0, 1.0])) if len(points) else np.zeros((0, 2))
-        column, row = np.floor(np.clip(pixels, -1e6, 1e6)).astype(int).T
-        seen = (
+        projected = camera.project(np.where(depth[:, None] > 1e-6, points, [0, 0, 1.0])) if len(points) else np.zeros((0, 2))
+        column, row = np.floor(np.clip(projected, -1e6, 1e6)).astype(int).T
+        shown = (
             (depth > 1e-6)
             & (np.minimum(column, row) >= margin)
             & (column < camera.width - margin)
             & (row < camera.height - margin)
         )
         keep = np.ones(len(alive), bool)
-        keep[seen] = mask[row[seen], column[seen]]
+        keep[shown] = mask[row[shown], column[shown]]
         alive = alive[keep]
     possible = np.zeros(len(centres), bool)
     possible[alive] = True

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float16, Int, PRNGKeyArray
 
 UNKNOWN = 0.02
-"""Optical depth of a step through a cell that nobody looked at yet."""
+"""Optical depth of a step through a cell in which the field was not evaluated yet."""
 FAINTEST, OPAQUE = 1e-4, 1.0
 """Bounds of the optical depth of a step through an occupied cell: its largest density says little about its other parts."""
 
@@ -20,7 +20,7 @@ class Occupancy(eqx.Module):
     """State of the grids."""
 
     density: Float[Array, " cells"]
-    """Largest density seen lately in each cell [1 / scene unit]; infinite until it was looked at."""
+    """Largest recent density in each cell [1 / scene unit]; infinite until it was evaluated."""
     depth: Float16[Array, " cells"]
     """Optical depth of a step through the cell where it is occupied, zero elsewhere: what sampling goes by."""
     extent: Float[Array, " cells"]
@@ -52,8 +52,8 @@ class Occupancy(eqx.Module):
         visits = np.random.default_rng(np.asarray(jax.random.key_data(key))).permutation(np.flatnonzero(cells))
         density = jnp.where(jnp.asarray(cells), jnp.inf, 0.0)
         depth = jnp.where(jnp.asarray(cells), UNKNOWN, 0.0).astype(jnp.float16)
-        return cls(density, depth, jnp.asarray(extent), jnp.asarray(visits, jnp.int32),
-                   jnp.zeros((), jnp.int32), grid, outer_grid if outer else 0)  # fmt: skip
+        order, cursor = jnp.asarray(visits, jnp.int32), jnp.zeros((), jnp.int32)
+        return cls(density, depth, jnp.asarray(extent), order, cursor, grid, outer_grid if outer else 0)
 
     def cell(self, x: Float[Array, "..."], y: Float[Array, "..."], z: Float[Array, "..."]) -> Int[Array, "..."]:
         """Index of the cell that holds a point of the contracted scene; clipped to the grid."""
@@ -64,7 +64,7 @@ class Occupancy(eqx.Module):
         return jnp.where(inside, inner, self.grid**3 + _cell(x, y, z, self.outer_grid, 2.0))
 
     def updated(self, density_of, key: PRNGKeyArray, count: int, optical_depth: float) -> "Occupancy":
-        """Look at the next `count` cells at a random place inside each, forget a little, and decide anew.
+        """Evaluate the next `count` cells at a random place inside each, forget a little, and decide anew.
 
         Args:
             density_of: (3, n) points of the contracted scene to (n,) densities.
@@ -83,8 +83,8 @@ class Occupancy(eqx.Module):
         mean = jnp.sum(jnp.where(known, depth, 0)) / jnp.maximum(jnp.sum(known & (self.density > 0)), 1)
         occupied = depth > jnp.clip(mean / 2, 0.01 * optical_depth, optical_depth)
         cursor = (self.cursor + count) % self.visits.shape[0]
-        looked = eqx.tree_at(lambda o: (o.density, o.cursor), self, (density, cursor))
-        return looked.with_occupied(occupied)
+        evaluated = eqx.tree_at(lambda o: (o.density, o.cursor), self, (density, cursor))
+        return evaluated.with_occupied(occupied)
 
     @property
     def occupied(self) -> Bool[Array, " cells"]:
@@ -96,8 +96,8 @@ class Occupancy(eqx.Module):
         depth = jnp.where(jnp.isfinite(self.density), jnp.clip(self.density * self.extent, FAINTEST, OPAQUE), UNKNOWN)
         return eqx.tree_at(lambda o: o.depth, self, jnp.where(occupied, depth, 0.0).astype(jnp.float16))
 
-    def seen(self, cells: Int[Array, " n"], density: Float[Array, " n"]) -> "Occupancy":
-        """Take note of densities that training met anyway."""
+    def noted(self, cells: Int[Array, " n"], density: Float[Array, " n"]) -> "Occupancy":
+        """The same with the largest densities that training has met."""
         return eqx.tree_at(lambda o: o.density, self, self.density.at[cells].max(density, mode="promise_in_bounds"))
 
     def _points(self, cells: Int[Array, " n"], offset: Float[Array, "3 n"]) -> Float[Array, "3 n"]:

@@ -8,17 +8,20 @@ what is occupied.
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from reconstruct.field.contraction import contract_coordinates
+from reconstruct.numerics.compiling import barrier
+from reconstruct.numerics.sums import sum_before
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.rays import Rays
 
 BLOCK = 32
-UNSEEN = 0.02
-"""Importance of an occupied step that the grid believes hidden, beside 1 for an opaque one in plain sight."""
+"""Steps whose probabilities are summed by one product; the number of steps is a multiple of it."""
+HIDDEN = 0.02
+"""Importance of an occupied step that the grid believes hidden; that of an opaque, visible one is 1."""
 
 
 def expected_depth(
@@ -28,8 +31,7 @@ def expected_depth(
     t = steps.at(jnp.arange(steps.count, dtype=jnp.float32) + jitter[:, None])
     x, y, z = (rays.origins[:, i, None] + t * rays.directions[:, i, None] for i in range(3))
     if not bounded:
-        inverse = jax.lax.rsqrt(jnp.maximum(x * x + y * y + z * z, 1.0))  # `contract`, written out: this loop is hot
-        x, y, z = (v * ((2 - inverse) * inverse) for v in (x, y, z))
+        x, y, z = contract_coordinates(x, y, z)
     depth = occupancy.depth.at[occupancy.cell(x, y, z)].get(mode="promise_in_bounds").astype(jnp.float32)
     counts = (steps.front, steps.inside, steps.behind)
     has_length = (steps.enter > steps.near, steps.leave > steps.enter, steps.far > steps.leave)
@@ -39,8 +41,8 @@ def expected_depth(
 
 def draw_probability(depth: Float[Array, "n steps"], wanted: int) -> Float[Array, "n steps"]:
     """Probability that each step is drawn: at most 1, zero where the depth is, `wanted` in all where so many are occupied."""
-    importance = depth * jnp.exp(-_before(depth)) + UNSEEN
-    importance = jax.lax.optimization_barrier(jnp.where(depth > 0, importance, 0.0))
+    importance = depth * jnp.exp(-sum_before(depth, BLOCK)) + HIDDEN
+    importance = barrier(jnp.where(depth > 0, importance, 0.0))
     factor = wanted / jnp.maximum(jnp.sum(importance, -1, keepdims=True), 1e-9)
     for _ in range(3):  # what is certain already leaves its share to the others
         certain = importance * factor >= 1
@@ -52,19 +54,10 @@ def draw_probability(depth: Float[Array, "n steps"], wanted: int) -> Float[Array
 
 def draw(probability: Float[Array, "n steps"], offset: Float[Array, " n"]) -> UInt32[Array, "n words"]:
     """Systematic draw: one bit per step, set where the running sum of probabilities passes `offset` plus an integer."""
-    after = _before(probability) + probability
+    after = sum_before(probability, BLOCK) + probability
     passed = jnp.floor(after + offset[:, None])
     passed_before = jnp.pad(passed[:, :-1], ((0, 0), (1, 0)))
     return _as_bits((passed > passed_before) & (probability > 0))
-
-
-def _before(values: Float[Array, "n steps"]) -> Float[Array, "n steps"]:
-    """Sum of the entries before each one, by blocks: products with a small triangular matrix beat a scan."""
-    blocks = values.reshape(values.shape[0], -1, BLOCK)
-    earlier = jnp.asarray(np.triu(np.ones((BLOCK, BLOCK), np.float32), 1))
-    sums = jnp.sum(blocks, -1)
-    inside = jnp.matmul(blocks, earlier, precision="highest")
-    return (inside + (jnp.cumsum(sums, -1) - sums)[..., None]).reshape(values.shape)
 
 
 def _as_bits(flags: Bool[Array, "rays steps"]) -> UInt32[Array, "rays words"]:

@@ -30,10 +30,14 @@ class RaySamples(eqx.Module):
         """Every interval of every ray, evaluated at its centre."""
         rays, count = tdist.shape[0], tdist.shape[1] - 1
         return cls(
-            ray=jnp.repeat(jnp.arange(rays), count), slot=jnp.tile(jnp.arange(count), rays),
-            t=((tdist[:, 1:] + tdist[:, :-1]) / 2).reshape(-1), length=(tdist[:, 1:] - tdist[:, :-1]).reshape(-1),
-            valid=jnp.ones(rays * count, bool), num_rays=rays, max_per_ray=count,
-        )  # fmt: skip
+            ray=jnp.repeat(jnp.arange(rays), count),
+            slot=jnp.tile(jnp.arange(count), rays),
+            t=((tdist[:, 1:] + tdist[:, :-1]) / 2).reshape(-1),
+            length=(tdist[:, 1:] - tdist[:, :-1]).reshape(-1),
+            valid=jnp.ones(rays * count, bool),
+            num_rays=rays,
+            max_per_ray=count,
+        )
 
     def padded(self, values: Float[Array, " n"]) -> Float[Array, "rays slots"]:
         """Values as a table of (rays, max_per_ray), zero where a ray has fewer samples."""

@@ -26,9 +26,9 @@ FURTHEST = 5.0
 """Cameras are looked for within so many standard deviations of where they were calibrated: masks rule out nothing nearer."""
 DEFINITIONS = {
     "world_from_camera": "refined pose: OpenCV camera axes, quaternion wxyz, translation in world units",
-    "moved_mm": "distance between the given and the refined position [mm; thousandths of a world unit where the scene is not metric]",
+    "moved_mm": "distance between the given and the refined position [mm; 1/1000 world unit if the scene is not metric]",
     "turned_deg": "angle between the given and the refined orientation [deg]",
-    "moved_px": "mean distance by which the corners of the object's box move in the picture [px, at the size of the image on disk]",
+    "moved_px": "mean movement of the corners of the object's box in the picture [px, at the size of the image on disk]",
 }
 """What the entries of a view mean."""
 
@@ -58,8 +58,8 @@ def refined(scene: Scene, normalisation: Normalisation, twists: Twists | None) -
         return scene
     views = scene.split("train")
     if len(views) != len(twists):
-        raise DatasetError("scene has changed since the training", where=scene.name, why=f"{len(views)} training views, then {len(twists)}",
-                           remedy="train again")  # fmt: skip
+        count = f"{len(views)} training views, then {len(twists)}"
+        raise DatasetError("scene has changed since the training", where=scene.name, why=count, remedy="train again")
     better = {
         view.name: replace(view, world_from_camera=corrected(view.world_from_camera, twist, normalisation.scale))
         for view, twist in zip(views, np.asarray(twists, np.float64), strict=True)
@@ -75,8 +75,8 @@ def change(before: View, after: View, box: NDArray[np.float64]) -> dict[str, flo
     front = np.all([points[:, 2] > 1e-6 for points in local], axis=0)
     pixels = [before.camera.undistorted().project(points[front]) for points in local]
     apart = np.linalg.norm(pixels[0] - pixels[1], axis=-1)
-    return {"moved_mm": float(1e3 * distance), "turned_deg": float(np.rad2deg(angle)),
-            "moved_px": float(apart.mean()) if len(apart) else 0.0}  # fmt: skip
+    moved_px = float(apart.mean()) if len(apart) else 0.0
+    return {"moved_mm": float(1e3 * distance), "turned_deg": float(np.rad2deg(angle)), "moved_px": moved_px}
 
 
 def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists | None) -> None:
@@ -84,16 +84,20 @@ def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists 
     if twists is None:
         return
     after = refined(scene, normalisation, twists).split("train")
-    views = [
-        {"name": new.name, "world_from_camera": {"translation_m": new.world_from_camera[:3, 3].tolist(),
-                                                 "quaternion_wxyz": pose.quaternion(new.world_from_camera).tolist()},
-         **change(old, new, scene.box)}
-        for old, new in zip(scene.split("train"), after, strict=True)
-    ]  # fmt: skip
-    files.write_json(run / POSES, {
-        "format": FORMAT, "version": VERSION, "metric": scene.metric, "views": views, "definitions": DEFINITIONS,
-        "gauge": "corrections together neither move, turn nor scale the cameras as a whole (least squares, in standard deviations)",
-    })  # fmt: skip
+    views = []
+    for old, new in zip(scene.split("train"), after, strict=True):
+        matrix = new.world_from_camera
+        stored = {"translation_m": matrix[:3, 3].tolist(), "quaternion_wxyz": pose.quaternion(matrix).tolist()}
+        views.append({"name": new.name, "world_from_camera": stored, **change(old, new, scene.box)})
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "metric": scene.metric,
+        "views": views,
+        "definitions": DEFINITIONS,
+        "gauge": "corrections together neither move, turn nor scale all cameras (least squares, in standard deviations)",
+    }
+    files.write_json(run / POSES, content)
 
 
 def read(run: Path) -> dict[str, Any] | None:
@@ -109,8 +113,12 @@ def summary(run: Path) -> str:
     size = {name: np.array([view[name] for view in content["views"]]) for name in ("moved_mm", "turned_deg", "moved_px")}
     mean = {name: float(np.sqrt(np.mean(values**2))) for name, values in size.items()}
     unit = "mm" if content["metric"] else "thousandths of a unit"
-    return (f"poses of {len(content['views'])} training views were refined by {mean['moved_mm']:.2f} {unit} and {mean['turned_deg']:.3f}° "
-            f"(root mean square; at most {size['moved_mm'].max():.2f} {unit}, {size['turned_deg'].max():.3f}°), {mean['moved_px']:.2f} px in the pictures")  # fmt: skip
+    most = {name: float(values.max()) for name, values in size.items()}
+    return (
+        f"poses of {len(content['views'])} training views were refined by {mean['moved_mm']:.2f} {unit} and "
+        f"{mean['turned_deg']:.3f}° (root mean square; at most {most['moved_mm']:.2f} {unit}, {most['turned_deg']:.3f}°), "
+        f"{mean['moved_px']:.2f} px in the pictures"
+    )
 
 
 def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, float]:

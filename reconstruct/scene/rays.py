@@ -144,15 +144,18 @@ class Pixels(eqx.Module):
             origins.append(origin[0])
             radii.append(radius[0])
             progress.advance()
-        return cls(jnp.asarray(np.concatenate(colours)), jnp.asarray(np.concatenate(directions)),
-                   jnp.asarray(np.concatenate(owner)), jnp.asarray(np.stack(origins)), jnp.asarray(np.stack(radii)))  # fmt: skip
+        colour, direction, view = (jnp.asarray(np.concatenate(parts)) for parts in (colours, directions, owner))
+        return cls(colour, direction, view, jnp.asarray(np.stack(origins)), jnp.asarray(np.stack(radii)))
 
     def held_out(self, count: int) -> tuple["Pixels", "Pixels"]:
         """The pixels without up to `count` random ones (a hundredth of all at most), and those; always the same ones."""
         total = self.directions.shape[0]
         held = np.random.default_rng(0).choice(total, max(1, min(count, total // 100)), replace=False)
         rest = np.setdiff1d(np.arange(total), held)
-        part = lambda index: Pixels(self.colour[index], self.directions[index], self.view[index], self.origins, self.radii)  # noqa: E731
+
+        def part(index: Int[np.ndarray, " n"]) -> Pixels:
+            return Pixels(self.colour[index], self.directions[index], self.view[index], self.origins, self.radii)
+
         return part(rest), part(held)
 
     def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray, ...]:

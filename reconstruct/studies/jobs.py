@@ -10,12 +10,12 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.core.errors import UsageError
 from datasets.formats import find, load_scene
+from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.models import load_config
 from reconstruct.output.evaluate import METRICS, evaluate
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, RUN
-from reconstruct.training import checkpoint
 from reconstruct.training.loop import train
 
 CELLS = "cells"

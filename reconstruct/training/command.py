@@ -50,8 +50,8 @@ def train(
     from datasets.core.errors import UsageError
     from reconstruct.backend import cache_compilations
     from reconstruct.training import distributed
-    from reconstruct.training.batch import scaled
     from reconstruct.training.loop import train as run_training
+    from reconstruct.training.ray_count import scaled
     from reconstruct.training.skipping import record
 
     set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]

@@ -1,7 +1,7 @@
 """One training on several machines: a process on each runs the same program, and every batch is divided among all their devices.
 
-Each process reads the scene and takes each step. What may differ from machine to machine (clocks, memory, Ctrl-C, the last digits of
-a rendering) is decided by the first process for all. It alone writes the run; the others write theirs into a folder that is thrown away.
+Each process reads the scene and takes each step. What may differ from machine to machine (clocks, memory, Ctrl-C, the last digits
+of a rendering) is decided by the first process for all. It alone writes the run; the others write into a temporary folder.
 
 In a training of one process nothing here talks to anybody.
 """
@@ -62,30 +62,43 @@ def join(coordinator: str | None, processes: int | None, process: int | None) ->
         _require_free(host, int(port))
         hint(f"waits {JOIN_S} s at most for {processes - 1} more processes at {coordinator}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
-    jax.config.update("jax_enable_preemption_service", False)  # it would keep a process from ending when it is told to
+    jax.config.update("jax_enable_preemption_service", False)  # it would keep a process from ending on a signal
     try:
         jax.distributed.initialize(
-            coordinator, processes, process, cluster_detection_method="deactivate", initialization_timeout=JOIN_S,
-            heartbeat_timeout_seconds=SILENCE_S, shutdown_timeout_seconds=LEAVE_S,
+            coordinator,
+            processes,
+            process,
+            cluster_detection_method="deactivate",
+            initialization_timeout=JOIN_S,
+            heartbeat_timeout_seconds=SILENCE_S,
+            shutdown_timeout_seconds=LEAVE_S,
             coordinator_bind_address=coordinator if host in LOOPBACK else None,
-        )  # fmt: skip
+        )
     except RuntimeError as error:
-        raise ReconstructError("the processes did not find each other", where=coordinator, why=str(error).splitlines()[0],
-                               remedy=f"start all {processes} within {JOIN_S} s, each with its own --process") from None  # fmt: skip
+        raise ReconstructError(
+            "the processes did not find each other",
+            where=coordinator,
+            why=str(error).splitlines()[0],
+            remedy=f"start all {processes} within {JOIN_S} s, each with its own --process",
+        ) from None
     with _output_aside():
         gathered([0.0])  # gloo greets its peers
 
 
 def _reach(host: str, port: int) -> None:
-    """Wait until the first process listens. JAX by itself would end this process without an error that could be told."""
+    """Wait until the first process listens. JAX by itself would end this process without a usable error."""
     deadline = time.monotonic() + JOIN_S
     while True:
         try:
             return socket.create_connection((host, port), timeout=5).close()
         except OSError as error:
             if time.monotonic() > deadline or isinstance(error, socket.gaierror):
-                raise ReconstructError("the first process cannot be reached", where=f"{host}:{port}", why=error.strerror or str(error),
-                                       remedy=f"start it within {JOIN_S} s, at an address and port that others reach") from None  # fmt: skip
+                raise ReconstructError(
+                    "the first process cannot be reached",
+                    where=f"{host}:{port}",
+                    why=error.strerror or str(error),
+                    remedy=f"start it within {JOIN_S} s, at an address and port that others reach",
+                ) from None
         time.sleep(0.2)
 
 
@@ -95,8 +108,12 @@ def _require_free(host: str, port: int) -> None:
         with socket.create_server((host if host in LOOPBACK else "", port)):
             return
     except OSError as error:
-        raise UsageError("the first process cannot listen there", where=f"--coordinator {host}:{port}", why=error.strerror or str(error),
-                     remedy="choose another port, in all processes") from None  # fmt: skip
+        raise UsageError(
+            "the first process cannot listen there",
+            where=f"--coordinator {host}:{port}",
+            why=error.strerror or str(error),
+            remedy="choose another port, in all processes",
+        ) from None
 
 
 @contextmanager
@@ -112,7 +129,7 @@ def _output_aside() -> Iterator[None]:
         os.close(kept)
 
 
-def gathered(values: Sequence[float]) -> NDArray[np.float64]:
+def gathered(values: Sequence[float] | NDArray[np.uint8]) -> NDArray[np.float64]:
     """(processes, n) what each process says; every process must ask, and with as many values. Exact in float64."""
     own = np.asarray(values, np.float64)
     if jax.process_count() == 1:

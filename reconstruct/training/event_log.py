@@ -1,4 +1,4 @@
-"""The log of a training once more, for TensorBoard and what else reads its files: a scalar per figure and loss.
+"""The log of a training for TensorBoard: a scalar per figure and loss.
 
 RUN/events.out.tfevents.*    beside log.jsonl, one file per start of the training
 """
@@ -19,7 +19,7 @@ def scalars_of(line: dict[str, Any]) -> dict[str, float]:
 
 
 def require_writer() -> None:
-    """Raise UsageError where what writes such files is not installed: before a training has begun, not in its midst."""
+    """Raise UsageError where what writes such files is not installed: before a training begins."""
     _tensorboardx()
 
 
@@ -52,8 +52,7 @@ def event_log(run: Path, *, wanted: bool, step: int = 0) -> Iterator[EventLog | 
     """An event file of a run, or None where nobody wants it.
 
     Args:
-        step: where the training begins; what an earlier file says of later steps, which a broken-off training
-            took and this one takes again, counts no more.
+        step: where the training begins; it replaces what the file of an interrupted training says of later steps.
 
     Raises:
         UsageError: it is wanted, and its writer is not installed.
@@ -74,6 +73,9 @@ def _tensorboardx() -> tuple[Any, Any]:
         from tensorboardX import event_file_writer
         from tensorboardX.proto import event_pb2
     except ImportError:
-        raise UsageError("TensorBoard's files cannot be written", why="tensorboardX is not installed",
-                     remedy="pip install 'koala-capture[tensorboard]', or train without --tensorboard") from None  # fmt: skip
+        raise UsageError(
+            "TensorBoard's files cannot be written",
+            why="tensorboardX is not installed",
+            remedy="pip install 'koala-capture[tensorboard]', or train without --tensorboard",
+        ) from None
     return event_file_writer, event_pb2

@@ -1,4 +1,4 @@
-"""Steps that are not finite: which part of the model or which loss was at fault, packed into one integer on the device.
+"""Steps that are not finite: which part of the model or which loss caused them, packed into one integer on the device.
 
 Such a step changes nothing, is counted and shown with its cause; a training in which it recurs ends.
 """
@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Int
 FAULTS = "faults"
 """Key of the faults among a step's terms."""
 RECURS = 3
-"""So many steps that are not finite end a training."""
+"""This many steps that are not finite end a training."""
 
 Tree = Any
 
@@ -48,6 +48,6 @@ def cause(faults: int, model: Tree, terms: dict[str, Any]) -> str:
 
 
 def _part(path: tuple) -> str:
-    """The model's part that a leaf belongs to: two names deep in the field, one elsewhere."""
+    """The model's part that a leaf belongs to: two names deep in field and sampler, one elsewhere."""
     names = [part.name for part in path if hasattr(part, "name")]
-    return ".".join(names[:2] if names[:1] == ["field"] else names[:1])
+    return ".".join(names[:2] if names[:1] in (["field"], ["sampler"]) else names[:1])

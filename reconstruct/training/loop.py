@@ -18,28 +18,29 @@ import numpy as np
 from datasets.core.console import hint, progress
 from datasets.core.errors import UsageError
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
 from reconstruct.scene.rays import Pixels
-from reconstruct.training import checkpoint, distributed
+from reconstruct.surface.schedule import second_pass_period
+from reconstruct.training import distributed
 from reconstruct.training.event_log import EventLog, event_log, require_writer
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pause import give_way
-from reconstruct.training.preparation import prepare
-from reconstruct.training.schedules import second_pass_period
+from reconstruct.training.preparation import Prepared, prepare
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.plan import normalisation_of
-from reconstruct.training.step import GRID_PERIOD, StepFunctions, TrainState
+from reconstruct.training.step import Step, TrainState
 
 CHUNK = 16
-"""At most so many steps between two looks at the clock."""
+"""Largest number of steps between two checks of the clock."""
 LOOKS = 40
 """Lines in the log over a whole training."""
 WORTH_DB = 0.02
-"""Held-out pixels must get better by so much for a training to count as still improving [dB]."""
+"""Improvement of held-out pixels by which a training counts as still improving [dB]."""
 
 
 @dataclass
@@ -53,7 +54,7 @@ class Clock:
     since_second_pass: int = 0
     since_look: int = 0
     lenience: int = 1
-    """How many times less often second passes come than the curriculum has them."""
+    """How many times rarer second passes are than in the curriculum."""
     passes: int = 0
     passes_left_out: int = 0
 
@@ -68,7 +69,7 @@ class Training:
     """A training that is under way."""
 
     run: Run
-    functions: StepFunctions
+    one_step: Step
     state: TrainState
     pixels: Pixels
     probe: tuple[np.ndarray, ...] | None
@@ -81,7 +82,7 @@ class Training:
     events: EventLog | None = None
     """Where each look goes beside the run's log."""
     _advance: Any = field(default=None)
-    _look_around: Any = field(default=None)
+    _keep_up: Any = field(default=None)
     _finite: dict[str, jax.Array] = field(default_factory=dict)
 
     def chunk(self) -> dict[str, jax.Array]:
@@ -96,79 +97,72 @@ class Training:
         until_due = period - clock.since_second_pass if surface.enabled else left
         count = max(1, min(left, until_due))
         second = surface.enabled and count >= until_due
-        start = time.perf_counter()
-        self.state, terms = self._advance(self.state, self.pixels, jnp.asarray(self.run.config.train.seed, jnp.int32),
-                                          jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))  # fmt: skip
+        start, seed = time.perf_counter(), jnp.asarray(self.run.config.train.seed, jnp.int32)
+        scalars = (jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))
+        self.state, terms = self._advance(self.state, self.pixels, seed, *scalars)
         clock.since_look += count
-        settled = self.functions.normalisation.bounded or clock.progress >= self.run.config.sampler.settle
-        if self.state.occupancy is not None and settled and clock.since_look >= GRID_PERIOD:
-            self.state = self._look_around(self.state, jnp.asarray(self.run.config.train.seed, jnp.int32))
+        if self.state.model.sampler.upkeep_due(clock.since_look, clock.progress):
+            self.state = self._keep_up(self.state, seed)
             clock.since_look = 0
         jax.block_until_ready(terms)
         clock.seconds += time.perf_counter() - start
         clock.step += count
         clock.since_second_pass = 0 if second else clock.since_second_pass + count
         if second:
-            self._passed(terms)
+            self._count_second_pass(terms)
         faults = int(terms.pop(FAULTS))
-        self._heed(faults, terms)
+        self._report_faults(faults, terms)
         if not faults:
             self._finite = terms
         return self._finite  # steps that are left out change nothing
 
-    def _passed(self, terms: dict[str, jax.Array]) -> None:
+    def _count_second_pass(self, terms: dict[str, jax.Array]) -> None:
         """Count a second pass, and find out when the next one is worth its time."""
         clock, config = self.clock, self.run.config
         clock.passes, clock.passes_left_out = clock.passes + 1, clock.passes_left_out + clock.lenience - 1
         if config.skip.consistent_passes:
             clock.lenience = outcome.lenience(clock.lenience, terms, config.surface)
 
-    def _heed(self, faults: int, terms: dict[str, jax.Array]) -> None:
+    def _report_faults(self, faults: int, terms: dict[str, jax.Array]) -> None:
         """Say what was not finite in the last steps. Raises ReconstructError where that recurs."""
         if not faults:
             return
-        skipped, reason = int(self.state.skipped), cause(faults, self.state.model, terms)
+        skipped, reason = int(self.state.skipped), cause(faults, self.state.model.split()[0], terms)
         hint(f"up to step {self.clock.step} {skipped} left out, not finite: {reason}")
         self.run.append_fault({"step": self.clock.step, "skipped": skipped, "cause": reason})
         if skipped >= RECURS:
-            raise ReconstructError("training does not stay finite", where=f"step {self.clock.step}", why=f"{skipped} steps; the last: {reason}",
-                                   remedy="lower train.rate, and look for values that are not finite in the scene's cameras")  # fmt: skip
+            raise ReconstructError(
+                "training does not stay finite",
+                where=f"step {self.clock.step}",
+                why=f"{skipped} steps; the last: {reason}",
+                remedy="lower train.rate, and look for values that are not finite in the scene's cameras",
+            )
 
     def compile(self) -> float:
         """Compile the step; returns the seconds that it took."""
         start = time.perf_counter()
-        scalar = lambda v, d: jnp.asarray(v, d)  # noqa: E731
-        placed: dict[str, Any] = {}
-        if (everywhere := self.functions.everywhere) is not None:
+        if (everywhere := self.one_step.division.everywhere) is not None:
             self.state, self.pixels = distributed.on_all((self.state, self.pixels), everywhere)
-            placed = {"out_shardings": everywhere}
-        lowered = jax.jit(self.functions.advance, donate_argnums=(0,), **placed).lower(
-            self.state, self.pixels, scalar(0, jnp.int32), scalar(0, jnp.float32), scalar(1, jnp.int32), scalar(False, bool))  # fmt: skip
-        self._advance = lowered.compile()
-        if self.state.occupancy is not None:
-            look = jax.jit(self.functions.look_around, donate_argnums=(0,), **placed)
-            self._look_around = look.lower(self.state, scalar(0, jnp.int32)).compile()
+        self._advance = self.one_step.compiled(self.state, self.pixels)
+        self._keep_up = self.one_step.compiled_upkeep(self.state)
         return time.perf_counter() - start
 
     def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:
         """One line for the log; renders the probe."""
         state = distributed.own_copy(self.state)
-        line: dict[str, Any] = {
-            "step": self.clock.step,
-            "seconds": round(self.clock.seconds, 3),
-            "progress": round(self.clock.progress, 5),
-        }
+        model = state.model
+        seconds, done = round(self.clock.seconds, 3), round(self.clock.progress, 5)
+        line: dict[str, Any] = {"step": self.clock.step, "seconds": seconds, "progress": done}
         if "mse" in terms:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
-        held = None if self.held is None else poses.over_white(self.held, state.model.poses)
+        held = None if self.held is None else poses.over_white(self.held, model.poses)
         for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": held}.items():
             if pixels is not None:
                 *rays, target = pixels
-                rendered = self.renderer.rays(state, *rays)["rgb"]
+                rendered = self.renderer.rays(model, *rays)["rgb"]
                 line[name] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
         line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
-        if state.occupancy is not None:
-            line["occupied"] = float(jnp.mean(state.occupancy.occupied.astype(jnp.float32)))
+        line |= model.sampler.figures()
         self.run.append_log(line)
         if self.events is not None:
             self.events.write(line)
@@ -177,14 +171,14 @@ class Training:
     @property
     def exhausted(self) -> bool:
         """Whether held-out pixels got no better for as long as the configuration has patience."""
-        seen = [(line["psnr_held_out"], line["progress"]) for line in self.run.log() if "psnr_held_out" in line]
-        if self.held is None or not seen:
+        measured = [(line["psnr_held_out"], line["progress"]) for line in self.run.log() if "psnr_held_out" in line]
+        if self.held is None or not measured:
             return False
-        best, since = seen[0]
-        for psnr, done in seen[1:]:
+        best, since = measured[0]
+        for psnr, done in measured[1:]:
             if psnr > best + WORTH_DB:
                 best, since = psnr, done
-        return seen[-1][1] - since >= self.run.config.train.patience
+        return measured[-1][1] - since >= self.run.config.train.patience
 
     def save(self) -> None:
         """Checkpoint state and clock, where this process is the one that does."""
@@ -241,12 +235,20 @@ def _completed(training: Training, scene: Scene, prepared: float) -> dict[str, A
         raise
     training.save()
     last = training.run.log()[-1]
-    skips = outcome.told(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
+    skips = outcome.with_outcome(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
     record.write(out, skips)
     poses.write(out, scene, training.run.normalisation, distributed.own_copy(training.state.model.poses))
-    return {"steps": training.clock.step, "stopped_early": training.clock.progress < 1, "training_s": training.clock.seconds, "preparation_s": prepared,
-            "compilation_s": compiled, "psnr_train": last.get("psnr_train"), "psnr_unseen": last.get("psnr_unseen"),
-            "skipped_steps": last["skipped"], "skips": [asdict(skip) for skip in skips]}  # fmt: skip
+    return {
+        "steps": training.clock.step,
+        "stopped_early": training.clock.progress < 1,
+        "training_s": training.clock.seconds,
+        "preparation_s": prepared,
+        "compilation_s": compiled,
+        "psnr_train": last.get("psnr_train"),
+        "psnr_unseen": last.get("psnr_unseen"),
+        "skipped_steps": last["skipped"],
+        "skips": [asdict(skip) for skip in skips],
+    }
 
 
 def _loop(training: Training) -> None:
@@ -280,7 +282,7 @@ def _loop(training: Training) -> None:
 
 @contextmanager
 def _interrupt_between_chunks() -> Iterator[Callable[[], bool]]:
-    """Hold Ctrl-C back until a chunk is whole: in its midst the state belongs to the device. Yields whether it came."""
+    """Hold Ctrl-C back until a chunk is complete: until then the device owns the state. Yields whether it came."""
     came = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield came.is_set
@@ -299,9 +301,10 @@ def start(
     from datasets.core.files import refuse_existing
 
     refuse_existing(out)
-    normalisation = normalisation_of(scene, config) if start_from is None else start_from.normalisation
-    prepared = prepare(scene, config, normalisation, fresh=True, planned=start_from is not None)
-    config, state = prepared.functions.config, prepared.state
+    known = None if start_from is None else start_from.facts
+    normalisation = normalisation_of(scene, config) if known is None else known.normalisation
+    prepared = prepare(scene, config, normalisation, known)
+    config, state = prepared.step.config, prepared.state
     about = {
         "scene_name": scene.name,
         "box": scene.box.tolist(),
@@ -315,10 +318,9 @@ def start(
     if start_from is not None:
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
-    run = Run.create(out, config, scene_path, normalisation, about)
+    run = Run.create(out, config, scene_path, prepared.step.facts, about)
     record.write(out, prepared.skips)
-    return Training(run, prepared.functions, state, prepared.pixels, prepared.probe, Clock(config.train.steps, budget_s),
-                    Renderer(prepared.functions), prepared.held, prepared.skips)  # fmt: skip
+    return _training(run, prepared, state, Clock(config.train.steps, budget_s), prepared.skips)
 
 
 def _continued(fresh: TrainState, run: Run) -> TrainState:
@@ -333,10 +335,14 @@ def _continued(fresh: TrainState, run: Run) -> TrainState:
 
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     run = Run.open(out)
-    prepared = prepare(scene, run.config, run.normalisation)
+    prepared = prepare(scene, run.config, run.normalisation, run.facts, fresh=False)
     state, clock = checkpoint.load(run.path / CHECKPOINTS, prepared.state)
     budget_s = budget_s or run.content.get("budget_s")
     seconds = clock.pop("seconds")
-    clock = Clock(run.config.train.steps, budget_s, seconds, **{name: int(value) for name, value in clock.items()})
-    return Training(run, prepared.functions, state, prepared.pixels, prepared.probe, clock, Renderer(prepared.functions),
-                    prepared.held, record.read(out))  # fmt: skip
+    counts = {name: int(value) for name, value in clock.items()}
+    return _training(run, prepared, state, Clock(run.config.train.steps, budget_s, seconds, **counts), record.read(out))
+
+
+def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:
+    renderer = Renderer(run.normalisation)
+    return Training(run, prepared.step, state, prepared.pixels, prepared.probe, clock, renderer, prepared.held, skips)

@@ -1,28 +1,112 @@
-"""What training minimises: the photometric loss, the losses taken over, and the four surface regularisers."""
+"""What training minimises: the losses of rendered rays, and those at their first surfaces."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from reconstruct.config import LossConfig, SurfaceConfig
-from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud, points_on_rays
+from reconstruct.config import Config
+from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.mlp import computed_in
 from reconstruct.numerics.stepfun import resample_blurred
-from reconstruct.rendering.model import Footprint, Model, Rendered, cloud_of
-from reconstruct.sampling.proposal import Proposal
+from reconstruct.rendering.model import Model, Rendered, render
+from reconstruct.sampling.footprint import cloud_of
+from reconstruct.sampling.proposals import Level
+from reconstruct.sampling.sampler import Batch, Sampled
 from reconstruct.sampling.samples import RaySamples
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Rays, over
-from reconstruct.surface import losses
-from reconstruct.surface.sphere import HALF_WIDTH, Surface, ball_samples, find_surfaces
+from reconstruct.scene.twists import followed
+from reconstruct.surface.first_surface import Surface, find_surfaces
+from reconstruct.surface.second_pass import Place
+from reconstruct.training import losses
+from reconstruct.training.schedules import late
 
 Terms = dict[str, Float[Array, ""]]
-PerRay = dict[str, Float[Array, " _"]]
 
 BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the losses; see `LossConfig`."""
+
+    charbonnier: float
+    interlevel: float
+    distortion: float
+    hollowness: float
+    hollow_from: float
+    orientation: float
+    predicted_normals: float
+    density_normals: float
+    decay: float
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The losses of a batch. Those without a weight are not computed."""
+
+    weights: Weights
+    place: Place
+    surface_rays: int
+    """Rays whose first surface is looked for, at most."""
+    precision: str = "float32"
+    pose_sigma: tuple[float, ...] = (1.0,) * 6
+    """Standard deviations of a pose's correction [scene unit, rad]."""
+    pose_prior: float = 0.0
+
+    @classmethod
+    def of(cls, config: Config, facts: SceneFacts, place: Place) -> "Objective":
+        """As configured, for one scene."""
+        normalisation = facts.normalisation
+        wanted = config.losses.in_scene(bounded=normalisation.bounded)
+        weights = Weights(**{field.name: getattr(wanted, field.name) for field in fields(Weights)})
+        sigma = config.poses.sigma(normalisation.scale)
+        return cls(weights, place, config.surface.rays, config.train.precision, sigma, config.poses.prior)
+
+    def __call__(
+        self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], tuple[Terms, Float[Array, " n"], Surface]]:
+        """The sum of all losses; each of them, the density of every sample, and first surfaces."""
+        model = computed_in(self.precision, model)
+        rays, terms = batch.rays, {}
+        moving = followed(rays, model.poses)  # poses follow the picture; where else the field is looked at is data
+        found = model.sampler.sampled(batch, sample_key)
+        cloud = cloud_of(moving, found.samples, bounded=self.place.bounded, footprint=found.footprint)
+        rendered, density = _rendered(model, moving, found.samples, cloud)
+        if model.poses is not None and self.pose_prior:
+            terms |= pose_term(model.poses / jnp.array(self.pose_sigma), self.pose_prior)
+        if model.per_image is not None:
+            rendered = rendered.exposed((model.per_image - jnp.mean(model.per_image, 0))[rays.view])
+        background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
+        terms |= photometric(rendered, batch.colour, background, batch.used, self.weights.charbonnier)
+        terms |= self.ray_terms(model, rendered, density, found, progress)
+        surface = jax.lax.stop_gradient(find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays))
+        terms |= surface_point_terms(model.field, rays, surface, self.weights, self.place)
+        return total(terms), (terms, jax.lax.stop_gradient(density), surface)
+
+    def ray_terms(
+        self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]
+    ) -> Terms:
+        """Losses of the weights along each ray, and the decay of the tables."""
+        weights, terms = self.weights, {}
+        if found.edges is not None:
+            terms |= interlevel_term(found.edges, rendered.weights, found.levels, weights.interlevel)
+        if weights.distortion:
+            terms |= distortion_term(rendered, found.samples, weights.distortion)
+        if weights.hollowness:
+            weight = weights.hollowness * late(progress, start=weights.hollow_from)
+            terms |= hollowness_term(rendered, density, found.samples, weight)
+        if weights.decay:
+            terms |= decay_term(model, weights.decay)
+        return terms
+
+
+def _rendered(model: Model, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
+    return render(model.field, rays, samples, replace(cloud, followed=model.poses is not None))
 
 
 def photometric(
@@ -39,28 +123,10 @@ def photometric(
     return {"photometric": jnp.sum(losses.charbonnier(error, width) * share), "mse": jnp.sum(error * error * share)}
 
 
-@dataclass(frozen=True)
-class Place:
-    """How surface points become places in the field: in a bounded scene or not, as points or as Gaussians."""
-
-    bounded: bool
-    extended: bool = False
-    """Whether each stands for an isotropic Gaussian as wide as its pixel's cone, which looks the same from all sides."""
-
-    def of(self, rays: Rays, surface: Surface, offsets: Float[Array, "n around 3"] | None = None) -> Cloud:
-        """The surface points, or `offsets` [scene unit] around each of them, point after point."""
-        points = points_on_rays(rays, surface.ray, surface.t, self.bounded).points
-        scale = surface.radius / HALF_WIDTH if self.extended else None
-        if offsets is not None:
-            points = (points.T[:, None] + offsets).reshape(-1, 3).T
-            scale = None if scale is None else jnp.repeat(scale, offsets.shape[1])
-        return Cloud(points, scale, self.bounded)
-
-
-def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: LossConfig, place: Place) -> Terms:
+def surface_point_terms(field: Field, rays: Rays, surface: Surface, weights: Weights, place: Place) -> Terms:
     """Orientation and predicted normals at the first surface of each ray, as far as they have a weight."""
-    alike = (config.predicted_normals or config.density_normals) and field.appearance.predicts_normals
-    if not (config.orientation or alike):
+    alike = (weights.predicted_normals or weights.density_normals) and field.appearance.predicts_normals
+    if not (weights.orientation or alike):
         return {}
     _, material, normals = field.with_normals(place.of(rays, surface))
     viewdirs = rays.viewdirs[surface.ray].T
@@ -69,63 +135,17 @@ def surface_point_terms(field: Field, rays: Rays, surface: Surface, config: Loss
     facing, terms = losses.orientation(normals, viewdirs), {}
     if field.appearance.predicts_normals:
         facing = facing + losses.orientation(material.normals_pred, viewdirs)
-        held, still = jax.lax.stop_gradient((normals, material.normals_pred))
+        held, held_pred = jax.lax.stop_gradient((normals, material.normals_pred))
         terms["predicted_normals"] = mean(
-            config.predicted_normals * losses.normal_difference(held, material.normals_pred)
-            + config.density_normals * losses.normal_difference(normals, still)
+            weights.predicted_normals * losses.normal_difference(held, material.normals_pred)
+            + weights.density_normals * losses.normal_difference(normals, held_pred)
         )
-    return terms | {"orientation": config.orientation * mean(facing)}
+    return terms | {"orientation": weights.orientation * mean(facing)}
 
 
-def second_pass_terms(
-    field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray, config: SurfaceConfig, place: Place
+def interlevel_term(
+    sdist: Float[Array, "rays edges"], weights: Float[Array, "rays n"], levels: tuple[Level, ...], weight: float
 ) -> Terms:
-    """Those of the four regularisers that have a weight, on a ball of samples around each surface point (section 4, A-D)."""
-    directions, radii = ball_samples(key, surface.ray.shape[0], config.samples, config.kappa, config.sampling)
-    _, material, normal = field.with_normals(place.of(rays, surface))
-    per_ray = {}
-    if config.density or config.normal:
-        reach = config.reach * surface.radius
-        offsets = directions * (radii[:, None] * reach[:, None, None])
-        around = field.with_normals(place.of(rays, surface, offsets))
-        per_ray |= _spatial_terms(around, directions, normal, reach, config)
-    if config.variation or (config.bias and field.appearance.has_diffuse):
-        per_ray |= _directional_terms(field, material, directions, normal, config)
-    used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
-    return {name: jnp.sum(surface.weight * value) / used for name, value in per_ray.items()}
-
-
-def _spatial_terms(around, directions: Float[Array, "n around 3"], normal: Float[Array, "3 n"], radius, config) -> PerRay:
-    """Density smoothness and normal consistency of each surface point."""
-    density, _, normals = around
-    normals = normals.T.reshape(directions.shape)
-    smoothness = losses.density_smoothness(
-        density.reshape(directions.shape[:2]), directions, normal.T, radius, config.density_form
-    )
-    return {
-        "density_smoothness": config.density * smoothness,
-        "normal_consistency": config.normal * losses.normal_consistency(normals, normal.T),
-    }
-
-
-def _directional_terms(
-    field: Field, material: Material, directions: Float[Array, "n around 3"], normal: Float[Array, "3 n"], config: SurfaceConfig
-) -> PerRay:
-    """Lambertian bias and total variation of each surface point; of the colour itself where nothing is diffuse."""
-    outward = jax.lax.stop_gradient(normal.T)
-    facing = jnp.sum(directions * outward[:, None], -1, keepdims=True)
-    inward = jnp.where(facing > 0, -directions, directions)  # light travels into the surface: d . n <= 0
-    repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
-    shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T), field.appearance.has_diffuse
-    colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
-    likeness = losses.direction_likeness(inward, config.neighbour_form)
-    terms = {"specular_variation": config.variation * losses.specular_variation(colour, likeness, config.neighbours)}
-    if diffuse and config.bias:
-        terms["lambertian_bias"] = config.bias * losses.lambertian_bias(colour)
-    return terms
-
-
-def interlevel_terms(sdist: Float[Array, "rays edges"], weights: Float[Array, "rays n"], levels: list, weight: float) -> Terms:
     """Proposals follow the final level's blurred weights."""
     total = jnp.zeros(())
     for (edges, proposed), blur in zip(levels, BLURS, strict=True):
@@ -134,9 +154,9 @@ def interlevel_terms(sdist: Float[Array, "rays edges"], weights: Float[Array, "r
     return {"interlevel": weight * total}
 
 
-def distortion_term(rendered: Rendered, samples: RaySamples, scale: Float[Array, ""], weight: float) -> Terms:
-    """Distortion of the weights, with distances divided by `scale` (the depth of what is seen)."""
-    middle, length = samples.padded(samples.t) / scale, samples.padded(samples.length) / scale
+def distortion_term(rendered: Rendered, samples: RaySamples, weight: float) -> Terms:
+    """Distortion of the weights, by distance along the ray."""
+    middle, length = samples.padded(samples.t), samples.padded(samples.length)
     return {"distortion": weight * jnp.mean(losses.distortion(rendered.weights, middle, length))}
 
 
@@ -153,24 +173,11 @@ def pose_term(corrections: Float[Array, "views 6"], weight: float) -> Terms:
 
 
 def decay_term(model: Model, weight: float) -> Terms:
-    """Mean square of the tables' values, summed over levels (and over proposals, where there are any)."""
-    encodings = [model.field.encoding, *(proposal.encoding for proposal in model.proposals)]
+    """Mean square of the tables' values, summed over levels, those of the sampler included."""
+    encodings = [model.field.encoding, *model.sampler.encodings]
     return {"decay": weight * sum((encoding.decay() for encoding in encodings), jnp.zeros(()))}
 
 
-def proposal_density(
-    proposal: Proposal, rays: Rays, tdist: Float[Array, "rays edges"], *, bounded: bool, footprint: Footprint
-) -> Float[Array, "rays edges-1"]:
-    """Densities of a proposal in the given intervals."""
-    cloud = cloud_of(rays, RaySamples.from_edges(tdist), bounded=bounded, footprint=footprint)
-    return proposal.density(cloud).reshape(tdist.shape[0], -1)
-
-
-def surfaces_of(rendered: Rendered, samples: RaySamples, rays: Rays, count: int) -> Surface:
-    """First surfaces of up to `count` of the rendered rays, as data."""
-    return jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, count))
-
-
 def total(terms: Terms) -> Float[Array, ""]:
-    """Sum of all terms but the mean square error, which is there to be looked at."""
+    """Sum of all terms but the mean square error, which is for the log."""
     return sum((value for name, value in terms.items() if name != "mse"), jnp.zeros(()))

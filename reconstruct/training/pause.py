@@ -1,6 +1,6 @@
-"""A training gives way to somebody who moves about in its page: through a file in the run's folder, as the two are processes of their own.
+"""A training slows down while somebody navigates in its page. The two processes share a file in the run's folder.
 
-RUN/moving.json    which share of the time the training may have, and until when
+RUN/moving.json    share of the time that the training may use, and until when
 """
 
 import json
@@ -13,31 +13,31 @@ from datasets.core import files
 
 MOVING = "moving.json"
 HOLD_S = 1.0
-"""Somebody moves until so long after the last move."""
+"""A request holds for this long after the last movement."""
 AGAIN_S = 0.3
-"""The page says so no more often than this."""
+"""Shortest time between two requests of the page."""
 NAP_S = 0.05
-"""Between two looks of a training that waits."""
+"""Time between two checks of a training that waits."""
 
 
-class Guest:
+class PauseRequests:
     """The page's side."""
 
     def __init__(self, run: Path) -> None:
         self._path = run / MOVING
-        self._said = -AGAIN_S
+        self._last = -AGAIN_S
 
-    def moving(self, share: float) -> None:
-        """Somebody moves now: the training may have this share of the time meanwhile, 0 to 1. 1 asks for nothing."""
+    def request(self, share: float) -> None:
+        """Ask the training to use only this share of the time for a while, 0 to 1. 1 asks for nothing."""
         now = time.monotonic()
-        if share >= 1 or now - self._said < AGAIN_S or not os.access(self._path.parent, os.W_OK):
+        if share >= 1 or now - self._last < AGAIN_S or not os.access(self._path.parent, os.W_OK):
             return
-        self._said = now
+        self._last = now
         files.write_json(self._path, {"share": share, "until": time.time() + HOLD_S})
 
 
 def wanted_share(run: Path) -> float:
-    """Share of the time that a training may have now: 1 where nobody moves, or where the file is not one of ours."""
+    """Share of the time that a training may use now: 1 without a valid request."""
     path = run / MOVING
     try:
         content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
@@ -49,12 +49,12 @@ def wanted_share(run: Path) -> float:
 
 
 def give_way(run: Path, worked_s: float, *, until: Callable[[], bool] = lambda: False) -> float:
-    """Rest after `worked_s` seconds of work so that the training has no more than its share; ends at once when nobody moves any more.
+    """Rest after `worked_s` seconds of work, so that the training uses no more than its share; ends when the request does.
 
     Args:
         run: folder of the run.
-        worked_s: time since the last call that the training has worked.
-        until: asked often; ends the rest.
+        worked_s: how long the training has worked since the last call.
+        until: ends the rest when it becomes true.
 
     Returns:
         Seconds of rest.

@@ -1,7 +1,5 @@
 """What changes while training goes on, as functions of progress in [0, 1]."""
 
-import math
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -11,12 +9,6 @@ def learning_rate(progress: Float[Array, ""], *, rate: float, final_rate: float,
     decayed = jnp.exp(jnp.log(rate) + progress * (jnp.log(final_rate) - jnp.log(rate)))
     rise = jnp.clip(progress / warmup, 0, 1) if warmup > 0 else jnp.ones(())
     return decayed * jnp.exp((1 - rise) * jnp.log(1e-8))
-
-
-def second_pass_period(progress: float, *, first: int, last: int) -> int:
-    """Steps between second passes: log-linear in progress, rounded to a power of two (supplement H, "512/4")."""
-    exponent = math.log2(first) + min(max(progress, 0.0), 1.0) * (math.log2(last) - math.log2(first))
-    return 2 ** round(exponent)
 
 
 RISE = 0.1

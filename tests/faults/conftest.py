@@ -1,5 +1,6 @@
 """A session on a simulated rig that runs already, so that something can go wrong with it in the middle."""
 
+import importlib.util
 import json
 import sys
 import threading
@@ -29,9 +30,9 @@ board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
 motion: {settle_time_s: 0.5}
 camera: {exposure_us: 10000, binning: 4, width: 64, height: 48}
 """
-"""A board seen at 64 x 48: pictures cost next to nothing. The arm settles for longer than it swings (`arm.QUIET_S`), however few of
-its states a busy computer sees, so that pictures are the same to the bit."""
-RIG = "robot: {host: HOST}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
+"""A board at 64 x 48 pixels, cheap to render. The arm settles for longer than it oscillates (`arm.QUIET_S`), so that images are
+the same bit for bit however few states a busy computer receives."""
+RIG = "robot: {host: HOST, client: CLIENT}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
 
 
 @dataclass
@@ -49,8 +50,8 @@ class Session:
 
     def capture(self, *, resume: bool = False) -> tuple[int, str]:
         """Exit code of `capture run`, and what it wrote on stderr."""
-        words = ["capture", "run", str(self.trajectory), "--rig", str(self.rig), "--out", str(self.out), *(["--resume"] * resume)]
-        self.monkeypatch.setattr(sys, "argv", words)
+        arguments = [str(self.trajectory), "--rig", str(self.rig), "--out", str(self.out), *(["--resume"] * resume)]
+        self.monkeypatch.setattr(sys, "argv", ["capture", "run", *arguments])
         with pytest.raises(SystemExit) as left:
             cli.main()
         return int(left.value.code or 0), self.capsys.readouterr().err
@@ -60,7 +61,7 @@ class Session:
         return path.read_bytes().count(b"\n") if path.exists() else 0
 
     def capture_until(self, fault: Callable[["Session"], None], *, after: int, resume: bool) -> tuple[int, str]:
-        """`capture`, and `fault` in the middle of the first motion after so many frames."""
+        """`capture`, and `fault` in the middle of the first motion after the given number of frames."""
         done = threading.Event()
 
         def wait() -> None:
@@ -90,7 +91,7 @@ class Session:
         return False
 
     def check_whole(self) -> None:
-        """Every frame is there, in order, once, with the image that was taken for it, and nothing else."""
+        """Every frame is there once, in order, with its own image, and nothing else."""
         recording = Recording.open(self.out)
         names = [f"{index:03d}" for index in range(self.count)]
         assert [frame.name for frame in recording.frames] == names
@@ -101,16 +102,23 @@ class Session:
         assert self.frames() == self.count
 
     def at_the_pendant(self, *orders: str) -> None:
-        """What a person does there, by the dashboard's words."""
+        """What a person does there, by commands of the dashboard."""
         dashboard = Dashboard.connect(self.controller.host)
         for order in orders:
             dashboard.ask(order)
         dashboard.close()
 
 
+@pytest.fixture(params=["ur_rtde", "koala"])
+def client(request: pytest.FixtureRequest) -> str:
+    if request.param == "ur_rtde" and importlib.util.find_spec("rtde_control") is None:
+        pytest.skip("ur-rtde is not installed: it has no wheel for this Python and platform")
+    return request.param
+
+
 @pytest.fixture
 def trajectory_of(tmp_path: Path) -> Callable[[int], Path]:
-    """Writes the trajectory of so many views."""
+    """Writes a trajectory with the given number of views."""
 
     def write(count: int) -> Path:
         path = tmp_path / "faults.yaml"
@@ -121,9 +129,18 @@ def trajectory_of(tmp_path: Path) -> Callable[[int], Path]:
 
 
 @pytest.fixture
-def session(tmp_path: Path, trajectory_of: Callable[[int], Path], capsys: pytest.CaptureFixture[str],
-            monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:  # fmt: skip
+def session(
+    tmp_path: Path,
+    client: str,
+    trajectory_of: Callable[[int], Path],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[Session]:
     with SimulatedController.start(seed=4, time_scale=8.0) as controller:
         rig = tmp_path / "rig.yaml"
-        rig.write_text(RIG.replace("HOST", controller.host).replace("PORT", json.dumps(controller.side_port)))
+        described = {"HOST": controller.host, "CLIENT": client, "PORT": json.dumps(controller.side_port)}
+        text = RIG
+        for word, value in described.items():
+            text = text.replace(word, value)
+        rig.write_text(text)
         yield Session(controller, trajectory_of(COUNT), rig, tmp_path / "recording", capsys, monkeypatch, COUNT)

@@ -16,19 +16,29 @@ from datasets.core import files
 from datasets.recording import Recording
 
 
+@pytest.fixture(autouse=True)
+def chosen_client(client: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands use the client under test: for ours, ur-rtde cannot be imported."""
+    if client == "koala":
+        missing = tmp_path / "missing"
+        missing.mkdir()
+        (missing / "rtde_control.py").write_text("raise ImportError('not installed')\n")
+        monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(missing), os.environ.get("PYTHONPATH")))))
+
+
 def command(trajectory: Path, out: Path) -> list[str]:
     return [sys.executable, "-m", "capture.cli", "run", str(trajectory), "--out", str(out), "--resume"]
 
 
 def run_whole(trajectory: Path, out: Path) -> float:
-    """Seconds until the first frame was there, of a run to the end."""
+    """Run to the end; returns the seconds until the first frame was there."""
     begun, first = time.monotonic(), 0.0
     with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
             if not first and (out / "frames.jsonl").exists():
                 first = time.monotonic() - begun
             time.sleep(0.02)
-        assert process.returncode == 0, process.stderr.read()
+        assert process.returncode == 0, process.stderr.read() if process.stderr else ""
     return first
 
 
@@ -38,22 +48,22 @@ def count_frames(out: Path) -> int:
 
 
 def kill_during(trajectory: Path, out: Path, more: int, seconds: float) -> bool:
-    """Start a run and kill it without warning, so many seconds after it has taken so many more frames; whether it was
-    still at work then."""
+    """Start a run and kill it `seconds` after `more` frames, or three frames later; False where it ended before."""
     wanted = count_frames(out) + more
     with subprocess.Popen(command(trajectory, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         while count_frames(out) < wanted and process.poll() is None:
             time.sleep(0.01)
-        try:
-            process.wait(seconds)
-        except subprocess.TimeoutExpired:
+        deadline = time.monotonic() + seconds
+        while process.poll() is None and time.monotonic() < deadline and count_frames(out) < wanted + 3:
+            time.sleep(0.01)
+        if process.poll() is None:
             os.kill(process.pid, signal.SIGKILL)
             return True
         return False
 
 
 def check_equal(killed: Path, whole: Path) -> None:
-    """Same frames, each once, from the same places, with the same pictures; nothing lies about."""
+    """Same frames, each once, from the same places, with the same pictures; no temporary file is left."""
     ours, theirs = Recording.open(killed), Recording.open(whole)
     assert sorted(frame.name for frame in ours.frames) == [frame.name for frame in theirs.frames]
     assert not list(killed.rglob(".*"))
@@ -67,9 +77,11 @@ def check_equal(killed: Path, whole: Path) -> None:
         np.testing.assert_array_equal(truths[0][frame.name], truths[1][frame.name])
 
 
-def test_one_kill(tmp_path: Path, trajectory_of: Callable[[int], Path]) -> None:
+def test_one_kill(tmp_path: Path, trajectory_of: Callable[[int], Path], client: str) -> None:
     trajectory = trajectory_of(5)
     run_whole(trajectory, tmp_path / "whole")
+    manifest = files.read_json(tmp_path / "whole" / "manifest.json")
+    assert manifest["robot"]["client"].startswith(client + " ")
     assert kill_during(trajectory, tmp_path / "killed", 2, 0.1)
     run_whole(trajectory, tmp_path / "killed")
     check_equal(tmp_path / "killed", tmp_path / "whole")
@@ -83,8 +95,10 @@ def test_twenty_kills_in_a_row_in_one_recording(tmp_path: Path, trajectory_of: C
     rng, before = random.Random(0), []
     while len(before) < 20:
         more = rng.randrange(4)
-        wait_s = rng.uniform(0.0, 0.4) if more else rng.uniform(0.0, first)  # amid the frames, or while it starts
-        assert kill_during(trajectory, tmp_path / "killed", more, wait_s), "it was finished before it was killed often enough"
+        wait_s = rng.uniform(0.0, 0.4) if more else rng.uniform(0.0, first)  # between frames, or during the start
+        assert kill_during(trajectory, tmp_path / "killed", more, wait_s), (
+            "the recording was finished before it was killed 20 times"
+        )
         before.append(count_frames(tmp_path / "killed"))
     assert len(set(before)) > 10  # the premise: kills struck while frames were being taken
     run_whole(trajectory, tmp_path / "killed")

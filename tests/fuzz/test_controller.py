@@ -44,7 +44,7 @@ def memory(controller: SimulatedController) -> int:
 
 def check_alive(controller: SimulatedController, before: int) -> None:
     """The process runs, has not grown, and serves a client that begins now."""
-    assert controller.process.poll() is None, f"the controller ended: {controller.last_words()}"
+    assert controller.process.poll() is None, f"the controller ended: {controller.last_line()}"
     late = clients.Connection(controller.host)
     assert late.check() < PATIENCE_S
     late.close()
@@ -62,16 +62,16 @@ def test_malformed_messages(controller: SimulatedController, count: int) -> None
         try:
             sent += clients.misbehave(controller.host, number, left_open)
         except OSError as error:
-            pytest.fail(f"connection {number} was not taken ({error}): {controller.last_words()}")
+            pytest.fail(f"connection {number} was not taken ({error}): {controller.last_line()}")
         number += 1
         while len(left_open) > OPEN_AT_ONCE:
             left_open.pop(0).close()
         if number % 20 == 0:
-            assert controller.process.poll() is None, f"the controller ended at connection {number}: {controller.last_words()}"
+            assert controller.process.poll() is None, f"the controller ended at connection {number}: {controller.last_line()}"
             try:
                 assert good.check() < PATIENCE_S, f"at connection {number}"
             except ConnectionError as error:
-                pytest.fail(f"connection {number}: {error}; {controller.process.poll()} {controller.last_words()}")
+                pytest.fail(f"connection {number}: {error}; {controller.process.poll()} {controller.last_line()}")
     check_alive(controller, before)
     good.close()
     for one in left_open:

@@ -14,12 +14,25 @@ from datasets.core.errors import DatasetError
 from datasets.imaging import images
 from datasets.scene import Scene
 from reconstruct.models import load_config
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import BRIGHTEST, Normalisation, Pixels, read_scaled
-from reconstruct.training.step import StepFunctions
+from reconstruct.training.step import Step
 
-SMALL = ["encoding.levels=3", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8", "field.ide_degree=2",
-         "sampler.rays=128", "sampler.samples=1024", "sampler.grid=16", "sampler.outer_grid=8", "sampler.steps=32",
-         "sampler.max_per_ray=8", "surface.rays=16", "surface.samples=8"]  # fmt: skip
+SMALL = [
+    "encoding.levels=3",
+    "encoding.log2_size=8",
+    "field.spatial_width=8",
+    "field.view_width=8",
+    "field.ide_degree=2",
+    "sampler.rays=128",
+    "sampler.samples=1024",
+    "sampler.grid=16",
+    "sampler.outer_grid=8",
+    "sampler.steps=32",
+    "sampler.max_per_ray=8",
+    "surface.rays=16",
+    "surface.samples=8",
+]
 
 
 def enlarged(scene: Scene, factor: float) -> Scene:
@@ -43,8 +56,8 @@ def test_a_scene_trains_alike_in_millimetres_metres_and_kilometres(make_scene: C
     """Within 0.2 dB: rays agree to an ulp or two, which a training makes larger."""
     scene = make_scene()
     normalisation = Normalisation.of(scene)
-    functions = StepFunctions(load_config(overrides=SMALL), normalisation)
-    seed, step, psnr = jnp.asarray(0), None, []
+    one_step = Step.of(load_config(overrides=SMALL), SceneFacts(normalisation))
+    seed, step, psnr = jnp.asarray(0, jnp.int32), None, []
     for factor in (1.0, 1e3, 1e-3):
         other = enlarged(scene, factor)
         found = Normalisation.of(other)
@@ -53,14 +66,13 @@ def test_a_scene_trains_alike_in_millimetres_metres_and_kilometres(make_scene: C
         pixels = loaded(other, found)
         if step is None:
             reference = pixels
-            state = functions.initial(jax.random.key(0), None)
-            lowered = jax.jit(functions.advance).lower(state, pixels, seed, jnp.asarray(0.5), jnp.asarray(6), jnp.asarray(True))
-            step = lowered.compile(compiler_options={"xla_backend_optimization_level": 0})
+            step = one_step.compiled(one_step.initial(jax.random.key(0)), pixels, xla_backend_optimization_level=0)
         for one, same in zip(jax.tree.leaves(pixels), jax.tree.leaves(reference), strict=True):
             np.testing.assert_allclose(one, same, rtol=2e-6, atol=1e-6)
-        state = functions.initial(jax.random.key(0), None)
+        state = one_step.initial(jax.random.key(0))
         for chunk in range(5):
-            state, terms = step(state, pixels, seed, jnp.asarray(0.1 + 0.2 * chunk), jnp.asarray(6), jnp.asarray(True))
+            progress = jnp.asarray(0.1 + 0.2 * chunk, jnp.float32)
+            state, terms = step(state, pixels, seed, progress, jnp.asarray(6, jnp.int32), jnp.asarray(True))
         psnr.append(-10 * np.log10(float(terms["mse"])))
     assert np.ptp(psnr) < 0.2, psnr
 

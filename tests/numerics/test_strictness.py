@@ -1,6 +1,7 @@
 """A whole pass of rendering and losses under JAX's strict switches: no silent change of type, no NaN on the way."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -13,13 +14,19 @@ from reconstruct.field.encodings.directional import integrated_directional_encod
 from reconstruct.models import load_config
 from reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_linear
 from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
-from reconstruct.rendering.model import Footprint, Model, cloud_of, render
-from reconstruct.rendering.volume import volume_weights
+from reconstruct.numerics.volume import volume_weights
+from reconstruct.rendering.model import Model, render
+from reconstruct.sampling.footprint import Footprint, cloud_of
 from reconstruct.sampling.samples import RaySamples
-from reconstruct.scene.rays import Rays
-from reconstruct.surface import losses, sphere
-from reconstruct.training import objective
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.surface import ball, first_surface, regularisers
+from reconstruct.surface.first_surface import find_surfaces
+from reconstruct.surface.second_pass import Place
+from reconstruct.training import losses, objective
+from reconstruct.training.step import Step
 
+FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.0, 5.0))
 SMALL = [
     "surface.density=0.1",
     "surface.bias=0.03",
@@ -52,17 +59,19 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "resample_blurred": lambda: resample_blurred(jnp.sort(some(2, 9)), jnp.sort(some(2, 5)), some(2, 4), 0.03),
     "volume_weights": lambda: volume_weights(some(2, 4), some(2, 4)),
     "directional": lambda: integrated_directional_encoding(normalise(some(5, 3)).T, some(5), 5),
-    "first_surface": lambda: sphere.first_surface(some(4, 6), some(4, 6) > 0.3),
-    "radius": lambda: sphere.neighbourhood_radius(some(4), some(4), some(4)),
-    "rotations": lambda: sphere.random_rotations(jax.random.key(0), 4),
+    "first_surface": lambda: first_surface.first_surface(some(4, 6), some(4, 6) > 0.3),
+    "radius": lambda: first_surface.neighbourhood_radius(some(4), some(4), some(4)),
+    "rotations": lambda: ball.random_rotations(jax.random.key(0), 4),
     "charbonnier": lambda: losses.charbonnier(some(4), 1e-3),
     "interlevel": lambda: losses.interlevel(some(2, 4), some(2, 4)),
     "distortion": lambda: losses.distortion(some(2, 4), some(2, 4), some(2, 4)),
     "hollowness": lambda: losses.hollowness(some(2, 4), some(2, 4)),
-    "smoothness": lambda: losses.density_smoothness(some(2, 4), some(2, 4, 3), some(2, 3), some(2), "tangent"),
-    "consistency": lambda: losses.normal_consistency(some(2, 4, 3), some(2, 3)),
-    "bias": lambda: losses.lambertian_bias(some(2, 4, 3)),
-    "variation": lambda: losses.specular_variation(some(2, 8, 3), losses.direction_likeness(some(2, 8, 3), "published"), 3),
+    "smoothness": lambda: regularisers.density_smoothness(some(2, 4), some(2, 4, 3), some(2, 3), some(2), "tangent"),
+    "consistency": lambda: regularisers.normal_consistency(some(2, 4, 3), some(2, 3)),
+    "bias": lambda: regularisers.lambertian_bias(some(2, 4, 3)),
+    "variation": lambda: regularisers.specular_variation(
+        some(2, 8, 3), regularisers.direction_likeness(some(2, 8, 3), "published"), 3
+    ),
 }
 
 
@@ -89,26 +98,27 @@ def rays_of(count: int) -> Rays:
 def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
     """A small model, and a compiled function of (model, edges of 16 rays' intervals) to ((total, terms), gradient)."""
     config = load_config(overrides=[*SMALL, f"field.shading={request.param}"])
-    rays, place = rays_of(16), objective.Place(bounded=False)
+    rays, place = rays_of(16), Place(bounded=False)
+    step = Step.of(config, FACTS)
+    regularisers = replace(step.second_pass, place=place)
 
     def total(model: Model, edges: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         samples = RaySamples.from_edges(edges)
-        rendered, density = render(
-            model.field,
-            rays,
-            samples,
-            cloud_of(rays, samples, bounded=False, footprint=Footprint()),
-            deferred=request.param == "deferred",
-        )
+        cloud = cloud_of(rays, samples, bounded=False, footprint=Footprint())
+        rendered, density = render(model.field, rays, samples, cloud)
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
-        terms |= objective.distortion_term(rendered, samples, jnp.asarray(1.0), 0.01) | objective.decay_term(model, 0.1)
+        terms |= objective.distortion_term(rendered, samples, 0.01) | objective.decay_term(model, 0.1)
         terms |= objective.hollowness_term(rendered, density, samples, 0.1)
-        found = objective.surfaces_of(rendered, samples, rays, config.surface.rays)
-        terms |= objective.surface_point_terms(model.field, rays, found, config.losses, place)
-        terms |= objective.second_pass_terms(model.field, rays, found, jax.random.key(1), config.surface, place)
+        found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
+        terms |= objective.surface_point_terms(model.field, rays, found, step.objective.weights, place)
+        terms |= regularisers.terms(model.field, rays, found, jax.random.key(1))
         return objective.total(terms), terms
 
-    return Model.create(jax.random.key(0), config), jax.jit(jax.value_and_grad(total, has_aux=True))
+    def graded(model: Model, edges: jax.Array):
+        learned, held = model.split()
+        return jax.value_and_grad(lambda learned: total(eqx.combine(learned, held), edges), has_aux=True)(learned)
+
+    return Model.create(jax.random.key(0), config, FACTS), jax.jit(graded)
 
 
 @pytest.mark.parametrize("case", ["ordinary", "opaque", "empty", "of no length", "blank"])

@@ -16,6 +16,7 @@ from datasets.camera_model import Camera
 from datasets.formats import koala
 from datasets.imaging import images
 from datasets.scene import Scene, View
+from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
@@ -27,9 +28,9 @@ from reconstruct.rendering.model import Model
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
-from reconstruct.training import checkpoint
-from reconstruct.training.step import StepFunctions
+from reconstruct.training.step import Step
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
@@ -108,8 +109,16 @@ def ball_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
 @pytest.fixture(scope="session")
 def small_config() -> Config:
     """The fast preset with everything made small."""
-    return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8",
-                                  "sampler.grid=32", "field.density_bias=0.5"])  # fmt: skip
+    return load_config(
+        overrides=[
+            "encoding.levels=2",
+            "encoding.log2_size=8",
+            "field.spatial_width=8",
+            "field.view_width=8",
+            "sampler.grid=32",
+            "field.density_bias=0.5",
+        ]
+    )
 
 
 class Painted(Ball):
@@ -127,16 +136,26 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
 
     def make(config: Config = small_config, *, checkpointed: bool = True) -> Run:
         scene, folder = ball_scene
-        normalisation = Normalisation.of(scene)
+        facts = SceneFacts(Normalisation.of(scene))
         run = Run.create(
-            tmp_path / "run", config, folder, normalisation, {"budget_s": 10.0, "device": "cpu", "notes": ["made for a test"]}
+            tmp_path / "run", config, folder, facts, {"budget_s": 10.0, "device": "cpu", "notes": ["made for a test"]}
         )
         for step in range(3):
-            run.append_log({"step": step, "seconds": 1.0 * step, "progress": step / 2, "psnr_train": 10.0 + step,
-                            "psnr_unseen": 9.0 + step, "skipped": 0, "occupied": 0.1, "terms": {}})  # fmt: skip
+            run.append_log(
+                {
+                    "step": step,
+                    "seconds": 1.0 * step,
+                    "progress": step / 2,
+                    "psnr_train": 10.0 + step,
+                    "psnr_unseen": 9.0 + step,
+                    "skipped": 0,
+                    "occupied": 0.1,
+                    "terms": {},
+                }
+            )
         if checkpointed:
             possible = np.random.default_rng(0).random(config.sampler.grid**3) < 0.3
-            state = StepFunctions(config, normalisation).initial(jax.random.key(0), possible)
+            state = Step.of(config, run.facts).initial(jax.random.key(0), possible)
             checkpoint.save(run.path / CHECKPOINTS, state, {"seconds": 2.0, "step": 0.0})
         return run
 
@@ -146,17 +165,16 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
 @pytest.fixture
 def painted(ball: TrainedModel) -> TrainedModel:
     """The ball with a painted surface."""
-    field = ball.state.model.field
-    solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, field.radius)
-    return replace(ball, state=eqx.tree_at(lambda s: s.model, ball.state, Model(solid, ())))
+    field = ball.model.field
+    solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=field.radius)
+    return replace(ball, model=replace(ball.model, field=solid))
 
 
 @pytest.fixture
 def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> TrainedModel:
     """The ball in place of a trained model, its occupancy grid holding the cells near the surface."""
     run = make_run(checkpointed=False)
-    functions = StepFunctions(run.config, run.normalisation)
-    state = functions.initial(jax.random.key(0), None)
+    model = Model.create(jax.random.key(0), run.config, run.facts)
     grid = run.config.sampler.grid
     axis = (np.arange(grid) + 0.5) / grid * 2 - 1
     distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
@@ -164,8 +182,8 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
     occupancy = Occupancy.create(
         jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
     )
-    field = state.model.field
-    solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, radius)
-    state = eqx.tree_at(lambda s: (s.model, s.occupancy), state, (Model(solid, ()), occupancy))
+    field = model.field
+    solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
+    model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
     assert run.normalisation.bounded
-    return TrainedModel(run, ball_scene[0], functions, state, Renderer(functions))
+    return TrainedModel(run, ball_scene[0], model, 0, Renderer(run.normalisation))

@@ -20,8 +20,16 @@ def test_every_model_loads_in_every_preset_and_survives_being_written(model: str
 
 
 def test_with_surroundings_the_first_fog_is_thinner_and_the_first_reflection_sharper() -> None:
-    config = load_config("surfnerf", "fast", ["field.density_bias=-1", "field.surroundings_bias=-2.5",
-                                              "field.roughness_bias=-1.5", "field.surroundings_roughness_bias=-2"])  # fmt: skip
+    config = load_config(
+        "surfnerf",
+        "fast",
+        [
+            "field.density_bias=-1",
+            "field.surroundings_bias=-2.5",
+            "field.roughness_bias=-1.5",
+            "field.surroundings_roughness_bias=-2",
+        ],
+    )
     field = config.with_surroundings().field
     assert (field.density_bias, field.roughness_bias) == (-3.5, -3.5)
     assert config.with_surroundings().model_copy(update={"field": config.field}) == config  # nothing else is changed
@@ -132,7 +140,7 @@ def test_merging_replaces_values_and_keeps_what_is_not_named() -> None:
 
 def test_the_rows_of_the_paper_s_table() -> None:
     """Encoding, appearance and whether regularised, as the paper's table has them."""
-    rows = {row["name"]: (row["encoding"], row["appearance"], bool(row["regularisers"])) for row in overview()}
+    rows = {row["name"]: (row["encoding"], row["appearance"], bool(row["regularisers"])) for row in overview("paper")}
     assert rows == {
         "mipnerf": ("frequencies", "view", False),
         "mipnerf_diffuse": ("frequencies", "view_diffuse", False),

@@ -15,12 +15,25 @@ from reconstruct.field.mlp import computed_in
 from reconstruct.models import load_config, merged_config
 from reconstruct.rendering.model import render
 from reconstruct.sampling.samples import RaySamples
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
-from reconstruct.training.step import StepFunctions, TrainState
+from reconstruct.training.step import Step, TrainState
 
 STEPS = 80
-SMALL = ["encoding.levels=3", "encoding.log2_size=10", "encoding.finest=32", "field.spatial_width=16", "field.view_width=16",
-         "sampler.grid=16", "sampler.rays=256", "sampler.samples=4096", "sampler.steps=32", "surface.rays=32", "surface.samples=8", "train.rate=0.03"]  # fmt: skip
+SMALL = [
+    "encoding.levels=3",
+    "encoding.log2_size=10",
+    "encoding.finest=32",
+    "field.spatial_width=16",
+    "field.view_width=16",
+    "sampler.grid=16",
+    "sampler.rays=256",
+    "sampler.samples=4096",
+    "sampler.steps=32",
+    "surface.rays=32",
+    "surface.samples=8",
+    "train.rate=0.03",
+]
 
 
 def trained(config: Config, scene: Scene) -> tuple[TrainState, np.ndarray]:
@@ -28,10 +41,10 @@ def trained(config: Config, scene: Scene) -> tuple[TrainState, np.ndarray]:
     normalisation, views = Normalisation.of(scene), scene.split("train")
     with progress("reading", len(views)) as shown:
         pixels = Pixels.load(views, normalisation, 1.0, shown)
-    functions = StepFunctions(config, normalisation)
-    state, seed, errors = functions.initial(jax.random.key(0), None), jnp.asarray(0, jnp.int32), []
+    one_step = Step.of(config, SceneFacts(normalisation))
+    state, seed, errors = one_step.initial(jax.random.key(0)), jnp.asarray(0, jnp.int32), []
     call = lambda i: (pixels, seed, jnp.asarray(0.1 + i / STEPS, jnp.float32), jnp.asarray(i % 8 == 7))  # noqa: E731
-    step = jax.jit(functions._step).lower(state, *call(0)).compile(compiler_options={"xla_backend_optimization_level": 0})
+    step = jax.jit(one_step).lower(state, *call(0)).compile(compiler_options={"xla_backend_optimization_level": 0})
     for i in range(STEPS):
         state, terms = step(state, *call(i))
         errors.append(float(terms["mse"]))
@@ -63,8 +76,8 @@ def test_a_short_training_comes_to_the_same_error(both: dict[str, tuple[TrainSta
 def test_colours_are_those_of_single_precision(both: dict[str, tuple[TrainState, np.ndarray]]) -> None:
     """The same parameters and rays in both.
 
-    Two networks of two products one after the other, each rounding its factors to 2^-8 of values of order one: 4 x 2 x 2^-8 = 0.03
-    of what the sigmoid, slope 1/4, and sRGB, slope up to 3 for what is not dark, make a colour of: 0.025. Densities differ by as
+    Two networks of two products one after the other, each rounding its factors to 2^-8 of values of order one: 4 x 2 x 2^-8 =
+    0.03 of what the sigmoid, slope 1/4, and sRGB, slope up to 3 for what is not dark, make a colour of: 0.025. Densities differ by as
     much of themselves, weights by less. On average roundings have both signs.
     """
     field, rng = both["float32"][0].model.field, np.random.default_rng(0)
@@ -74,7 +87,7 @@ def test_colours_are_those_of_single_precision(both: dict[str, tuple[TrainState,
     rays = Rays(*(jnp.asarray(values, jnp.float32) for values in (origins, aims - origins, np.full(200, 0.01))))
     samples = RaySamples.from_edges(jnp.broadcast_to(jnp.linspace(0.5, 1.5, 65), (200, 65)))
     cloud = points_on_rays(rays, samples.ray, samples.t, bounded=True)
-    shown = {name: render(computed_in(name, field), rays, samples, cloud, deferred=True)[0] for name in both}
+    shown = {name: render(computed_in(name, field), rays, samples, cloud)[0] for name in both}
     assert np.asarray(shown["float32"].opacity).max() > 0.4, "something is seen"
     apart = np.abs(np.asarray(shown["bfloat16"].over(jnp.ones(3)) - shown["float32"].over(jnp.ones(3))))
     assert 0 < apart.mean() < 0.0025 and apart.max() < 0.025

@@ -1,7 +1,6 @@
 """The process that is the simulated controller: `python -m capture.sim.controller._child '{"seed": 0, ...}'`.
 
-Says {"host": ..., "side_port": ...} on standard output once all ports accept; ends when standard input closes, so that it
-never outlives who started it.
+Prints {"host": ..., "side_port": ...} once all ports accept. Ends with standard input, so that it never outlives its parent.
 """
 
 import asyncio
@@ -21,13 +20,19 @@ from capture.sim.controller.arm import Arm
 from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
 from capture.sim.controller.session import CYCLE_HZ
 
+ONLY_HOST = "127.0.0.1"
+"""The only loopback address that macOS has by default."""
+
+
+def _random_host() -> str:
+    return f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
+
 
 async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
-    """Open all ports on the address `wanted`, or on a loopback address that nobody uses; returns it and the side channel's port."""
+    """Open all ports on the address `wanted`, or on a free loopback address; returns it and the side channel's port."""
     handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
     ports = ", ".join(map(str, handlers))
-    for _ in range(1 if wanted else 50):
-        host = wanted or f"127.{random.randrange(1, 255)}.{random.randrange(1, 255)}.{random.randrange(1, 255)}"
+    for host in [wanted] if wanted else [*(_random_host() for _ in range(50)), ONLY_HOST]:
         opened = []
         try:
             for port, handler in handlers.items():
@@ -35,9 +40,9 @@ async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
         except OSError as error:
             for listener in opened:
                 listener.close()
-            if error.errno != errno.EADDRINUSE:
-                raise
-            continue
+            if error.errno == errno.EADDRINUSE or (not wanted and error.errno in (errno.EADDRNOTAVAIL, None)):
+                continue
+            raise
         side = await asyncio.start_server(partial(side_channel.serve, server), "127.0.0.1", 0)
         return host, side.sockets[0].getsockname()[1]
     raise OSError(f"ports {ports} are not free {'there: another controller runs' if wanted else 'on any loopback address'}")
@@ -45,12 +50,9 @@ async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
 
 async def _run(options: dict[str, Any]) -> None:
     seed = int(options["seed"])
-    length_m, angle_rad = options["length_error_m"], options["angle_error_rad"]
-    links = (
-        UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
-        if length_m or angle_rad
-        else UR5E
-    )
+    length_m, angle_rad, links = options["length_error_m"], options["angle_error_rad"], UR5E
+    if length_m or angle_rad:
+        links = UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
     arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
     server = ControllerServer(arm, options["time_scale"])
     host, side_port = await _listen(server, options["host"])

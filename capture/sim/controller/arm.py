@@ -1,6 +1,6 @@
 """The simulated arm: what its encoders say, where its flange really is, and whether it may move.
 
-Time is the controller's own [s]; whoever steps the simulation says how late it is. Nothing here knows of sockets.
+Time is the controller's own [s] and is passed in. Nothing here uses sockets.
 """
 
 import zlib
@@ -18,13 +18,13 @@ from datasets import pose
 SAFETY_DECELERATION = 10.0
 """Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
 PAUSE_S = 0.3
-"""A motion that is paused slows down on its way for so long, and gathers speed as long when it goes on [s]."""
+"""A paused motion slows down on its path within this time, and speeds up within it when it is resumed [s]."""
 RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
-"""The joints swing after a stop, and the encoders see it: frequency, decay time, and amplitude [rad per rad/s^2]."""
+"""After a stop the joints oscillate, which the encoders measure: frequency, decay time, and amplitude [rad per rad/s^2]."""
 FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
-"""Tubes, gears and bracket bend besides, which no encoder sees; as above."""
+"""Tubes, gears and bracket bend as well, which no encoder measures: as above."""
 QUIET_S = 0.36
-"""Both have died away this long after a stop [s]: less than a hundredth is left, and taken as nothing."""
+"""This long after a stop both have decayed to less than a hundredth, and count as zero [s]."""
 
 
 class RobotMode(IntEnum):
@@ -51,7 +51,7 @@ class Arm:
         home: (6,) angles at the start [rad].
         repeatability_m: standard deviation per axis of where the flange really stops [m].
         repeatability_rad: the same of its orientation [rad].
-        links: the true links. The controller knows them, as it is calibrated; the nominal kinematics do not.
+        links: the true links, which the controller is calibrated to; they differ from the nominal ones.
     """
 
     def __init__(self, seed: int, home: Joints, repeatability_m: float, repeatability_rad: float, links: Links = UR5E) -> None:
@@ -74,24 +74,24 @@ class Arm:
         return self.mode is RobotMode.RUNNING and self.safety is Safety.NORMAL
 
     def phase(self, now: float) -> float:
-        """Time within the motion [s]: runs slower than the clock where the speed slider stands below 100 %."""
+        """Time within the motion [s]: slower than the clock where the speed slider is below 100 %."""
         return self._tempo.phase(now)
 
     def moving(self, now: float) -> bool:
-        """Whether a motion is under way; one that is paused is not."""
-        return self._unfinished(now) and not self._tempo.stands(now)
+        """Whether a motion is under way and not paused."""
+        return self._unfinished(now) and not self._tempo.stopped(now)
 
     def _unfinished(self, now: float) -> bool:
         return bool(self.phase(now) < self.profile.duration)
 
     def target(self, now: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds, accelerations that the controller asks for."""
+        """(6,) commanded angles, speeds and accelerations."""
         angles, speeds, accelerations = self.profile.at(self.phase(now))
         rate = self._tempo.rate(now)
         return angles, speeds * rate, accelerations * rate**2
 
     def actual(self, now: float) -> tuple[Joints, Joints]:
-        """(6,) angles and speeds that the encoders measure: the target, and the swing after a stop."""
+        """(6,) angles and speeds that the encoders measure: the target plus the oscillation after a stop."""
         angles, speeds, _ = self.target(now)
         swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION)
         return angles - swing, speeds - swing_speed
@@ -111,7 +111,7 @@ class Arm:
         return size * sine, size * (omega * cosine - sine / decay_s)
 
     def swings_for(self, profile: Profile, speed: float) -> float:
-        """How long after the end of a motion at full speed a joint is still faster than `speed` [rad/s], in seconds."""
+        """Seconds after the end of a motion at full speed until every joint stays slower than `speed` [rad/s]."""
         slowing = np.abs(profile.at(profile.duration * (1 - 1e-6))[2]).max()
         omega = 2 * np.pi * RINGING_HZ
         since = np.arange(0.0, QUIET_S, 1e-4)
@@ -124,9 +124,9 @@ class Arm:
         return forward(joints, self.links) @ self.flange_from_tcp
 
     def true_base_from_flange(self, now: float) -> NDArray[np.float64]:
-        """(4, 4) where the flange really is [m]: beside the encoders, bent after a stop, and a little off at every visit.
+        """(4, 4) where the flange really is [m]: bent after a stop, and off by the error of this visit.
 
-        The error of a visit changes with every stop, and is the same for the same visit.
+        The error changes with every stop, and is the same for the same place and number of visits.
         """
         bent = self._swing(now, FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION)[0]
         return forward(self.actual(now)[0] - bent, self.links) @ self._stopping_error()
@@ -141,34 +141,34 @@ class Arm:
     def _full_rate(self) -> float:
         return 1.0 if isinstance(self.profile, Stop) else self.speed_fraction
 
-    def slide_speed(self, fraction: float, now: float) -> None:
-        """Set the speed slider to a share in 0..1 of the speed that is asked for; a motion under way goes on with it."""
+    def set_speed_slider(self, fraction: float, now: float) -> None:
+        """Set the speed slider to a fraction 0..1 of the commanded speed; it applies to a motion under way."""
         self.speed_fraction = min(max(fraction, 0.01), 1.0)
         if self._tempo.last > 0:
             self._tempo = Tempo(self.phase(now), now, self._full_rate, self._full_rate)
 
     def pause(self, now: float) -> None:
-        """Come to rest on the way of a motion, which `go_on` continues; does nothing to an arm that stops already."""
+        """Slow down to rest on the path of a motion, which `resume` continues; does nothing to an arm that is stopping."""
         if self.moving(now) and not isinstance(self.profile, Stop):
             self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), 0.0, PAUSE_S)
 
-    def go_on(self, now: float) -> None:
+    def resume(self, now: float) -> None:
         """Continue a motion that was paused."""
         if self._unfinished(now):
             self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), self._full_rate, PAUSE_S)
 
-    def keep_limits(self, now: float) -> None:
+    def check_limits(self, now: float) -> None:
         """Stop for safety where a joint has left its range."""
         angles = self.target(now)[0]
         if self.may_move and not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all():
             self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
 
     def reaches(self, joints: Joints) -> bool:
-        """Whether the controller lets the flange go there."""
+        """Whether the flange may go there."""
         return bool(np.linalg.norm(forward(joints, self.links)[:3, 3]) <= self.reach_m)
 
     def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
-        """Start a movej; an arm that still moves slows down to rest first."""
+        """Start a movej; a moving arm slows down to rest first."""
         if not np.isfinite(goal).all() or np.abs(goal).max() > JOINT_LIMIT:
             self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
             return
@@ -185,7 +185,7 @@ class Arm:
             self.begin(Stop(angles, speeds, max(deceleration, 0.1)), now)
 
     def stop_for_safety(self, safety: Safety, now: float) -> None:
-        """Protective or emergency stop: rest as fast as may be; an emergency stop also cuts the power."""
+        """Protective or emergency stop: slow down as fast as possible; an emergency stop also cuts the power."""
         self.stop(SAFETY_DECELERATION, now)
         self.safety = safety
         if safety is Safety.ROBOT_EMERGENCY_STOP:

@@ -1,4 +1,4 @@
-"""The dashboard server's conversation: one line in, one line out."""
+"""The dashboard server's protocol: one line in, one line out."""
 
 from typing import Protocol
 
@@ -14,7 +14,7 @@ _SAFETY_STATUS = {
 
 
 class Controller(Protocol):
-    """What the dashboard can do with the controller that it belongs to."""
+    """What the dashboard uses of the controller."""
 
     arm: Arm
     version: tuple[int, int, int, int]
@@ -26,18 +26,18 @@ class Controller(Protocol):
 
     @property
     def program_paused(self) -> bool:
-        """Whether a program waits to be played on."""
+        """Whether a program is paused."""
         ...
 
     def stop_program(self) -> None:
         """End the program; the arm slows down."""
 
     def pause_program(self) -> bool:
-        """Pause the program; whether one ran."""
+        """Pause the program; False where none ran."""
         ...
 
     def play_program(self) -> bool:
-        """Go on with a paused program; whether there was one."""
+        """Resume a paused program; False where none was paused."""
         ...
 
 
@@ -65,7 +65,7 @@ def reply(controller: Controller, line: str) -> str:
         return "Stopped"
     if word == "pause":
         return "Pausing program" if controller.pause_program() else "Failed to execute: pause"
-    if word == "play":  # programs are uploaded, so that none is loaded that could be started anew
+    if word == "play":  # programs are uploaded: none is loaded that could be started again
         return "Starting program" if controller.play_program() else "Failed to execute: play"
     return _act(arm, word)
 

@@ -1,4 +1,4 @@
-"""Talks to the side channel of a simulated controller, whoever started it.
+"""A connection to the side channel of a simulated controller.
 
 handle = ControllerHandle(host, side_port)
 handle.true_base_from_flange()
@@ -27,7 +27,7 @@ class ControllerHandle:
         self._side: socket.socket | None = None
 
     def close(self) -> None:
-        """Close the connection; the controller goes on."""
+        """Close the connection; the controller keeps running."""
         if self._side is not None:
             self._side.close()
             self._side = None
@@ -59,13 +59,13 @@ class ControllerHandle:
                     reply += chunk
             except OSError as error:
                 self.close()
-                raise SimulationError("the simulated controller does not answer", why=f"{error}. {self.last_words()}",
-                                      remedy="start it again") from None  # fmt: skip
+                why = f"{error}. {self.last_line()}"
+                raise SimulationError("the simulated controller does not answer", why=why, remedy="start it again") from None
         content: dict[str, Any] = json.loads(reply)
         if "error" in content:
             raise SimulationError("the simulated controller refused a request", where=do, why=content["error"])
         return content
 
-    def last_words(self) -> str:
-        """What its process printed last, where that is known."""
+    def last_line(self) -> str:
+        """The last line that its process printed; empty where that is unknown."""
         return ""

@@ -1,5 +1,7 @@
-"""What the simulated controller's output variables say at one moment. Each is computed when a connection's recipe asks for it, and once
-for all of them: a tool pose costs more than everything else of a cycle, and few recipes have one."""
+"""Values of the simulated controller's output variables at one moment.
+
+Each is computed at most once, and only where a connection's recipe contains it: a tool pose costs more than the rest of a cycle.
+"""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -8,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.controller import rtde_protocol
+from capture.robots.rtde import wire
 from capture.sim.controller.arm import Arm, RobotMode, Safety
 from capture.sim.controller.profiles import Joints
 from capture.sim.controller.script import ControlProgram
@@ -17,7 +19,7 @@ STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 
 
 class Controller(Protocol):
-    """What outputs are read from."""
+    """What outputs are computed from."""
 
     arm: Arm
     program: ControlProgram | None
@@ -30,7 +32,7 @@ class Controller(Protocol):
 
     @property
     def program_paused(self) -> bool:
-        """Whether a program waits to be played on."""
+        """Whether a program is paused."""
         ...
 
     def tcp_pose(self, joints: Joints) -> NDArray[np.float64]:
@@ -39,7 +41,7 @@ class Controller(Protocol):
 
 
 class Outputs:
-    """The variables at the controller's time `now` [s], by name; those that nothing changes are zero."""
+    """The variables at the controller's time `now` [s], by name; those that never change are zero."""
 
     def __init__(self, controller: Controller, now: float) -> None:
         self.controller, self.arm, self.now = controller, controller.arm, now
@@ -47,19 +49,19 @@ class Outputs:
     def __getitem__(self, name: str) -> Any:
         if name in _CHANGING:
             return _CHANGING[name](self)
-        register = rtde_protocol.register_of(name)
+        register = wire.register_of(name)
         if register is not None:
             kind, number = register
             program = self.controller.program
             if program is None or not name.startswith("output"):
                 return 0
             return (program.output_ints if kind == "int" else program.output_doubles)[number]
-        kind = rtde_protocol.type_of(name)
+        kind = wire.type_of(name)
         return [0] * {"VECTOR3D": 3}.get(kind, 6) if kind.startswith("VECTOR") else 0
 
     @cached_property
     def target(self) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds, accelerations that the controller asks for."""
+        """(6,) commanded angles, speeds and accelerations."""
         return self.arm.target(self.now)
 
     @cached_property

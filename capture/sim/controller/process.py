@@ -1,4 +1,4 @@
-"""A simulated UR5e controller that the vendor's own client talks to: a process of its own on a loopback address.
+"""A simulated UR5e controller for real clients: a process of its own on a loopback address.
 
 with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UR5e(simulated.host) as robot:
     robot.move_to(joints, speed=1.0, acceleration=1.4)
@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from typing import IO, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,19 +22,19 @@ from datasets.core.errors import UsageError
 
 START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
-"""Where the arm stands at first: stretched upwards [rad]."""
+"""Joint angles at the start: stretched upwards [rad]."""
 HANGING_HOME = (0.0, -np.pi, 0.0, -np.pi / 2, 0.0, 0.0)
-"""The same of an arm that hangs: stretched along the ceiling, out of the way [rad]."""
+"""The same for a hanging arm: stretched along the ceiling, out of the way [rad]."""
 BUILT_MM, BUILT_DEG = 0.5, 0.05
-"""How the links of an arm as it was built differ from the nominal ones, one standard deviation: millimetres at the flange."""
+"""Standard deviations of the links of an arm as built from the nominal ones; they move the flange by millimetres."""
 
 
 class SimulatedController(ControllerHandle):
-    """The process, and the way to ask it. Use `start`; leaving the context ends the process, and so does the end of this one."""
+    """The process and its side channel. Use `start`; leaving the context ends the process, and so does the end of its parent."""
 
-    def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int, words: IO[bytes]) -> None:
+    def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int, output: IO[bytes]) -> None:
         super().__init__(host, side_port)
-        self.process, self._words = process, words
+        self.process, self._output = process, output
 
     @classmethod
     def start(
@@ -54,12 +54,12 @@ class SimulatedController(ControllerHandle):
 
         Args:
             seed: of the errors; the same seed and the same moves give the same errors.
-            time_scale: how much faster than the clock on the wall the controller's time runs.
+            time_scale: how much faster than real time the controller's clock runs.
             repeatability_mm, repeatability_deg: one standard deviation per axis of where the flange really stops.
-            length_error_mm, angle_error_deg: the same of the arm's links against the nominal ones; the controller knows them.
-            links_seed: of those, None: `seed`; the same one is the same arm.
+            length_error_mm, angle_error_deg: standard deviation of the links from the nominal ones; the controller knows them.
+            links_seed: of the links; None: `seed`. The same one gives the same arm.
             home: (6,) joint angles at the start [rad].
-            host: loopback address; empty: one that nobody uses.
+            host: loopback address; empty: a free one.
 
         Raises:
             UsageError: `host` is no loopback address; nothing simulated listens to other computers.
@@ -68,36 +68,31 @@ class SimulatedController(ControllerHandle):
         if host and not _is_loopback(host):
             raise UsageError("is no loopback address", where=host, remedy="give one of 127.0.0.1 to 127.255.255.254")
         options = {
-            "host": host, "seed": int(seed), "links_seed": int(seed if links_seed is None else links_seed), "time_scale": float(time_scale), "home": [float(angle) for angle in home],
-            "repeatability_m": repeatability_mm / 1000, "repeatability_rad": float(np.radians(repeatability_deg)),
-            "length_error_m": length_error_mm / 1000, "angle_error_rad": float(np.radians(angle_error_deg)),
-        }  # fmt: skip
-        words = tempfile.TemporaryFile()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "capture.sim.controller._child", json.dumps(options)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, start_new_session=True,
-        )  # fmt: skip
-        timer = threading.Timer(START_TIMEOUT_S, process.kill)
-        timer.start()
-        try:
-            line = process.stdout.readline()
-        finally:
-            timer.cancel()
-        if not line:
-            process.kill()
-            process.communicate()
-            raise SimulationError("the simulated controller did not start", where=host, why=_last_line(words).removeprefix("OSError: "),
-                                  remedy="end what holds it up, or choose another --host")  # fmt: skip
-        ready = json.loads(line)
-        return cls(process, ready["host"], ready["side_port"], words)
+            "host": host,
+            "seed": int(seed),
+            "links_seed": int(seed if links_seed is None else links_seed),
+            "time_scale": float(time_scale),
+            "home": [float(angle) for angle in home],
+            "repeatability_m": repeatability_mm / 1000,
+            "repeatability_rad": float(np.radians(repeatability_deg)),
+            "length_error_m": length_error_mm / 1000,
+            "angle_error_rad": float(np.radians(angle_error_deg)),
+        }
+        process, ready, output = _launch(options)
+        if not ready:
+            why = _last_line(output).removeprefix("OSError: ")
+            remedy = "end the other program, or choose another --host"
+            raise SimulationError("the simulated controller did not start", where=host, why=why, remedy=remedy)
+        return cls(process, ready["host"], ready["side_port"], output)
 
     @classmethod
     def as_built(
         cls, *, seed: int, time_scale: float, links_seed: int | None = None, hangs: bool = False, host: str = ""
     ) -> Self:
-        """`start` an arm whose links are not quite the nominal ones, as those of any real arm; out of the way if it hangs."""
-        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, length_error_mm=BUILT_MM,
-                         angle_error_deg=BUILT_DEG, home=HANGING_HOME if hangs else HOME)  # fmt: skip
+        """`start` an arm whose links differ a little from the nominal ones, as on any real arm; out of the way if it hangs."""
+        errors = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG}
+        home = HANGING_HOME if hangs else HOME
+        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, home=home, **errors)
 
     def __enter__(self) -> Self:
         return self
@@ -110,11 +105,34 @@ class SimulatedController(ControllerHandle):
         super().close()
         self.process.kill()
         self.process.communicate()
-        self._words.close()
+        self._output.close()
 
-    def last_words(self) -> str:
-        """What the process printed last."""
-        return _last_line(self._words)
+    def last_line(self) -> str:
+        """The last line that the process printed."""
+        return _last_line(self._output)
+
+
+def _launch(options: dict[str, Any]) -> tuple["subprocess.Popen[bytes]", dict[str, Any], IO[bytes]]:
+    """The process, what it reports once its ports accept (empty: it ended), and its error output."""
+    output = tempfile.TemporaryFile()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "capture.sim.controller._child", json.dumps(options)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=output,
+        start_new_session=True,
+    )
+    assert process.stdout is not None  # it is a pipe
+    timer = threading.Timer(START_TIMEOUT_S, process.kill)
+    timer.start()
+    try:
+        line = process.stdout.readline()
+    finally:
+        timer.cancel()
+    if not line:
+        process.kill()
+        process.communicate()
+    return process, json.loads(line or b"{}"), output
 
 
 def _is_loopback(host: str) -> bool:
@@ -124,10 +142,9 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _last_line(words: IO[bytes]) -> str:
-    """What the process printed last."""
-    if words.closed:
+def _last_line(output: IO[bytes]) -> str:
+    if output.closed:
         return "it has been closed"
-    words.seek(0)
-    lines = words.read().decode(errors="replace").strip().splitlines()
-    return lines[-1] if lines else "it said nothing"
+    output.seek(0)
+    lines = output.read().decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it printed nothing"

@@ -69,11 +69,8 @@ class Move:
             travelled = speed * (time - ramp / 2)
         else:
             left = 2 * ramp + cruise - time
-            travelled, speed, acceleration = (
-                distance - self.acceleration * left**2 / 2,
-                self.acceleration * left,
-                -self.acceleration,
-            )
+            travelled = distance - self.acceleration * left**2 / 2
+            speed, acceleration = self.acceleration * left, -self.acceleration
         direction = way / distance
         return self.start + direction * travelled, direction * speed, direction * acceleration
 
@@ -141,9 +138,8 @@ class Line:
         return now, (self._angles(time + step) - self._angles(time - step)) / (2 * step), np.zeros(6)
 
     def _angles(self, time: float) -> Joints:
-        share = Move(np.zeros(1), np.full(1, self.distance), self.speed, self.acceleration).at(time)[0][0] / max(
-            self.distance, 1e-12
-        )
+        travelled = Move(np.zeros(1), np.full(1, self.distance), self.speed, self.acceleration).at(time)[0][0]
+        share = travelled / max(self.distance, 1e-12)
         position = share * (len(self.path) - 1)
         index = min(int(position), len(self.path) - 2)
         return self.path[index] + (position - index) * (self.path[index + 1] - self.path[index])

@@ -1,4 +1,4 @@
-"""The control program that the client uploads, as far as its commands can be seen from outside.
+"""What can be seen from outside of the control program that a client uploads; the vendor's and ours share these registers.
 
 The client writes a command number into input_int_register_0 and its arguments into the registers after it; the program
 answers 1 (ready) and 2 (done) in output_int_register_0 and results in the other output registers. A new command is one
@@ -20,7 +20,7 @@ READY, DONE, END = 1, 2, 255
 Handler = Callable[["ControlProgram", float], "Generator[None] | None"]
 COMMANDS: dict[int, Handler] = {}
 EVERY_CYCLE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
-"""Commands that are carried out in every cycle that they stand in the register, and never answered with done."""
+"""Commands that are carried out in every cycle while they are in the register, and never answered with done."""
 
 
 def command(*numbers: int) -> Callable[[Handler], Handler]:
@@ -49,11 +49,11 @@ class ControlProgram:
         self._operation, self._writes, self._moving = 0, 0, False
 
     def int_argument(self, index: int) -> int:
-        """Of the present command."""
+        """Integer argument of the current command."""
         return self.input_ints[self.offset + index]
 
     def arguments(self, first: int, count: int) -> NDArray[np.float64]:
-        """(count,) numbers of the present command."""
+        """(count,) numeric arguments of the current command."""
         start = self.offset + first
         return np.array(self.input_doubles[start : start + count])
 
@@ -96,7 +96,7 @@ class ControlProgram:
         self.arm.stop(3.0, now)
 
     def report_operation(self, *, running: bool, started: bool = False) -> None:
-        """Tell the client about the asynchronous motion: id in bits 24-30, writes in 16-22, running in 15."""
+        """Report the asynchronous motion to the client: id in bits 24-30, writes in 16-22, running in 15."""
         self._moving = running
         self._operation = (self._operation + started) % 128
         self._writes = (self._writes + 1) % 128
@@ -247,7 +247,7 @@ def _numbers(transform: NDArray[np.float64]) -> NDArray[np.float64]:
 def _nearest_branch(
     program: ControlProgram, tcp_numbers: NDArray[np.float64], near: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Joint angles next to `near` that bring the tool point to a pose by the arm's own links; None: out of reach."""
+    """Joint angles nearest to `near` that bring the tool point to a pose with the arm's true links; None: out of reach."""
     base_from_tcp = pose.from_rotation_vector(tcp_numbers[3:], tcp_numbers[:3])
     base_from_flange = base_from_tcp @ pose.inverse(program.arm.flange_from_tcp)
     branches = kinematics.inverse(base_from_flange)
@@ -255,7 +255,7 @@ def _nearest_branch(
         return None
     branches = kinematics.nearest_turn(branches, near)
     joints = branches[np.abs(branches - near).max(axis=1).argmin()]
-    for _ in range(5):  # the closed form has the nominal links: a few Newton steps lead to the arm's own
+    for _ in range(5):  # the closed form has the nominal links: a few Newton steps lead to the true ones
         reached = kinematics.forward(joints, program.arm.links)
         turn = pose.rotation_vector(base_from_flange[:3, :3] @ reached[:3, :3].T)
         step = np.concatenate([base_from_flange[:3, 3] - reached[:3, 3], turn])

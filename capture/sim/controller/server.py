@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from capture.sim.controller import dashboard, rtde_protocol
+from capture.robots.rtde import wire
+from capture.robots.rtde.wire import packet
+from capture.sim.controller import dashboard
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.outputs import Outputs
-from capture.sim.controller.rtde_protocol import packet
 from capture.sim.controller.script import ControlProgram
 from capture.sim.controller.session import Session
 from datasets import pose
@@ -23,7 +24,7 @@ VERSION = (5, 11, 5, 1010327)
 
 
 class ControllerServer:
-    """Everything behind the three ports. The faults that it can have are asked for in `side_channel`."""
+    """Everything behind the three ports. Its faults are triggered through `side_channel`."""
 
     def __init__(self, arm: Arm, time_scale: float, version: tuple[int, int, int, int] = VERSION) -> None:
         self.arm, self.time_scale, self.version = arm, time_scale, version
@@ -48,7 +49,7 @@ class ControllerServer:
 
     @property
     def program_paused(self) -> bool:
-        """Whether a program waits to be played on."""
+        """Whether a program is paused."""
         return self.program is not None and self.program.paused
 
     @property
@@ -62,7 +63,7 @@ class ControllerServer:
             self.program.end(self.now)
 
     def pause_program(self) -> bool:
-        """Whether a program ran that is now paused; the arm comes to rest on its way."""
+        """Pause the program; False where none ran. The arm comes to rest on its path."""
         if self.program is None or not self.program_running:
             return False
         self.program.paused = True
@@ -70,15 +71,15 @@ class ControllerServer:
         return True
 
     def play_program(self) -> bool:
-        """Whether a program was paused that now goes on, and the arm with it."""
+        """Resume the program and the motion; False where none was paused."""
         if self.program is None or not self.program_paused:
             return False
         self.program.paused = False
-        self.arm.go_on(self.now)
+        self.arm.resume(self.now)
         return True
 
     def upload(self, text: str) -> None:
-        """Start a program, as the script port does with every text that it gets."""
+        """Start a program, as the script port does with every text that it receives."""
         if not self.arm.may_move:
             return
         previous, self.program = self.program, ControlProgram(self.arm, text)
@@ -92,14 +93,14 @@ class ControllerServer:
         """Registers and outputs that a client sets; the program sees them at once."""
         program = self.program
         for name, value in values.items():
-            register = rtde_protocol.register_of(name)
+            register = wire.register_of(name)
             if register is not None and program is not None:
                 kind, number = register
                 (program.input_ints if kind == "int" else program.input_doubles)[number] = value
                 if program.offset == number and kind == "int":
                     self._input_written_s = time.monotonic()
         if "speed_slider_fraction" in values:
-            self.arm.slide_speed(values["speed_slider_fraction"], self.now)
+            self.arm.set_speed_slider(values["speed_slider_fraction"], self.now)
         if "standard_digital_output" in values:
             mask = values.get("standard_digital_output_mask", 0)
             self.digital_outputs = (self.digital_outputs & ~mask) | (values["standard_digital_output"] & mask)
@@ -109,7 +110,7 @@ class ControllerServer:
     def step(self) -> None:
         """One cycle: program, safety, watchdog, data to every connection."""
         program, now = self.program, self.now
-        self.arm.keep_limits(now)
+        self.arm.check_limits(now)
         if program is not None and program.running:
             late = time.monotonic() - self._input_written_s
             if not self.arm.may_move or (program.watchdog_s is not None and late > program.watchdog_s):
@@ -122,12 +123,10 @@ class ControllerServer:
         for session in list(self.sessions):
             if session.streaming and session.output is not None and wall >= session.due_s:
                 session.due_s = max(session.due_s + session.period_s, wall)
-                session.send(
-                    packet(rtde_protocol.DATA, b"\x01" + session.output.pack([outputs[n] for n in session.output.names]))
-                )
+                session.send(packet(wire.DATA, b"\x01" + session.output.pack([outputs[n] for n in session.output.names])))
 
     def tcp_pose(self, joints: np.ndarray) -> np.ndarray:
-        """(6,) position [m] and rotation vector [rad]; kept for the arm at rest, which asks for the same one again and again."""
+        """(6,) position [m] and rotation vector [rad]; cached for an arm at rest."""
         key = joints.tobytes() + self.arm.flange_from_tcp.tobytes()
         if key not in self._poses:
             base_from_tcp = self.arm.base_from_tcp(joints)
@@ -143,10 +142,10 @@ class ControllerServer:
             while chunk := await reader.read(65536):
                 await self._answering()
                 buffer += chunk
-                for kind, payload in rtde_protocol.split_packets(buffer):
+                for kind, payload in wire.split_packets(buffer):
                     session.send(session.handle(kind, payload))
         except (ConnectionError, ValueError, struct.error):
-            return  # a connection that breaks, or that speaks something else, is closed
+            return  # a connection that breaks, or does not speak RTDE, is closed
         finally:
             self.sessions.remove(session)
             writer.close()
@@ -183,6 +182,6 @@ class ControllerServer:
             writer.close()
 
     async def _answering(self) -> None:
-        """Return once the controller answers: a hung one takes connections and then says nothing."""
+        """Return once the controller answers: a hung one accepts connections and then sends nothing."""
         while time.monotonic() < self.hung_until:
             await asyncio.sleep(0.02)

@@ -4,8 +4,8 @@ import asyncio
 import struct
 from typing import Any, Protocol
 
-from capture.sim.controller import rtde_protocol
-from capture.sim.controller.rtde_protocol import Recipe, packet
+from capture.robots.rtde import wire
+from capture.robots.rtde.wire import Recipe, packet
 
 CYCLE_HZ = 500
 MAX_UNREAD = 1 << 20
@@ -13,17 +13,17 @@ MAX_UNREAD = 1 << 20
 
 
 class Registers(Protocol):
-    """What a connection needs of the controller."""
+    """What a connection uses of the controller."""
 
     version: tuple[int, int, int, int]
     sessions: "list[Session]"
 
     def write_inputs(self, values: dict[str, Any]) -> None:
-        """Take what a client has set."""
+        """Apply what a client has set."""
 
 
 class Session:
-    """One RTDE connection: its recipes and what it is owed."""
+    """One RTDE connection: its recipes and when its next sample is due."""
 
     def __init__(self, server: Registers, writer: asyncio.StreamWriter) -> None:
         self.server, self.writer = server, writer
@@ -35,22 +35,22 @@ class Session:
         self.registers: set[str] = set()
 
     def handle(self, kind: int, payload: bytes) -> bytes:
-        """Reply to one packet; empty where none is due."""
-        if kind == rtde_protocol.PROTOCOL_VERSION:
+        """Reply to one packet; empty where there is none."""
+        if kind == wire.PROTOCOL_VERSION:
             return packet(kind, b"\x01")
-        if kind == rtde_protocol.CONTROLLER_VERSION:
+        if kind == wire.CONTROLLER_VERSION:
             return packet(kind, struct.pack(">4I", *self.server.version))
-        if kind == rtde_protocol.OUTPUTS:
+        if kind == wire.OUTPUTS:
             frequency = struct.unpack_from(">d", payload)[0]
             self.output, self.streaming = Recipe(_names(payload[8:])), False
             self.period_s = 1.0 / min(max(frequency, 1.0), CYCLE_HZ)
             return packet(kind, b"\x01" + ",".join(self.output.types).encode())
-        if kind == rtde_protocol.INPUTS:
+        if kind == wire.INPUTS:
             return packet(kind, self._register_inputs(Recipe(_names(payload))))
-        if kind in (rtde_protocol.START, rtde_protocol.PAUSE):
-            self.streaming = kind == rtde_protocol.START and (self.output is None or self.output.complete)
-            return packet(kind, b"\x01" if self.streaming or kind == rtde_protocol.PAUSE else b"\x00")
-        if kind == rtde_protocol.DATA and payload:
+        if kind in (wire.START, wire.PAUSE):
+            self.streaming = kind == wire.START and (self.output is None or self.output.complete)
+            return packet(kind, b"\x01" if self.streaming or kind == wire.PAUSE else b"\x00")
+        if kind == wire.DATA and payload:
             self._receive(payload)
         return b""
 
@@ -76,7 +76,7 @@ class Session:
         self.server.write_inputs(values)
 
     def send(self, data: bytes) -> None:
-        """Queue bytes, or cut the connection where nobody reads them."""
+        """Queue bytes, or cut the connection where they are not read."""
         if self.writer.transport.get_write_buffer_size() > MAX_UNREAD:
             self.writer.transport.abort()
         elif data and not self.writer.transport.is_closing():

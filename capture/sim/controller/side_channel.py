@@ -1,6 +1,6 @@
-"""The simulation's own port: asks where the arm truly is, and tells the controller to have a fault.
+"""The simulation's own port: reports where the arm truly is, and triggers faults of the controller.
 
-One JSON object a line, {"do": "drop"}; one reply a line. No real controller has it, so no driver may know of it.
+One JSON object per line, {"do": "drop"}; one reply per line. No real controller has it, so no driver may use it.
 """
 
 import asyncio
@@ -15,10 +15,8 @@ from capture.kinematics import JOINT_LIMIT
 from capture.sim.controller.arm import Safety
 from capture.sim.controller.server import ControllerServer
 
-Server = ControllerServer
 
-
-async def serve(server: Server, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Serve one connection."""
     try:
         while line := await reader.readline():
@@ -29,8 +27,8 @@ async def serve(server: Server, reader: asyncio.StreamReader, writer: asyncio.St
         writer.close()
 
 
-def reply(server: Server, line: bytes) -> dict[str, Any]:
-    """Answer to one request; {"error": ...} where it is none."""
+def reply(server: ControllerServer, line: bytes) -> dict[str, Any]:
+    """Answer to one request; {"error": ...} where it is invalid."""
     try:
         request = json.loads(line)
         return ACTIONS[request.pop("do")](server, **request) or {"ok": True}
@@ -38,60 +36,67 @@ def reply(server: Server, line: bytes) -> dict[str, Any]:
         return {"error": f"{type(error).__name__}: {error}; actions: {', '.join(ACTIONS)}"}
 
 
-def _truth(server: Server, exposure_s: float = 0.0, count: int = 0) -> dict[str, Any]:
-    """Where the flange really is [m], now and at `count` moments in the middle of equal parts of an exposure from now on."""
+def _truth(server: ControllerServer, exposure_s: float = 0.0, count: int = 0) -> dict[str, Any]:
+    """Where the flange really is [m], now and in the middle of `count` equal parts of an exposure that begins now."""
     arm, now = server.arm, server.now
     joints, speeds = arm.actual(now)
     moments = now + (np.arange(count) + 0.5) / max(count, 1) * exposure_s
     return {
         "base_from_flange": arm.true_base_from_flange(now).tolist(),
         "exposed": [arm.true_base_from_flange(moment).tolist() for moment in moments],
-        "joints": joints.tolist(), "speeds": speeds.tolist(), "moving": arm.moving(now), "robot_time_s": now,
-        "motion_s": arm.profile.duration, "phase_s": arm.phase(now), "time_scale": server.time_scale,
-        "safety": arm.safety.name, "mode": arm.mode.name, "program_running": server.program_running,
-    }  # fmt: skip
+        "joints": joints.tolist(),
+        "speeds": speeds.tolist(),
+        "moving": arm.moving(now),
+        "robot_time_s": now,
+        "motion_s": arm.profile.duration,
+        "phase_s": arm.phase(now),
+        "time_scale": server.time_scale,
+        "safety": arm.safety.name,
+        "mode": arm.mode.name,
+        "program_running": server.program_running,
+    }
 
 
-def _motions(server: Server, settle_speed: float = 0.001) -> dict[str, Any]:
-    """The latest motions: start in the controller's time, duration, and how long joints swing faster than that after it [s]."""
+def _motions(server: ControllerServer, settle_speed: float = 0.001) -> dict[str, Any]:
+    """The latest motions: start on the controller's clock, duration, and until when after it joints exceed that speed [s]."""
     arm = server.arm
     return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_speed)] for start, profile in arm.motions]}
 
 
-def _drop(server: Server) -> None:
+def _drop(server: ControllerServer) -> None:
     """Cut every RTDE connection."""
     for session in list(server.sessions):
         session.writer.transport.abort()
 
 
-def _silent(server: Server, seconds: float) -> None:
-    """Send no data for some time on the wall; the connections stay open, the dashboard answers."""
+def _silent(server: ControllerServer, seconds: float) -> None:
+    """Send no data for some real time; the connections stay open, the dashboard answers."""
     server.silent_until = time.monotonic() + seconds
 
 
-def _hang(server: Server, seconds: float) -> None:
-    """Take connections but answer on no port for some time on the wall; 0 ends it."""
+def _hang(server: ControllerServer, seconds: float) -> None:
+    """Accept connections but answer on no port for some real time; 0 ends it."""
     server.hung_until = time.monotonic() + seconds
 
 
-def _ignore_commands(server: Server, ignore: bool = True) -> None:
-    """Never acknowledge a command, or do so again."""
+def _ignore_commands(server: ControllerServer, ignore: bool = True) -> None:
+    """Stop acknowledging commands, or resume."""
     server.deaf = ignore
 
 
-def _joint_limit(server: Server, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
-    """Give a joint (1 to 6) a narrower range, as the safety settings of a real arm may: leaving it is a protective stop."""
+def _joint_limit(server: ControllerServer, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
+    """Narrow the range of a joint (1 to 6), as safety settings do; leaving it causes a protective stop."""
     server.arm.joint_limits[:, joint - 1] = np.clip(np.radians([lower_deg, upper_deg]), -JOINT_LIMIT, JOINT_LIMIT)
 
 
-def _reach(server: Server, metres: float = np.inf) -> None:
-    """Let the controller refuse targets of the flange beyond this distance from the base: its program ends there."""
+def _reach(server: ControllerServer, metres: float = np.inf) -> None:
+    """Refuse targets of the flange beyond this distance from the base: the program ends."""
     server.arm.reach_m = metres
 
 
-def _speed_slider(server: Server, fraction: float) -> None:
-    """Set the slider on the pendant to a share of full speed, 0.01 to 1."""
-    server.arm.slide_speed(fraction, server.now)
+def _speed_slider(server: ControllerServer, fraction: float) -> None:
+    """Set the pendant's slider to a fraction of full speed, 0.01 to 1."""
+    server.arm.set_speed_slider(fraction, server.now)
 
 
 ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
@@ -108,4 +113,4 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "reach": _reach,
     "speed_slider": _speed_slider,
 }
-"""What may be asked, by name; see the functions for the arguments."""
+"""Requests by name; see the functions for the arguments."""

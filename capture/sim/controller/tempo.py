@@ -1,4 +1,4 @@
-"""How fast a motion runs through its profile: slower than the clock by the speed slider, not at all where it is paused."""
+"""How fast a motion runs through its profile: slowed by the speed slider, stopped by a pause."""
 
 from dataclasses import dataclass
 
@@ -27,6 +27,6 @@ class Tempo:
         ramp = min(passed, self.ramp_s)
         return self.phase_s + ramp * (self.first + self.rate(self.since + ramp)) / 2 + (passed - ramp) * self.last
 
-    def stands(self, now: float) -> bool:
-        """Whether the motion stands still and will not go on by itself."""
+    def stopped(self, now: float) -> bool:
+        """Whether the motion is paused and at rest."""
         return self.last <= 0 and self.rate(now) <= 0

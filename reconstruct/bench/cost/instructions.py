@@ -11,12 +11,12 @@ from collections import defaultdict
 from typing import NamedTuple
 
 STAGES = {
-    "second_pass_terms": "second pass",
+    "_with_second_pass": "second pass",
     "surface_point_terms": "surface points",
-    "_descend": "optimiser",
-    "_choose": "choosing samples",
-    "seen": "occupancy grid",
-    "look_around": "occupancy grid",
+    "descended": "optimiser",
+    "batch": "choosing samples",
+    "noted": "occupancy grid",
+    "kept_up": "occupancy grid",
     "take": "drawing rays",
     "decay_term": "decay",
 }
@@ -28,10 +28,12 @@ KERNELS = {
     "mlp.py": "networks",
     "appearance.py": "shading",
     "rendering/": "compositing",
+    "numerics/volume.py": "compositing",
     "sampling/samples.py": "compositing",
     "sampling/packing.py": "packing",
     "sampling/occupancy.py": "occupancy",
     "losses.py": "losses",
+    "surface/": "losses",
     "safe.py": "shading",
     "optax/": "optimiser",
 }

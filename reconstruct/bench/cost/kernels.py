@@ -20,12 +20,12 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 from reconstruct.field.encodings.voxels import VoxelGrid
+from reconstruct.numerics.compiling import jit
+from reconstruct.rendering.compositing import composite, sample_weights
 from reconstruct.rendering.model import Model
-from reconstruct.rendering.volume import composite, sample_weights
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.packing import expected_depth
+from reconstruct.sampling.occupied_steps import OccupiedSteps
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.training.step import StepFunctions
 
 BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)
 """An object in the cube [-1, 1]^3, seen from four away."""
@@ -78,21 +78,20 @@ class Bench:
     """The kernels of a configuration's step, on a shell of occupied cells instead of a scene."""
 
     config: Config
-    functions: StepFunctions
     model: Model
-    occupancy: Occupancy
+    sampler: OccupiedSteps
     rays: Rays
 
     @classmethod
     def of(cls, config: Config) -> "Bench":
         """For a configuration with an occupancy grid."""
-        functions = StepFunctions(config, BOUNDED)
         grid = config.sampler.grid
         axis = (np.arange(grid) + 0.5) / grid * 2 - 1
         radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
-        state = functions.initial(jax.random.key(0), np.abs(radius - 0.6) < OCCUPIED)
-        assert state.occupancy is not None  # the configuration has one
-        return cls(config, functions, state.model, state.occupancy, _rays(functions.rays_per_step))
+        possible = np.abs(radius - 0.6) < OCCUPIED
+        model = Model.create(jax.random.key(0), config, SceneFacts(BOUNDED), possible=possible)
+        assert isinstance(model.sampler, OccupiedSteps)  # the configuration has a grid
+        return cls(config, model, model.sampler, _rays(model.sampler.rays_drawn * config.train.accumulate))
 
     def kernels(self, done: Callable[[str], None] = lambda name: None) -> list[Kernel]:
         """All kernels, measured one after the other; takes some seconds."""
@@ -104,30 +103,29 @@ class Bench:
 
     def _measured(self, piece: Piece) -> Kernel:
         arguments = piece.arguments
-        compiled = jax.jit(piece.function).lower(*arguments).compile()
+        compiled = jit(piece.function).lower(*arguments).compile()
         counted = compiled.cost_analysis() or {}
         seconds = fastest(lambda: compiled(*arguments))
         moved = sum(_bytes(leaf) for leaf in jax.tree.leaves((arguments, jax.eval_shape(piece.function, *arguments))))
         operations, exponentials = float(counted.get("flops", 0.0)), float(counted.get("transcendentals", 0.0))
-        rays = self.functions.rays_per_step
+        rays = self.sampler.rays_drawn * self.config.train.accumulate
         return Kernel(piece.name, rays, operations, exponentials, float(moved), piece.gathers, piece.scatters, seconds)
 
     def _pieces(self) -> list[Piece]:
         return [*self._choosing(), *self._encoding(), *self._networks(), *self._compositing(), *self._descending()]
 
     def _choosing(self) -> list[Piece]:
-        sampler, functions, occupancy = self.config.sampler, self.functions, self.occupancy
-        steps = functions.steps(self.rays)
+        sampler = self.sampler
         half = jnp.full(self.rays.origins.shape[0], 0.5)
-        depth = expected_depth(occupancy, self.rays, steps, half, True)
-        kept = sampler.samples // 8  # rays through empty space are dropped before packing
+        depth = sampler.expected_depth(self.rays, half)
+        kept = sampler.capacity // 8  # rays through empty space are dropped before packing
         order = jnp.argsort(~jnp.any(depth > 0, -1))[:kept]
         few, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
-        march = lambda o, r, j: expected_depth(o, r, steps, j, True)  # noqa: E731
-        pack = lambda d, r, j: functions.sampled(d, r, j, j, sampler.samples)  # noqa: E731
+        march = lambda s, r, j: s.expected_depth(r, j)  # noqa: E731
+        pack = lambda d, r, j: sampler.packed(d, r, j, j, sampler.capacity)  # noqa: E731
         return [
-            Piece("occupancy along rays", march, (occupancy, self.rays, half), gathers=depth.size),
-            Piece("choosing and packing", pack, (dense, few, jitter), gathers=8 * sampler.samples),
+            Piece("occupancy along rays", march, (sampler, self.rays, half), gathers=depth.size),
+            Piece("choosing and packing", pack, (dense, few, jitter), gathers=8 * sampler.capacity),
         ]
 
     def _encoding(self) -> list[Piece]:
@@ -188,17 +186,16 @@ class Bench:
             update, state = adam.update(gradient, state)
             return jax.tree.map(lambda p, u: p - 0.01 * u, model, update), state
 
-        model: Any = self.model
+        model: Any = self.model.split()[0]
         return [Piece("optimiser", descend, (jax.tree.map(jnp.ones_like, model), adam.init(model), model))]
 
     def _samples(self):
         """Samples of the batch's rays through occupied cells, and those rays."""
-        sampler, functions = self.config.sampler, self.functions
         half = jnp.full(self.rays.origins.shape[0], 0.5)
-        depth = expected_depth(self.occupancy, self.rays, functions.steps(self.rays), half, True)
-        order = jnp.argsort(~jnp.any(depth > 0, -1))[: sampler.samples // 8]
+        depth = self.sampler.expected_depth(self.rays, half)
+        order = jnp.argsort(~jnp.any(depth > 0, -1))[: self.sampler.capacity // 8]
         rays, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
-        samples, _ = functions.sampled(dense, rays, jitter, jitter, sampler.samples)
+        samples, _ = self.sampler.packed(dense, rays, jitter, jitter, self.sampler.capacity)
         return samples, rays
 
     def _cloud(self) -> Cloud:

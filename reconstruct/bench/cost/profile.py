@@ -13,10 +13,12 @@ import jax.numpy as jnp
 
 from datasets.core.console import progress
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.bench.cost.instructions import Part, parts_of
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.run import CHECKPOINTS
 from reconstruct.scene.rays import Pixels
-from reconstruct.training.step import StepFunctions, TrainState
+from reconstruct.training.step import Step, TrainState
 
 STEPS = 16
 """Traced steps, without and with a second pass."""
@@ -29,34 +31,28 @@ def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
         "step_ms" and "second_pass_step_ms", measured without tracing; "parts": rows of stage, kernel, "forward" or
         "backward", and milliseconds of a step without second pass (stage "second pass": of a step with it), longest first.
     """
-    functions, views = trained.functions, scene.split("train")
+    run, views = trained.run, scene.split("train")
+    step, sampler, batches = Step.of(run.config, run.facts), trained.model.sampler, run.config.train.accumulate
+    state, _ = checkpoint.load(run.path / CHECKPOINTS, step.initial(jax.random.key(0)))
     with progress("reading images", len(views), "images") as shown:
-        pixels = Pixels.load(views, functions.normalisation, functions.config.scale, shown)
-    advance = _compiled(functions, trained.state, pixels)
+        pixels = Pixels.load(views, run.normalisation, run.config.scale, shown)
+    advance = step.compiled(state, pixels)
     parts = parts_of(advance.as_text() or "")
-    plain_ms, plain = _traced(advance, trained.state, pixels, parts, second=False)
-    second_ms, second = (
-        _traced(advance, trained.state, pixels, parts, second=True) if functions.config.surface.enabled else (None, {})
-    )
+    plain_ms, plain = _traced(advance, state, pixels, parts, second=False)
+    second_ms, second = _traced(advance, state, pixels, parts, second=True) if run.config.surface.enabled else (None, {})
     found = plain | {part: value for part, value in second.items() if part.stage == "second pass"}
     rows = [[part.stage, part.kernel, "backward" if part.backward else "forward", value] for part, value in found.items()]
     return {
         "step_ms": plain_ms,
         "second_pass_step_ms": second_ms,
-        "rays": functions.rays_per_step,
-        "samples": functions.samples_per_step,
+        "rays": sampler.rays_drawn * batches,
+        "samples": sampler.samples_drawn * batches,
         "parts": sorted(rows, key=lambda row: -row[3]),
     }
 
 
-def _compiled(functions: StepFunctions, state: TrainState, pixels: Pixels) -> Any:
-    """The step as in training: it overwrites the state that it receives."""
-    arguments = (state, pixels, *_rest(1, False))
-    return jax.jit(functions.advance, donate_argnums=(0,)).lower(*arguments).compile()
-
-
 def _rest(count: int, second: bool) -> tuple[jax.Array, ...]:
-    """Further arguments of `StepFunctions.advance`: seed, progress, number of steps, whether with a second pass."""
+    """Further arguments of `Step.advance`: seed, progress, number of steps, whether with a second pass."""
     return jnp.asarray(0, jnp.int32), jnp.asarray(0.9, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second)
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from reconstruct.field.encodings.encoding import Scale
 from reconstruct.field.encodings.tables import resolutions_between
+from reconstruct.numerics.compiling import barrier
 
 
 class Frequencies(eqx.Module):
@@ -59,6 +60,6 @@ class Frequencies(eqx.Module):
         frequency = np.array(self.frequencies, np.float32)[:, None, None]
         variance = jnp.square(self.blur) + (0.0 if scale is None else jnp.square(scale))
         attenuation = jnp.exp(-0.5 * jax.lax.stop_gradient(jnp.minimum(frequency**2 * variance, 200.0)))
-        angle = jax.lax.optimization_barrier(frequency * points)
+        angle = barrier(frequency * points)
         sine, cosine = jnp.sin(angle) * attenuation, jnp.cos(angle) * attenuation
-        return *jax.lax.optimization_barrier((sine, cosine)), frequency
+        return *barrier((sine, cosine)), frequency

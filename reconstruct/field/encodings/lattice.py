@@ -4,6 +4,8 @@ The simplex search is done once per sample for all levels; value and derivative 
 derivative rule never differentiates through the search: both are linear in the tables.
 """
 
+from typing import cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +23,7 @@ from reconstruct.field.encodings.simplex import (
     weight_slopes,
 )
 from reconstruct.field.encodings.tables import PRIMES, row_of, starts
+from reconstruct.numerics.compiling import barrier
 
 
 def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:
@@ -30,7 +33,7 @@ def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...
     origin's by constants.
     """
     steps = [np.uint32(4 * p % 2**32) for p in PRIMES]
-    base = sum(origin_of(e, code, i).astype(jnp.uint32) * step for i, step in enumerate(steps))
+    base = cast(Array, sum(origin_of(e, code, i).astype(jnp.uint32) * step for i, step in enumerate(steps)))
     start = starts(log2_sizes)
     rows = []
     for k in range(4):
@@ -48,13 +51,13 @@ class PermutohedralLattice(HashedGrid):
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
         """Rows of the four vertices around each point and sets of four coefficients, each (levels, n)."""
         units = np.array(self.resolutions, np.float32)[:, None] * np.float32(VERTICES_PER_UNIT_VOLUME)
-        e = jax.lax.optimization_barrier(lift(*(points[axis] * units for axis in range(3))))
-        code = jax.lax.optimization_barrier(ordering(e))
+        e = barrier(lift(*(points[axis] * units for axis in range(3))))
+        code = barrier(ordering(e))
         coefficients = [barycentric(e, code)] + (weight_slopes(code, units) if with_slopes else [])
         resolution = np.array(self.resolutions, np.float32)[:, None]
-        share = jax.lax.optimization_barrier(ball_share(blurred(self.blur, scale), resolution))
+        share = barrier(ball_share(blurred(self.blur, scale), resolution))
         coefficients = [[c * share for c in one] for one in coefficients]
-        return jax.lax.optimization_barrier((table_rows(e, code, self.log2_sizes), coefficients))
+        return barrier((table_rows(e, code, self.log2_sizes), coefficients))
 
 
 def ball_share(sigma: Float[Array, " n"], resolution: Float[np.ndarray, "..."]) -> Float[Array, "... n"]:

@@ -10,6 +10,8 @@ how many d are larger than d[i]; k, a vertex of the simplex (its remainder). Coo
 of one shape, in practice (levels, n): the layout in which the compiler makes one loop of the whole search.
 """
 
+from typing import cast
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -25,7 +27,7 @@ LIFT = np.array([[1, 1, 1], [-1, 1, 1], [0, -2, 1], [0, 0, -3]]) / np.sqrt([2.0,
 
 def lift(x: Coordinate, y: Coordinate, z: Coordinate) -> list[Coordinate]:
     """The four lifted coordinates e of points given in units of the lattice."""
-    return [sum(np.float32(row[axis]) * v for axis, v in enumerate((x, y, z)) if row[axis]) for row in LIFT]
+    return [cast(Array, sum(np.float32(row[axis]) * v for axis, v in enumerate((x, y, z)) if row[axis])) for row in LIFT]
 
 
 def ordering(e: list[Coordinate]) -> Int[Array, "..."]:
@@ -94,5 +96,6 @@ def weight_slopes(code: Int[Array, "..."], scale: Float[np.ndarray, "..."]) -> l
             for i in range(4)
         ]
         for axis in range(3):
-            sets[axis].append(scale * sum(gain * np.float32(LIFT[i, axis]) for i, gain in enumerate(gains) if LIFT[i, axis]))
+            slope = cast(Array, sum(gain * np.float32(LIFT[i, axis]) for i, gain in enumerate(gains) if LIFT[i, axis]))
+            sets[axis].append(cast(Array, scale * slope))
     return sets

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from reconstruct.numerics.compiling import barrier
+
 PRIMES = (2531011, 3674653429, 2097192037)
 """Factors of the three coordinates in the hash."""
 MIXER = np.uint32(2654435769)
@@ -67,7 +69,7 @@ def combine(table: Float[Array, "features rows"], rows: list, coefficients: list
     The weights give the interpolated value; sets of their slopes give its derivatives. Linear in the table; rows
     and coefficients are data, each (levels, n).
     """
-    channels = [jax.lax.optimization_barrier(channel) for channel in table]
+    channels = [barrier(channel) for channel in table]
     vertices = [[channel.at[row].get(mode="promise_in_bounds") for row in rows] for channel in channels]
     return [[sum(v * c for v, c in zip(vertex, one, strict=True)) for vertex in vertices] for one in coefficients]
 
@@ -79,11 +81,11 @@ def _combine_forward(table, rows, coefficients):
 def _combine_backward(saved, cotangents):
     """One scatter per channel; ordered by level, so that it works in the part of the table that is in the cache."""
     table, rows, coefficients = saved
-    all_rows = jax.lax.optimization_barrier(jnp.stack(rows, 1).reshape(-1))
+    all_rows = barrier(jnp.stack(rows, 1).reshape(-1))
     table_bar = []
     for channel in range(table.shape[0]):
         per_vertex = [sum(one[k] * g[channel] for one, g in zip(coefficients, cotangents, strict=True)) for k in range(len(rows))]
-        update = jax.lax.optimization_barrier(jnp.stack(per_vertex, 1).reshape(-1))
+        update = barrier(jnp.stack(per_vertex, 1).reshape(-1))
         table_bar.append(jnp.zeros(table.shape[1], table.dtype).at[all_rows].add(update, mode="promise_in_bounds"))
     nothing = [np.zeros(row.shape, jax.dtypes.float0) for row in rows]
     return jnp.stack(table_bar), nothing, jax.tree.map(jnp.zeros_like, coefficients)

@@ -5,6 +5,7 @@ of four and trilinear weights, whose derivative changes inside a cell.
 """
 
 from itertools import product
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from reconstruct.field.encodings.encoding import blurred
 from reconstruct.field.encodings.grid import HashedGrid
 from reconstruct.field.encodings.tables import PRIMES, row_of, starts
+from reconstruct.numerics.compiling import barrier
 
 CORNERS = tuple(product((0, 1), repeat=3))
 """Offsets of a cell's vertices from its lowest one."""
@@ -25,19 +27,19 @@ class VoxelGrid(HashedGrid):
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
         """Rows of the eight vertices around each point and sets of eight coefficients, each (levels, n)."""
         units = np.array(self.resolutions, np.float32)[:, None]
-        position = jax.lax.optimization_barrier([points[axis] * units for axis in range(3)])
+        position = barrier([points[axis] * units for axis in range(3)])
         lowest = [jnp.floor(v) for v in position]
         upper = [v - low for v, low in zip(position, lowest, strict=True)]
         coefficients = [trilinear(upper)] + ([slopes(upper, units, axis) for axis in range(3)] if with_slopes else [])
-        share = jax.lax.optimization_barrier(cube_share(blurred(self.blur, scale), units))
+        share = barrier(cube_share(blurred(self.blur, scale), units))
         coefficients = [[c * share for c in one] for one in coefficients]
         whole = [low.astype(jnp.int32) for low in lowest]
-        return jax.lax.optimization_barrier((table_rows(whole, self.log2_sizes), coefficients))
+        return barrier((table_rows(whole, self.log2_sizes), coefficients))
 
 
 def table_rows(lowest: list[Int[Array, "levels n"]], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:
     """Rows of the eight vertices in the order of `CORNERS`: a linear hash of the coordinates, then a mixing step."""
-    base = sum(v.astype(jnp.uint32) * np.uint32(p) for v, p in zip(lowest, PRIMES, strict=True))
+    base = cast(Array, sum(v.astype(jnp.uint32) * np.uint32(p) for v, p in zip(lowest, PRIMES, strict=True)))
     start = starts(log2_sizes)
     steps = [sum(offset * p for offset, p in zip(corner, PRIMES, strict=True)) % 2**32 for corner in CORNERS]
     return [row_of(base + np.uint32(step), log2_sizes) + start for step in steps]

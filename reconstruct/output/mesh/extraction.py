@@ -81,7 +81,7 @@ def extract(
     logarithm, crossing = np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold))
     vertices, triangles, _, _ = marching_cubes(logarithm, crossing, spacing=(spacing,) * 3, gradient_direction="ascent")
     mesh = main_parts(trimesh.Trimesh(vertices + first, triangles, process=False))
-    if follow and trained.state.model.field.appearance.predicts_normals:
+    if follow and trained.model.field.appearance.predicts_normals:
         normals = predicted_normals(trained, mesh.vertices)
         vertices = follow_normals(mesh.vertices, mesh.faces, normals, over=FOLLOWED * side)
         mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)

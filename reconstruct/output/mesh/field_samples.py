@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,9 +10,9 @@ from numpy.typing import NDArray
 from datasets.core.console import progress
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.sampling.occupancy import Occupancy
 
 CHUNK = 1 << 17
 """Points evaluated at once."""
@@ -31,12 +30,12 @@ def grid_axes(trained: TrainedModel, resolution: int) -> Axes:
 
 def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y z"]:
     """Density [1 / scene unit] at the grid points; zero where the occupancy grid is empty around."""
-    wanted = np.ones(tuple(len(axis) for axis in axes), bool)
-    if trained.state.occupancy is not None:
-        wanted = near_occupied(trained.state.occupancy, axes)
+    wanted = trained.model.sampler.near_occupied(axes)
+    if wanted is None:
+        wanted = np.ones(tuple(len(axis) for axis in axes), bool)
     density = np.zeros(wanted.shape, np.float32)
     index = np.flatnonzero(wanted)
-    field, bounded = trained.state.model.field, trained.run.normalisation.bounded
+    field, bounded = trained.model.field, trained.run.normalisation.bounded
     with progress("sampling density", len(index) / 1e6, "million points") as bar:
         for start in range(0, len(index), CHUNK):
             part = index[start : start + CHUNK]
@@ -47,26 +46,16 @@ def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y 
     return density
 
 
-def near_occupied(occupancy: Occupancy, axes: Axes) -> NDArray[np.bool_]:
-    """(x, y, z) True for grid points in an occupied cell of the inner grid or next to one."""
-    from scipy.ndimage import binary_dilation
-
-    size = occupancy.grid
-    cells = np.asarray(occupancy.occupied[: size**3]).reshape(size, size, size)
-    cells = np.asarray(binary_dilation(cells, np.ones((3, 3, 3))), bool)
-    return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]
-
-
 def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
     """(n, 3) sRGB of points [scene unit] viewed along their normals: diffuse and specular, as metals have no diffuse part."""
-    field, bounded = trained.state.model.field, trained.run.normalisation.bounded
+    field, bounded = trained.model.field, trained.run.normalisation.bounded
     values = _by_chunks(lambda part, facing: _colour(field, part, facing, bounded), points, normals)
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def predicted_normals(trained: TrainedModel, points: NDArray) -> NDArray[np.float32]:
     """(n, 3) unit normals that the model predicts at points [scene unit]."""
-    field, bounded = trained.state.model.field, trained.run.normalisation.bounded
+    field, bounded = trained.model.field, trained.run.normalisation.bounded
     return _by_chunks(lambda part: _normals(field, part, bounded), points)
 
 
@@ -86,18 +75,18 @@ def _padded(points: NDArray) -> Float[Array, "3 n"]:
     return jnp.asarray(padded)
 
 
-@eqx.filter_jit
+@compiled
 def _density(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[Array, " n"]:
     return field.density(Cloud(points, None, bounded))
 
 
-@eqx.filter_jit
+@compiled
 def _colour(field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, bounded))
     return field.shade(material, -normals).rgb
 
 
-@eqx.filter_jit
+@compiled
 def _normals(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, bounded))
     return normalise(material.normals_pred, axis=0)

@@ -10,16 +10,16 @@ from reconstruct.training.skipping.record import Skip
 AGREE = 2e-4
 """Mean of (1 - |n . n'|) / 2 around the surfaces below which normals agree already: 1.6 degrees in the mean."""
 LONGEST = 4
-"""Second passes come at most so many times less often than the curriculum has them."""
+"""Second passes are at most this many times rarer than in the curriculum."""
 
 
 def lenience(before: int, terms: dict[str, Any], surface: SurfaceConfig) -> int:
-    """How many times less often the next second pass comes, from what the last one found; 1 as soon as normals disagree."""
+    """How many times later the next second pass comes, from what the last one found; 1 as soon as normals disagree."""
     agree = surface.normal > 0 and float(terms["normal_consistency"]) <= AGREE * surface.normal
     return min(2 * before, LONGEST) if agree else 1
 
 
-def told(skips: Sequence[Skip], line: dict[str, Any], *, passes: int, left_out: int) -> list[Skip]:
+def with_outcome(skips: Sequence[Skip], line: dict[str, Any], *, passes: int, left_out: int) -> list[Skip]:
     """The decisions with what came of them.
 
     Args:

@@ -9,8 +9,9 @@ import numpy as np
 from reconstruct.config import Config
 from reconstruct.models import merged_config
 from reconstruct.rendering.pictures import Renderer
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.step import StepFunctions
+from reconstruct.training.step import Step
 
 STEPS, CHUNKS = 240, 8
 """Steps of the pilot, and looks around in between."""
@@ -40,13 +41,13 @@ def gain_by_reflecting(config: Config, normalisation: Normalisation, pixels: Pix
 
 def _error(config: Config, normalisation: Normalisation, trained: Pixels, held: Pixels, possible) -> float:
     """Mean square error on the held pixels after a short training."""
-    functions, seed = StepFunctions(config, normalisation), jnp.asarray(config.train.seed, jnp.int32)
-    state = functions.initial(jax.random.key(config.train.seed), possible)
-    advance, look = jax.jit(functions.advance, donate_argnums=(0,)), jax.jit(functions.look_around, donate_argnums=(0,))
+    step, seed = Step.of(config, SceneFacts(normalisation)), jnp.asarray(config.train.seed, jnp.int32)
+    state = step.initial(jax.random.key(config.train.seed), possible)
+    advance, keep_up = step.compiled(state, trained), step.compiled_upkeep(state)
     for chunk in range(CHUNKS):
         progress = jnp.asarray(0.1 + 0.9 * chunk / CHUNKS, jnp.float32)
         state, _ = advance(state, trained, seed, progress, jnp.asarray(STEPS // CHUNKS, jnp.int32), jnp.asarray(False))
-        state = look(state, seed) if chunk else state
+        state = keep_up(state, seed) if chunk else state
     *rays, target = held.over_white(np.arange(held.directions.shape[0]))
-    rendered = Renderer(functions).rays(state, *rays)["rgb"]
+    rendered = Renderer(normalisation).rays(state.model, *rays)["rgb"]
     return float(np.mean((rendered - target) ** 2))

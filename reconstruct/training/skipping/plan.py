@@ -9,9 +9,10 @@ from datasets.scene import Scene, View
 from reconstruct.config import Config
 from reconstruct.field.encodings.tables import fitting_sizes, resolutions_between
 from reconstruct.models import merged_config
+from reconstruct.sampling.create import sampler_type
 from reconstruct.sampling.steps import BEHIND, FRONT
 from reconstruct.scene.rays import Normalisation
-from reconstruct.training.skipping.facts import Facts
+from reconstruct.training.skipping.evidence import Evidence
 from reconstruct.training.skipping.pilot import MATTE
 from reconstruct.training.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
 
@@ -41,73 +42,72 @@ def lenses(views: tuple[View, ...], config: Config) -> tuple[View, ...]:
     return tuple(replace(view, camera=bent(view.camera)) for view in views)
 
 
-def plan(facts: Facts, config: Config, pilot: Callable[[], float]) -> tuple[Config, list[Skip]]:
+def plan(found: Evidence, config: Config, pilot: Callable[[], float]) -> tuple[Config, list[Skip]]:
     """The configuration without what the scene does not need, and all decisions.
 
     Args:
         pilot: trains a little with and without a reflection; returns the gain [dB]. Called only where it is asked for.
     """
-    skips = [_surroundings(facts, config), _empty_rays(facts, config)]
+    skips = [_surroundings(found, config), _empty_rays(found, config)]
     for rule in (_fine_levels, _table_size, _multisampling):
-        config, skip = rule(facts, config)
+        config, skip = rule(found, config)
         skips.append(skip)
     config, skip = _reflection(config, pilot)
     skips.append(skip)
     skips.append(_consistent_passes(config))
     config, skip = _converged(config)
-    return config, [*skips, skip, _distortion(facts, config), _structure_from_motion(facts)]
+    return config, [*skips, skip, _distortion(found, config), _structure_from_motion(found)]
 
 
-def _surroundings(facts: Facts, config: Config) -> Skip:
-    skipped = facts.bounded
+def _surroundings(found: Evidence, config: Config) -> Skip:
+    skipped = found.bounded
     if skipped:
-        evidence = f"pictures carry an alpha, {facts.transparent:.0%} of their pixels show nothing"
+        evidence = f"pictures carry an alpha, {found.transparent:.0%} of their pixels show nothing"
     else:
         evidence = "pictures show surroundings" if config.skip.surroundings else "forced"
-    return Skip.of("surroundings", skipped, evidence,
-                   f"{FRONT + BEHIND} of {FRONT + BEHIND + config.sampler.steps} steps along each ray, and the outer grid")  # fmt: skip
+    steps = FRONT + BEHIND
+    saving = f"{steps} of {steps + config.sampler.steps} steps along each ray, and the outer grid"
+    return Skip.of("surroundings", skipped, evidence, saving)
 
 
-def _empty_rays(facts: Facts, config: Config) -> Skip:
-    if config.sampler.kind != "occupancy":
+def _empty_rays(found: Evidence, config: Config) -> Skip:
+    if not sampler_type(config.sampler).rules_out_space:
         return Skip.of("empty_rays", False, "proposals have no grid", "nothing")
-    by = "masks rule out" if facts.bounded else "too few cameras see"
-    evidence = f"{by} {1 - facts.possible:.0%} of the space" if config.skip.empty_rays else "forced"
+    by = "masks rule out" if found.bounded else "too few cameras see"
+    evidence = f"{by} {1 - found.possible:.0%} of the space" if config.skip.empty_rays else "forced"
     return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in there, and rays that meet nothing else")
 
 
-def _fine_levels(facts: Facts, config: Config) -> Decision:
-    encoding, limit = config.encoding, 1 / max(facts.smallest, 1e-9)
+def _fine_levels(found: Evidence, config: Config) -> Decision:
+    encoding, limit = config.encoding, 1 / max(found.smallest, 1e-9)
     if encoding.kind == "frequencies":
         return config, Skip.of("fine_levels", False, "frequencies fade by themselves", "nothing")
     resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
     useful = max(1, sum(resolution <= limit for resolution in resolutions))
     spare = encoding.levels - useful
-    evidence = f"smallest footprint {facts.smallest:.2g}, {spare} of {encoding.levels} levels are finer"
+    evidence = f"smallest footprint {found.smallest:.2g}, {spare} of {encoding.levels} levels are finer"
     skipped = spare > 0 and config.skip.fine_levels
     if skipped:
         config = merged_config(config, {"encoding": {"levels": useful, "finest": resolutions[useful - 1]}})
     return config, Skip.of("fine_levels", skipped, evidence, f"{spare / encoding.levels:.0%} of the encoding")
 
 
-def _table_size(facts: Facts, config: Config) -> Decision:
+def _table_size(found: Evidence, config: Config) -> Decision:
     encoding = config.encoding
     if encoding.kind == "frequencies":
         return config, Skip.of("table_size", False, "frequencies have no tables", "nothing")
     resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
-    sizes = fitting_sizes(resolutions, encoding.log2_size, facts.volume)
+    sizes = fitting_sizes(resolutions, encoding.log2_size, found.volume)
     rows, full = sum(2**size for size in sizes), encoding.levels * 2**encoding.log2_size
-    evidence = f"{facts.volume:.2g} of {8 if facts.bounded else 34} cubic units can hold anything"
-    skipped = rows < full and config.skip.table_size
-    if skipped:
-        config = merged_config(config, {"encoding": {"volume": facts.volume}})
+    evidence = f"{found.volume:.2g} of {8 if found.bounded else 34} cubic units can hold anything"
+    skipped = rows < full and config.skip.table_size  # the encoding takes its volume from the scene's facts then
     return config, Skip.of("table_size", skipped, evidence, f"{1 - rows / full:.0%} of the tables and of their optimiser's work")
 
 
-def _multisampling(facts: Facts, config: Config) -> Decision:
-    if config.sampler.kind != "proposal" or config.sampler.frustum != "hexagon":
+def _multisampling(found: Evidence, config: Config) -> Decision:
+    if sampler_type(config.sampler).frustum_of(config.sampler) != "hexagon":
         return config, Skip.of("multisampling", True, "this model takes one place per sample", NOTHING_MORE)
-    ratio = facts.largest / max(facts.smallest, 1e-9)
+    ratio = found.largest / max(found.smallest, 1e-9)
     evidence = f"footprints differ by up to {ratio:.2g} times"
     skipped = ratio < ALIKE and config.skip.multisampling
     if skipped:
@@ -144,15 +144,15 @@ def _converged(config: Config) -> Decision:
     return config, Skip.of("converged", config.skip.converged, evidence, "what is left of the training by then")
 
 
-def _distortion(facts: Facts, config: Config) -> Skip:
-    skipped = config.skip.distortion and not facts.bent
+def _distortion(found: Evidence, config: Config) -> Skip:
+    skipped = config.skip.distortion and not found.bent
     evidence = (
-        f"{facts.bent} of {facts.views} views were taken through a lens that distorts" if config.skip.distortion else "forced"
+        f"{found.bent} of {found.views} views were taken through a lens that distorts" if config.skip.distortion else "forced"
     )
     return Skip.of("distortion", skipped, evidence, "Newton's method for each pixel, once")
 
 
-def _structure_from_motion(facts: Facts) -> Skip:
+def _structure_from_motion(found: Evidence) -> Skip:
     return Skip.of(
-        "structure_from_motion", True, f"poses from {facts.poses}; {ELSEWHERE['structure_from_motion']}", "matching the views"
+        "structure_from_motion", True, f"poses from {found.poses}; {ELSEWHERE['structure_from_motion']}", "matching the views"
     )

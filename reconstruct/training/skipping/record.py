@@ -69,8 +69,8 @@ def in_words(name: str) -> str:
 
 def left_out(skips: Sequence[Skip]) -> list[str]:
     """A line for each thing that was left out and saved something: what, why, what that saved."""
-    return [f"{PLAIN[skip.name]}: {skip.evidence}; saves {skip.saving}"
-            for skip in skips if skip.skipped and skip.name in PLAIN and skip.saving != NOTHING_MORE]  # fmt: skip
+    listed = [skip for skip in skips if skip.skipped and skip.name in PLAIN and skip.saving != NOTHING_MORE]
+    return [f"{PLAIN[skip.name]}: {skip.evidence}; saves {skip.saving}" for skip in listed]
 
 
 def forced(names: Sequence[str]) -> list[str]:

@@ -207,9 +207,10 @@ def test_a_folder_that_is_no_recording_is_not_touched(trajectory, rig, views, tm
     assert (tmp_path / "rec" / ".secret.txt").exists()
 
 
-def test_another_address_is_the_same_rig(trajectory, rig, views, tmp_path):
+def test_another_address_or_client_is_the_same_rig(trajectory, rig, views, tmp_path):
     record(trajectory, rig, tmp_path / "rec", planned=views[:1])
-    moved = rig.description.model_copy(update={"robot": rig.description.robot.model_copy(update={"host": "10.0.0.7"})})
+    elsewhere = rig.description.robot.model_copy(update={"host": "10.0.0.7", "client": "koala"})
+    moved = rig.description.model_copy(update={"robot": elsewhere})
     there = Rig(rig.robot, rig.camera, moved, "copy.yaml", rig.ground_truth, rig.extra)
     assert len(record(trajectory, there, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
     slower = moved.model_copy(update={"robot": moved.robot.model_copy(update={"max_joint_speed": 0.9})})

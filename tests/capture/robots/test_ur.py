@@ -1,4 +1,4 @@
-"""The driver with the vendor's own client over loopback, through good and bad days."""
+"""The driver with either client over loopback, with and without faults."""
 
 import os
 import signal
@@ -6,25 +6,23 @@ import subprocess
 import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError
 from capture.kinematics import forward
-from capture.robots.timing import Deadlines, Settling
+from capture.robots.client import versioned
+from capture.robots.rtde.koala_client import KoalaClient
 from capture.robots.ur import UR5e
 from capture.sim.controller.process import SimulatedController
 from datasets import pose
 
 GOALS = np.array([[0.2, -1.4, 0.9, -1.5, -1.5, 0.2], [0.5, -1.2, 1.2, -1.5, -1.2, 0.4], [0.1, -1.3, 1.0, -1.8, -1.5, -0.2]])
+SET_TCP: Any = 29
+"""A command of the simulated controller, which the driver never sends."""
 FAR = np.array([2.0, -1.2, 0.8, -1.5, -1.0, 0.2])
-BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
-"""Tests run beside others on two cores: a pause of half a second is no fault there."""
-
-
-def _robot(simulated, **options):
-    return UR5e(simulated.host, settling=Settling(timeout_s=20.0), deadlines=BUSY, **options)
 
 
 @pytest.fixture
@@ -49,9 +47,11 @@ def _at_rest(simulated):
     return False
 
 
-def test_it_goes_where_it_is_sent_and_says_where_it_is(simulated):
-    with _robot(simulated) as robot:
-        assert robot.description()["model"] == "UR5e" and robot.description()["software"].startswith("5.")
+def test_it_goes_where_it_is_sent_and_says_where_it_is(connect, client, simulated):
+    with connect(simulated) as robot:
+        description = robot.description()
+        assert description["model"] == "UR5e" and description["software"].startswith("5.")
+        assert description["client"] == versioned(client, {"koala": "koala-capture", "ur_rtde": "ur-rtde"}[client])
         stamps = []
         for goal in GOALS:
             robot.move_to(goal, speed=1.0, acceleration=1.4)
@@ -65,28 +65,25 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is(simulated):
         assert np.diff(stamps, axis=0).min() > 0
 
 
-def test_the_tool_offset_is_removed(simulated):
-    from rtde_control import RTDEControlInterface
-
-    client = RTDEControlInterface(simulated.host)
-    assert client.setTcp([0.01, 0.02, 0.1, 0.0, 0.3, 0.0])
-    client.stopScript()
-    client.disconnect()
-    with _robot(simulated) as robot:
+def test_the_tool_offset_is_removed(connect, simulated):
+    other = KoalaClient(simulated.host, frequency=125.0, watchdog_hz=1.0)
+    assert other._order(SET_TCP, [0.01, 0.02, 0.1, 0.0, 0.3, 0.0]) and other._done(1.0)
+    other.leave()
+    with connect(simulated) as robot:
         robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
         np.testing.assert_allclose(robot.description()["tcp_offset"], [0.01, 0.02, 0.1, 0, 0.3, 0], atol=1e-9)
         np.testing.assert_allclose(robot.state().base_from_flange, forward(GOALS[0]), atol=1e-6)
 
 
-def test_an_arm_as_built_reports_its_own_kinematics():
-    with SimulatedController.start(seed=3, length_error_mm=1.0, angle_error_deg=0.05) as simulated, _robot(simulated) as robot:
+def test_an_arm_as_built_reports_its_own_kinematics(connect):
+    with SimulatedController.start(seed=3, length_error_mm=1.0, angle_error_deg=0.05) as simulated, connect(simulated) as robot:
         robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
         reported, true = robot.state().base_from_flange, simulated.true_base_from_flange()
         assert pose.difference(reported, true)[0] < 2e-4 < pose.difference(forward(GOALS[0]), true)[0]
 
 
-def test_an_unsafe_target_moves_nothing(simulated):
-    with _robot(simulated) as robot:
+def test_an_unsafe_target_moves_nothing(connect, simulated):
+    with connect(simulated) as robot:
         before = robot.state().joints
         with pytest.raises(SafetyError):
             robot.move_to(FAR, speed=5.0, acceleration=1.4)
@@ -104,8 +101,8 @@ def test_an_unsafe_target_moves_nothing(simulated):
         ("silent", {"seconds": 60}, RigConnectionError, "data stream stands still"),
     ],
 )
-def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(slow, fault, arguments, error, words):
-    with pytest.raises(error, match=words) as caught, _robot(slow) as robot:
+def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(connect, slow, fault, arguments, error, words):
+    with pytest.raises(error, match=words) as caught, connect(slow) as robot:
         timer = threading.Timer(0.7, slow.ask, [fault], arguments)
         timer.start()
         try:
@@ -114,11 +111,11 @@ def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(slow, faul
             timer.cancel()
     assert "\n" not in str(caught.value) and slow.host in str(caught.value)
     assert _at_rest(slow)
-    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3  # it did not simply go on to the end
+    assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3  # it did not continue to the end
 
 
-def test_after_a_lost_connection_the_driver_can_enter_again(slow):
-    robot = _robot(slow)
+def test_after_a_lost_connection_the_driver_can_enter_again(connect, slow):
+    robot = connect(slow)
     with pytest.raises(CaptureError), robot:  # lost while idle, or noticed when the motion is refused
         slow.ask("drop")
         robot.move_to(FAR, speed=1.0, acceleration=1.4)
@@ -126,15 +123,15 @@ def test_after_a_lost_connection_the_driver_can_enter_again(slow):
         robot.move_to(robot.state().joints + 0.05, speed=1.0, acceleration=1.4)
 
 
-def test_a_killed_client_is_noticed_and_the_arm_stops(slow):
-    with pytest.raises(RigConnectionError), _robot(slow) as robot:
+def test_a_killed_client_is_noticed_and_the_arm_stops(connect, slow):
+    with pytest.raises(RigConnectionError), connect(slow) as robot:
         threading.Timer(0.7, robot._link.process.kill).start()
         robot.move_to(FAR, speed=1.0, acceleration=1.4)
     assert _at_rest(slow)
 
 
-def test_stop_from_another_thread(slow):
-    with _robot(slow) as robot:
+def test_stop_from_another_thread(connect, slow):
+    with connect(slow) as robot:
         threading.Timer(0.7, robot.stop).start()
         with pytest.raises(MotionError, match="stopped on request"):
             robot.move_to(FAR, speed=1.0, acceleration=1.4)
@@ -143,13 +140,16 @@ def test_stop_from_another_thread(slow):
         robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)  # the connection is still good
 
 
-def test_the_arm_stops_when_the_whole_program_is_killed(slow):
-    code = (
-        "import sys\nfrom capture.robots.ur import UR5e\nwith UR5e(sys.argv[1]) as robot:\n    print('ready', flush=True)\n"
-        "    robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.5, acceleration=1.4)"
-    )
-    program = subprocess.Popen([sys.executable, "-c", code, slow.host], stdout=subprocess.PIPE, text=True)
-    assert program.stdout.readline() == "ready\n"
+def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
+    code = """if True:
+        import sys
+        from capture.robots.ur import UR5e
+        with UR5e(sys.argv[1], client=sys.argv[2]) as robot:
+            print("ready", flush=True)
+            robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.5, acceleration=1.4)
+    """
+    program = subprocess.Popen([sys.executable, "-c", code, slow.host, client], stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None and program.stdout.readline() == "ready\n"
     time.sleep(0.8)
     assert slow.ask("truth")["moving"]
     program.kill()
@@ -158,26 +158,26 @@ def test_the_arm_stops_when_the_whole_program_is_killed(slow):
     assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3
 
 
-def test_the_same_seed_gives_the_same_poses_bit_for_bit():
+def test_the_same_seed_gives_the_same_poses_bit_for_bit(connect):
     visits = []
     for time_scale in (20.0, 10.0):
-        with SimulatedController.start(seed=5, time_scale=time_scale) as simulated, _robot(simulated) as robot:
+        with SimulatedController.start(seed=5, time_scale=time_scale) as simulated, connect(simulated) as robot:
             robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
-            time.sleep(0.5)  # settled is slower than a limit; the last 0.1 um of the way take until the arm is at rest
+            time.sleep(0.5)  # settled means slower than a limit: the last 0.1 um are covered later
             visits.append((robot.state().base_from_flange, simulated.true_base_from_flange()))
     np.testing.assert_array_equal(*visits)
 
 
-def test_ctrl_c_in_motion_stops_the_arm(slow):
-    with pytest.raises(KeyboardInterrupt), _robot(slow) as robot:
+def test_ctrl_c_in_motion_stops_the_arm(connect, slow):
+    with pytest.raises(KeyboardInterrupt), connect(slow) as robot:
         threading.Timer(0.7, os.kill, [os.getpid(), signal.SIGINT]).start()
         robot.move_to(FAR, speed=1.0, acceleration=1.4)
     assert _at_rest(slow)
     assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3
 
 
-def test_an_exception_in_the_block_stops_and_closes(simulated):
-    robot = _robot(simulated)
+def test_an_exception_in_the_block_stops_and_closes(connect, simulated):
+    robot = connect(simulated)
     with pytest.raises(ZeroDivisionError), robot:
         raise ZeroDivisionError
     with pytest.raises(RigConnectionError, match="not connected"):
@@ -185,20 +185,20 @@ def test_an_exception_in_the_block_stops_and_closes(simulated):
     robot.close()
 
 
-def test_entering_a_stopped_robot_says_so_and_leaves_nothing_open(simulated):
+def test_entering_a_stopped_robot_says_so_and_leaves_nothing_open(connect, simulated):
     simulated.ask("protective_stop")
-    with pytest.raises(NotReady, match="safety status PROTECTIVE_STOP"), _robot(simulated):
+    with pytest.raises(NotReady, match="safety status PROTECTIVE_STOP"), connect(simulated):
         pytest.fail("entered a robot that cannot move")
     assert not simulated.ask("truth")["program_running"]
 
 
-def test_nobody_there_is_one_clear_line():
+def test_an_unreachable_controller_is_one_clear_line():
     with pytest.raises(RigConnectionError, match=r"cannot be reached .*robot\.host"), UR5e("127.9.9.9"):
         pytest.fail("entered a robot that is not there")
 
 
-def test_a_second_owner_is_refused(simulated):
-    with _robot(simulated) as first:
-        with pytest.raises(CaptureError, match="does not take the control program"), _robot(simulated):
-            pytest.fail("entered a robot that somebody else controls")
+def test_a_second_owner_is_refused(connect, simulated):
+    with connect(simulated) as first:
+        with pytest.raises(CaptureError, match="does not take the control program"), connect(simulated):
+            pytest.fail("entered a robot that another program controls")
         del first

@@ -100,8 +100,14 @@ def test_reflection_follows_the_law_of_reflection(monkeypatch: pytest.MonkeyPatc
 
 def test_gradients_are_finite(appearance) -> None:
     """At raw outputs that saturate every head, zeros and large values included."""
-    raw = jnp.concatenate([jnp.zeros((appearance.heads + 4, 1)), jnp.full((appearance.heads + 4, 1), 80.0),
-                           jnp.full((appearance.heads + 4, 1), -80.0)], 1)  # fmt: skip
+    raw = jnp.concatenate(
+        [
+            jnp.zeros((appearance.heads + 4, 1)),
+            jnp.full((appearance.heads + 4, 1), 80.0),
+            jnp.full((appearance.heads + 4, 1), -80.0),
+        ],
+        1,
+    )
 
     def total(raw: jax.Array) -> jax.Array:
         shading = appearance.shade(appearance.material(raw, jnp.zeros((3, 3))), jnp.ones((3, 3)) / np.sqrt(3))

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.field.contraction import contract, contraction_scale, pull_back
+from reconstruct.field.contraction import contract, contract_coordinates, contraction_scale, pull_back
 
 
 def reference(points: np.ndarray) -> np.ndarray:
@@ -62,3 +62,10 @@ def test_origin_and_far_away_are_finite() -> None:
         assert np.isfinite(value)
         assert np.isfinite(gradient).all()
     np.testing.assert_allclose(np.linalg.norm(contract(extremes), axis=-1), [0, 0, 1, 2, 2], atol=1e-6)
+
+
+def test_contracted_coordinates_are_those_of_the_points() -> None:
+    """Float32 in both: a root and two products apart, from inside the unit ball to far outside."""
+    points = np.random.default_rng(5).normal(size=(300, 3)) * np.logspace(-2, 4, 300)[:, None]
+    points = jnp.asarray(points, jnp.float32)
+    np.testing.assert_allclose(jnp.stack(contract_coordinates(*points.T), -1), contract(points), rtol=1e-5, atol=1e-6)

@@ -45,8 +45,11 @@ def test_products_of_rounded_factors_and_their_derivatives() -> None:
     np.testing.assert_allclose(product, rounded(left) @ rounded(right), atol=1e-6 * 40)
     assert np.abs(product - np.float64(left) @ right).max() > 1e-3, "rounding makes a difference"
     loss = lambda a, b: jnp.sum(weight * rounded_product(a, b))  # noqa: E731
-    for found, expected in zip(jax.jit(jax.grad(loss, (0, 1)))(left, right),
-                               (rounded(weight) @ rounded(right).T, rounded(left).T @ rounded(weight)), strict=True):  # fmt: skip
+    for found, expected in zip(
+        jax.jit(jax.grad(loss, (0, 1)))(left, right),
+        (rounded(weight) @ rounded(right).T, rounded(left).T @ rounded(weight)),
+        strict=True,
+    ):
         np.testing.assert_allclose(found, expected, atol=1e-6 * 40)
     along = lambda a: jax.vjp(lambda b: rounded_product(a, b), jnp.asarray(right))[1](jnp.asarray(weight))[0]  # noqa: E731
     again = jax.grad(lambda a: jnp.sum(along(a) * right))(jnp.asarray(left))

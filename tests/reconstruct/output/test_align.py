@@ -37,7 +37,7 @@ def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
     """Poses that are right stay, those that are off come back, and what is measured without alignment never changes."""
     monkeypatch.setattr(evaluate, "TRUE_SURFACE", "no mesh")  # which would take longer than all the rest
     scene = photographed.scene
-    box, before = scene.box, photographed.state
+    box, before = scene.box, photographed.model
     views = tuple(away(view, 3) if index == 0 else view for index, view in enumerate(scene.views))
     assert views[0].split == "test"
     trained = replace(photographed, scene=scene.with_views(views))
@@ -59,4 +59,4 @@ def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
     apart = [poses.change(scene.views[0], view, box)["moved_px"] for view in (views[0], aligned)]
     assert apart[0] > 0.15 and apart[1] < 0.2 * apart[0], apart  # what the steps along each ray of 2 mm leave
     assert right["moved_px"] < 0.05
-    assert trained.state is before, "the model stays as it was"
+    assert trained.model is before, "the model stays as it was"

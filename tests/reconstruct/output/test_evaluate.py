@@ -2,7 +2,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,6 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.output import evaluate
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.model import Model
 
 STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
 """A ray is cut into 192 steps through a box of 0.2 m; along its diagonal a step is this long."""
@@ -48,7 +46,7 @@ class Walled(Field):
 
     @classmethod
     def around(cls, inner: Field) -> "Walled":
-        return cls(inner.encoding, inner.spatial, inner.appearance, inner.density_bias, inner)
+        return cls(inner.encoding, inner.spatial, inner.appearance, inner.density_bias, inner.deferred, inner)
 
     def density(self, cloud: Cloud) -> jax.Array:
         return jnp.maximum(self.inner.density(cloud), 2000 * jax.nn.sigmoid((-0.9 - cloud.points[1]) / 0.002))
@@ -63,12 +61,9 @@ class Walled(Field):
 @pytest.mark.slow
 def test_a_wall_beside_the_object_is_measured_unless_it_is_said_what_the_object_stands_on(ball: TrainedModel) -> None:
     truth = Path(ball.run.scene_path) / evaluate.TRUE_SURFACE
-    grid = ball.state.occupancy
-    state = eqx.tree_at(
-        lambda s: (s.model, s.occupancy), ball.state,
-        (Model(Walled.around(ball.state.model.field), ()), grid.with_occupied(jnp.ones_like(grid.occupied))),
-    )  # fmt: skip
-    walled = replace(ball, state=state)
+    grid = ball.model.sampler.grid
+    sampler = replace(ball.model.sampler, grid=grid.with_occupied(jnp.ones_like(grid.occupied)))
+    walled = replace(ball, model=replace(ball.model, field=Walled.around(ball.model.field), sampler=sampler))
     assert evaluate.compare_surface(walled, truth)["accuracy_mm"] > 10
     alone = evaluate.compare_surface(walled, truth, "-z")
     assert alone["accuracy_mm"] < STEP_MM and alone["completeness_mm"] < STEP_MM

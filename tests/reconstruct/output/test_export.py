@@ -61,7 +61,7 @@ def test_frames_of_a_path_are_what_the_renderer_sees_from_there(ball: TrainedMod
     frames = [view.world_from_camera for view in (views[1], views[0])]
     assert export.render_along(ball, frames, tmp_path / "out") == {"out": str(tmp_path / "out"), "views": 2}
     assert sorted(p.name for p in (tmp_path / "out" / "rgb").iterdir()) == ["0000.png", "0001.png"]
-    seen = ball.renderer.picture(ball.state, views[1], ball.camera(views[0]).undistorted())
+    seen = ball.renderer.picture(ball.model, views[1], ball.camera(views[0]).undistorted())
     assert np.array_equal(images.read(tmp_path / "out/depth/0000.exr"), seen.depth)
     with pytest.raises(UsageError, match="already exists"):
         export.render_along(ball, frames, tmp_path / "out")

@@ -44,7 +44,7 @@ def test_figures_are_taken_over_while_they_are_of_this_state(
     page = (tmp_path / "first" / "index.html").read_text()
     assert "Of the mesh of the object that stands on -z, without whatever else enters the box." in page
     assert f"reconstruct eval {ball.run.path} --stands-on -z" in page
-    later = replace(ball, state=replace(ball.state, step=ball.state.step + 1))
+    later = replace(ball, step=ball.step + 1)
     assert report.write(later, tmp_path / "second")["mean"]["psnr"] != 12.345
     assert "any side but" not in (tmp_path / "second" / "index.html").read_text()
 

@@ -7,7 +7,10 @@ from reconstruct.config import Config
 from reconstruct.models import load_config, merged
 from reconstruct.numerics.safe import linear_from_srgb
 from reconstruct.rendering.model import Model, Rendered
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation
 
+FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
 SMALL = {"encoding": {"levels": 2, "log2_size": 6}, "field": {"spatial_width": 4, "view_width": 4, "bottleneck": 2}}
 
 
@@ -35,7 +38,7 @@ def test_a_gain_multiplies_the_light_of_the_foreground() -> None:
 @pytest.mark.parametrize(("kind", "shape"), [("none", None), ("exposure", (5, 1)), ("colour", (5, 3))])
 def test_gains_and_proposals_are_there_where_they_are_wanted(kind: str, shape: tuple | None) -> None:
     tree = merged(load_config().model_dump(), merged(SMALL, {"train": {"per_image": kind}}))
-    model = Model.create(jax.random.key(0), Config.model_validate(tree), 5)
-    assert (None if model.per_image is None else model.per_image.shape) == shape and model.proposals == ()
+    model = Model.create(jax.random.key(0), Config.model_validate(tree), FACTS, 5)
+    assert (None if model.per_image is None else model.per_image.shape) == shape and model.sampler.encodings == ()
     tree["sampler"]["kind"] = "proposal"
-    assert len(Model.create(jax.random.key(0), Config.model_validate(tree)).proposals) == 2
+    assert len(Model.create(jax.random.key(0), Config.model_validate(tree), FACTS).sampler.encodings) == 2

@@ -2,18 +2,19 @@
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering import pictures
-from reconstruct.rendering.model import cloud_of, render
-from reconstruct.rendering.pictures import Renderer, composited_normals, sampled_rays
-from reconstruct.rendering.volume import composite
+from reconstruct.rendering.compositing import composite
+from reconstruct.rendering.model import render
+from reconstruct.rendering.pictures import Renderer, composited_normals
 from reconstruct.run import Run
+from reconstruct.sampling.footprint import cloud_of
 from reconstruct.scene.rays import Rays, view_rays
 
 
@@ -27,34 +28,35 @@ def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     make_run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
     trained = TrainedModel.open(make_run().path)
-    rays, field = rays_of(trained), trained.state.model.field
-    samples, footprint, _ = sampled_rays(trained.functions, trained.state, rays)
-    cloud = cloud_of(rays, samples, bounded=True, footprint=footprint)
-    rendered, _ = render(field, rays, samples, cloud, deferred=True)
+    rays, field = rays_of(trained), trained.model.field
+    found = trained.model.sampler.look(rays)
+    samples = found.samples
+    cloud = cloud_of(rays, samples, bounded=True, footprint=found.footprint)
+    rendered, _ = render(field, rays, samples, cloud)
     _, _, normals = field.with_normals(cloud)
     every = composite(normals, samples.packed(rendered.weights), samples)
     monkeypatch.setattr(pictures, "BLOCK", block)
-    ours = jax.jit(composited_normals)(field, cloud, samples, rendered)
-    seen = np.asarray(rendered.opacity) > 0.01
-    assert seen.sum() > 100
+    ours = jit(composited_normals)(field, cloud, samples, rendered)
+    visible = np.asarray(rendered.opacity) > 0.01
+    assert visible.sum() > 100
     bound = 1.01 * trained.run.config.sampler.max_per_ray * pictures.FAINT  # each left out is unit, times less than its share
     assert np.all(np.linalg.norm(ours - every, axis=-1) <= bound * rendered.opacity + 1e-6)
-    angle = np.degrees(np.arccos(np.clip(np.sum(np.asarray(normalise(ours) * normalise(every)), -1), -1, 1)))[seen]
+    angle = np.degrees(np.arccos(np.clip(np.sum(np.asarray(normalise(ours) * normalise(every)), -1), -1, 1)))[visible]
     assert np.median(angle) < 0.2  # most of what is left out points the same way
 
 
 def test_rays_that_meet_nothing_show_what_is_behind_and_cost_nothing(ball: TrainedModel) -> None:
     rays = rays_of(ball)
     given = [np.asarray(values) for values in (rays.origins, rays.directions, rays.radii)]
-    pink = Renderer(ball.functions, background=(1.0, 0.5, 0.75))
-    found = pink.rays(ball.state, *given, normals=True)
+    pink = Renderer(ball.run.normalisation, background=(1.0, 0.5, 0.75))
+    found = pink.rays(ball.model, *given, normals=True)
     hit = found["opacity"][:, 0] > 0
     assert 0.05 < hit.mean() < 0.9
     np.testing.assert_array_equal(found["rgb"][~hit], np.broadcast_to(np.float32([1.0, 0.5, 0.75]), (np.sum(~hit), 3)))
     assert all(np.all(values[~hit] == 0) for name, values in found.items() if name != "rgb")
-    away = pink.rays(ball.state, given[0], -given[1], given[2])
+    away = pink.rays(ball.model, given[0], -given[1], given[2])
     np.testing.assert_array_equal(away["opacity"], 0)
-    alone = pink.rays(ball.state, *(values[hit] for values in given), normals=True)
+    alone = pink.rays(ball.model, *(values[hit] for values in given), normals=True)
     for name, values in alone.items():  # other rays beside it: the sums run in another order
         np.testing.assert_allclose(values, found[name][hit], rtol=1e-5, atol=1e-5, err_msg=name)
 
@@ -64,8 +66,8 @@ def test_pictures_larger_and_smaller_than_what_is_rendered_at_once_are_the_same(
 ) -> None:
     rays = rays_of(ball)
     given = [np.asarray(values) for values in (rays.origins, rays.directions, rays.radii)]
-    whole = Renderer(ball.functions).rays(ball.state, *given, normals=True)
+    whole = Renderer(ball.run.normalisation).rays(ball.model, *given, normals=True)
     monkeypatch.setattr(pictures, "SIZES", (64,))
-    parts = Renderer(ball.functions).rays(ball.state, *given, normals=True)
+    parts = Renderer(ball.run.normalisation).rays(ball.model, *given, normals=True)
     for name, values in whole.items():
         np.testing.assert_allclose(parts[name], values, rtol=1e-5, atol=1e-5, err_msg=name)

@@ -58,7 +58,7 @@ def test_masks_rule_cells_out_for_good() -> None:
 
 def test_densities_that_training_met_are_kept() -> None:
     occupancy = Occupancy.create(jax.random.key(0), grid=8, outer_grid=8, bounded=True, possible=np.zeros(512, bool))
-    occupancy = occupancy.seen(jnp.array([3, 3, 7]), jnp.array([5.0, 2.0, 1.0]))
+    occupancy = occupancy.noted(jnp.array([3, 3, 7]), jnp.array([5.0, 2.0, 1.0]))
     np.testing.assert_array_equal(occupancy.density[jnp.array([3, 7, 8])], [5, 1, 0])
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.packing import UNSEEN, draw, draw_probability, expected_depth, packed_samples, select_bit
+from reconstruct.sampling.packing import HIDDEN, draw, draw_probability, expected_depth, packed_samples, select_bit
 from reconstruct.sampling.steps import FRONT
 
 PACK = jax.jit(packed_samples, static_argnames=("capacity", "max_per_ray"))
@@ -99,7 +99,7 @@ def test_probabilities_follow_what_each_step_shows_and_sum_to_what_is_wanted() -
     wanted = 16
     found = np.asarray(PROBABILITY(jnp.asarray(depth), wanted), np.float64)
     exact = depth.astype(np.float64)
-    importance = np.where(exact > 0, exact * np.exp(-(np.cumsum(exact, -1) - exact)) + UNSEEN, 0)
+    importance = np.where(exact > 0, exact * np.exp(-(np.cumsum(exact, -1) - exact)) + HIDDEN, 0)
     assert ((found > 0) == (exact > 0)).all()
     assert found.max() <= 1
     for row, shares in zip(importance, found, strict=True):

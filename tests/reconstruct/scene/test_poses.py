@@ -18,10 +18,11 @@ from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import Run
 from reconstruct.sampling.hull import cells_in_masks
 from reconstruct.scene import poses
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
 from reconstruct.scene.twists import moved
-from reconstruct.training import step
-from reconstruct.training.step import StepFunctions
+from reconstruct.training import batches, objective, optimiser
+from reconstruct.training.step import Step
 
 SIGMA_M, SIGMA_RAD, STEPS = 2e-3, 4e-3, 100
 REFINED = {"poses": {"enabled": True, "sigma_m": SIGMA_M, "sigma_rad": SIGMA_RAD, "start": 0.0, "rate": 0.05, "final_rate": 0.05}}
@@ -87,14 +88,15 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
         "surface": {"enabled": False},
         "train": {"rate": 1e-12, "final_rate": 1e-12},
     }
-    functions = StepFunctions(merged_config(config, wide), normalisation)
-    fresh = functions.initial(jax.random.key(0), None, len(views))
-    model = eqx.tree_at(lambda m: m.field, fresh.model, painted.state.model.field)
-    state = replace(fresh, model=model, occupancy=painted.state.occupancy, optimiser=functions._adam().init(model))
+    one_step = Step.of(merged_config(config, wide), SceneFacts(normalisation))
+    fresh = one_step.initial(jax.random.key(0), None, len(views))
+    sampler = replace(fresh.model.sampler, grid=painted.model.sampler.grid)
+    model = replace(fresh.model, field=painted.model.field, sampler=sampler)
+    state = replace(fresh, model=model, optimiser=one_step.optimiser.begin(model.split()[0]))
     # white is behind the pictures, which carry no alpha here
-    monkeypatch.setattr(step.jax.random, "uniform", _white(jax.random.uniform))
+    monkeypatch.setattr(objective.jax.random, "uniform", _white(jax.random.uniform))
     arguments = lambda i: (pixels, jnp.asarray(0), jnp.asarray(i / STEPS), jnp.asarray(False))  # noqa: E731
-    one = jax.jit(functions._step).lower(state, *arguments(0.0)).compile(compiler_options={"xla_backend_optimization_level": 0})
+    one = jax.jit(one_step).lower(state, *arguments(0.0)).compile(compiler_options={"xla_backend_optimization_level": 0})
     for i in range(STEPS):
         state, terms = one(state, *arguments(i))
     assert int(state.skipped) == 0 and float(terms["mse"]) < 1e-3
@@ -117,20 +119,23 @@ def _white(uniform: Callable) -> Callable:
     )
 
 
-def test_what_is_off_is_not_there(ball_scene: tuple[Scene, Path], config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without refinement the step is the same program, instruction for instruction, as one that has no word of it."""
-    off = merged_config(config, {"poses": {"enabled": False}})
-    functions = StepFunctions(off, Normalisation.of(ball_scene[0]))
-    state = functions.initial(jax.random.key(0), None, 4)
+def test_a_disabled_refinement_costs_nothing(
+    ball_scene: tuple[Scene, Path], config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without refinement the step is the same program, instruction for instruction, as one that cannot refine."""
+    disabled, facts = merged_config(config, {"poses": {"enabled": False}}), SceneFacts(Normalisation.of(ball_scene[0]))
+    one_step = Step.of(disabled, facts)
+    state = one_step.initial(jax.random.key(0), None, 4)
     assert state.model.poses is None
     with progress("reading", 4) as shown:
-        pixels = Pixels.load(ball_scene[0].split("train"), functions.normalisation, 1.0, shown)
-    program = lambda: str(jax.make_jaxpr(functions._step)(state, pixels, jnp.asarray(0), jnp.asarray(0.5), jnp.asarray(True)))  # noqa: E731
-    with_the_words = program()
-    for name in ("moved", "followed"):
-        monkeypatch.setattr(step, name, lambda rays, twists: rays)
-    monkeypatch.setattr(step, "without_gauge", None)
-    assert program() == with_the_words
+        pixels = Pixels.load(ball_scene[0].split("train"), facts.normalisation, 1.0, shown)
+    arguments = (state, pixels, jnp.asarray(0), jnp.asarray(0.5), jnp.asarray(True))
+    program = lambda: str(jax.make_jaxpr(one_step)(*arguments))  # noqa: E731
+    complete = program()
+    monkeypatch.setattr(batches, "moved", lambda rays, twists: rays)
+    monkeypatch.setattr(objective, "followed", lambda rays, twists: rays)
+    monkeypatch.setattr(optimiser, "without_gauge", None)
+    assert program() == complete
 
 
 def test_refined_poses_are_written_down(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:

@@ -81,7 +81,10 @@ def test_rays_are_followed_with_the_gradient_of_a_further_twist() -> None:
     np.testing.assert_array_equal(followed(here, twists).origins, here.origins)
     np.testing.assert_array_equal(followed(here, twists).directions, here.directions)
     weights = jax.random.normal(jax.random.key(1), (2, RAYS, 3))
-    sums = lambda x: jnp.sum(weights[0] * followed(here, x).origins) + jnp.sum(weights[1] * followed(here, x).directions)  # noqa: E731
+
+    def sums(x):
+        return jnp.sum(weights[0] * followed(here, x).origins) + jnp.sum(weights[1] * followed(here, x).directions)
+
     slopes = jax.jit(jax.grad(sums))(twists)
     per_ray = np.concatenate([weights[0], np.cross(here.directions, weights[1])], -1)
     expected = np.zeros((VIEWS, 6))

@@ -15,26 +15,37 @@ import pytest
 
 from datasets.core.errors import UsageError
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
-from reconstruct.models import load_config
+from reconstruct.rendering.model import Model
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training import checkpoint, distributed
-from reconstruct.training.step import StepFunctions
+from reconstruct.training import distributed
+from reconstruct.training.batches import Division
 
 PATIENCE_S = 840
 """For processes that compile on a computer that may be busy with other things."""
 COMMAND = "from reconstruct.cli import main; main()"
-SMALL = ["encoding.levels=1", "encoding.log2_size=6", "field.spatial_width=4", "field.view_width=4", "field.bottleneck=2",
-         "field.ide_degree=1", "sampler.grid=16", "sampler.rays=64", "sampler.steps=32", "sampler.samples=512", "surface.enabled=false",
-         "train.steps=3"]  # fmt: skip
+SMALL = [
+    "encoding.levels=1",
+    "encoding.log2_size=6",
+    "field.spatial_width=4",
+    "field.view_width=4",
+    "field.bottleneck=2",
+    "field.ide_degree=1",
+    "sampler.grid=16",
+    "sampler.rays=64",
+    "sampler.steps=32",
+    "sampler.samples=512",
+    "surface.enabled=false",
+    "train.steps=3",
+]
 TALK = """
 import json, sys
 from pathlib import Path
 
 import jax, jax.numpy as jnp, numpy as np
-from datasets.errors import KoalaError
-from reconstruct import distributed
+from datasets.core.errors import KoalaError
+from reconstruct.training import distributed
 
 process, coordinator, folder = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
 distributed.join(coordinator, 2, process)
@@ -82,8 +93,10 @@ def together(commands: list[list[str]], cache: Path) -> list[tuple[int, str, str
         "KOALA_CACHE": str(cache),
     }
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")} | fast
-    begun = [subprocess.Popen([sys.executable, *command], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-             for command in commands]  # fmt: skip
+    begun = [
+        subprocess.Popen([sys.executable, *command], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for command in commands
+    ]
     deadline, ended = time.monotonic() + PATIENCE_S, []
     try:
         for process in begun:
@@ -130,8 +143,8 @@ def test_two_processes_come_to_what_one_comes_to(ball_scene: tuple[Scene, Path],
     assert len(one.log()) == len(two.log()) and two.log()[-1]["terms"] == pytest.approx(one.log()[-1]["terms"], rel=1e-3)
     leaves = []
     for run in (one, two):
-        like = StepFunctions(run.config, run.normalisation).initial(jax.random.key(0), None)
-        leaves.append(jax.tree.leaves(checkpoint.load(run.path / CHECKPOINTS, like)[0].model))
+        like = Model.create(jax.random.key(0), run.config, run.facts)
+        leaves.append(jax.tree.leaves(checkpoint.load_model(run.path / CHECKPOINTS, like)[0].split()[0]))
     for alone, divided in zip(*leaves, strict=True):
         np.testing.assert_allclose(divided, alone, atol=1e-3)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("one", "two", "cache")]
@@ -147,12 +160,17 @@ def test_one_process_talks_to_nobody(tmp_path: Path) -> None:
     np.testing.assert_array_equal(distributed.own_copy({"a": jnp.ones(3), "b": None})["a"], np.ones(3))
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (("127.0.0.1:80", None, None), "give --coordinator, --processes and --process together"),
-    ((None, 2, 0), "give --coordinator, --processes and --process together"),
-    (("127.0.0.1", 2, 0), "is not HOST:PORT"), (("host:0", 2, 0), "is not HOST:PORT"), ((":80", 2, 0), "is not HOST:PORT"),
-    (("127.0.0.1:80", 2, 2), "there is no process 2 of 2"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("127.0.0.1:80", None, None), "give --coordinator, --processes and --process together"),
+        ((None, 2, 0), "give --coordinator, --processes and --process together"),
+        (("127.0.0.1", 2, 0), "is not HOST:PORT"),
+        (("host:0", 2, 0), "is not HOST:PORT"),
+        ((":80", 2, 0), "is not HOST:PORT"),
+        (("127.0.0.1:80", 2, 2), "there is no process 2 of 2"),
+    ],
+)
 def test_impossible_groups_are_refused(arguments: tuple, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         distributed.join(*arguments)
@@ -174,7 +192,6 @@ def test_devices_of_several_processes_must_divide_every_batch() -> None:
         def __init__(self, process_index: int) -> None:
             self.process_index = process_index
 
-    functions = StepFunctions(load_config(), Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
     with pytest.raises(UsageError, match="3 devices do not divide a batch evenly"):
-        functions.over([Device(process) for process in range(3)])
-    assert functions.over([Device(0)] * 3).mesh is None, "one process leaves devices out"
+        Division.among([Device(process) for process in range(3)], (2048, 8192))
+    assert Division.among([Device(0)] * 3, (2048, 8192)).mesh is None, "one process leaves devices out"

@@ -1,4 +1,4 @@
-"""What is written is read back with a reader of its own: the format of the records is TensorFlow's, the events protocol buffers."""
+"""What is written is read back by a separate reader: records are TensorFlow's, events are protocol buffers."""
 
 import struct
 import sys

@@ -6,6 +6,8 @@ import pytest
 
 from reconstruct.models import load_config
 from reconstruct.rendering.model import Model
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation
 from reconstruct.training.faults import FAULTS, cause, finite_parts, packed, parts_of
 
 SMALL = ["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8"]
@@ -13,7 +15,8 @@ SMALL = ["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return Model.create(jax.random.key(0), load_config(overrides=SMALL))
+    facts = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
+    return Model.create(jax.random.key(0), load_config(overrides=SMALL), facts).split()[0]
 
 
 def test_a_finite_step_has_no_faults(model: Model) -> None:

@@ -10,17 +10,17 @@ import pytest
 from datasets.core import files
 from datasets.core.errors import UsageError
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.models import finetuned, load_config, merged_config
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, FAULTS, Run
 from reconstruct.scene.poses import POSES
-from reconstruct.training import checkpoint
 from reconstruct.training.faults import FAULTS as FAULT_BITS
 from reconstruct.training.loop import start, train
 from reconstruct.training.skipping import record
-from reconstruct.training.step import StepFunctions
+from reconstruct.training.step import Step
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_du
         done.append((int(count), bool(second)))
         return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
 
-    training._advance, training._look_around = advance, lambda state, seed: state
+    training._advance, training._keep_up = advance, lambda state, seed: state
     for _ in range(4):
         training.chunk()
     assert done == ([(8, True)] * 4 if enabled else [(16, False)] * 4)
@@ -81,7 +81,7 @@ def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path]
     assert files.read_json(tmp_path / "whole" / "skips.json") == whole["skips"] == resumed["skips"]
     assert (tmp_path / "whole" / POSES).read_text() == (tmp_path / "broken" / POSES).read_text()
     trained = TrainedModel.open(tmp_path / "whole")
-    assert np.abs(trained.state.model.poses).max() > 0
+    assert np.abs(trained.model.poses).max() > 0
     apart = [
         np.abs(old.world_from_camera - new.world_from_camera).max()
         for old, new in zip(scene.views, trained.scene.views, strict=True)
@@ -96,17 +96,17 @@ def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_
     training = start(scene, folder, config, tmp_path / "run")
     once = eqx.tree_at(lambda s: s.skipped, training.state, jnp.asarray(1, jnp.int32))
     before, training.state = training.state, once
-    training._heed(1, {"photometric": jnp.ones(())})
+    training._report_faults(1, {"photometric": jnp.ones(())})
     assert "gradient of field.encoding" in capsys.readouterr().err, "one is shown with its cause, and goes by"
     training.state = before
     training.pixels = eqx.tree_at(lambda p: p.colour, training.pixels, jnp.full_like(training.pixels.colour, jnp.nan))
-    start_leaves = [np.asarray(leaf).copy() for leaf in jax.tree.leaves((before.model, before.optimiser))]
+    start_leaves = [np.asarray(leaf).copy() for leaf in jax.tree.leaves((before.model.split()[0], before.optimiser))]
     training.compile()
     with pytest.raises(ReconstructError, match=r"does not stay finite.*16 steps.*gradient of field\.encoding.*loss photometric"):
         training.chunk()
-    for leaf, kept in zip(jax.tree.leaves((training.state.model, training.state.optimiser)), start_leaves, strict=True):
-        if leaf.ndim:  # the blur is part of the schedule, not learned
-            np.testing.assert_array_equal(leaf, kept)
+    learned = (training.state.model.split()[0], training.state.optimiser)
+    for leaf, kept in zip(jax.tree.leaves(learned), start_leaves, strict=True):
+        np.testing.assert_array_equal(leaf, kept)
     lines = (tmp_path / "run" / FAULTS).read_text().splitlines()
     assert len(lines) == 2 and '"skipped": 16' in lines[1]
 
@@ -127,15 +127,13 @@ def test_a_fine_tuning_begins_with_what_the_run_has_learned(
 ) -> None:
     scene, folder = ball_scene
     run = make_run(merged_config(make_run_config(), {"surface": {"enabled": False}}))
-    before = checkpoint.load(
-        run.path / CHECKPOINTS, StepFunctions(run.config, run.normalisation).initial(jax.random.key(0), None)
-    )[0]
+    before = checkpoint.load(run.path / CHECKPOINTS, Step.of(run.config, run.facts).initial(jax.random.key(0)))[0]
     tuned = finetuned(run.config, ["train.steps=3"])
     training = start(scene, folder, tuned, tmp_path / "tuned", None, run)
     for one, other in zip(jax.tree.leaves(before.model), jax.tree.leaves(training.state.model), strict=True):
         np.testing.assert_array_equal(one, other)
     assert int(training.state.step) == 0 and training.clock.steps == 3
-    assert training.run.config.field.towards == run.config.field.towards, "what was learned was added to these normals"
+    assert training.run.facts == run.facts, "what was learned was added to these normals"
     assert (
         training.run.config.surface.enabled and training.run.config.train.rate == training.run.config.train.final_rate == 3.25e-4
     )

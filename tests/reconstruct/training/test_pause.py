@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from reconstruct.training import pause
-from reconstruct.training.pause import MOVING, Guest, give_way, wanted_share
+from reconstruct.training.pause import MOVING, PauseRequests, give_way, wanted_share
 
 
 def test_nobody_moves(tmp_path: Path) -> None:
@@ -16,9 +16,9 @@ def test_nobody_moves(tmp_path: Path) -> None:
 
 
 def test_while_somebody_moves_the_training_has_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.1 s of work at a quarter of the time: 0.3 s of rest, up to a nap more; the hold is long, so that a busy computer does not end it."""
+    """0.1 s of work at a quarter of the time: 0.3 s of rest, up to a nap more; the hold is long enough for a busy computer."""
     monkeypatch.setattr(pause, "HOLD_S", 60.0)
-    Guest(tmp_path).moving(0.25)
+    PauseRequests(tmp_path).request(0.25)
     assert wanted_share(tmp_path) == 0.25
     rest = give_way(tmp_path, 0.1)
     assert rest >= 0.3 and rest < 0.3 + 5.0
@@ -26,7 +26,7 @@ def test_while_somebody_moves_the_training_has_its_share(tmp_path: Path, monkeyp
 
 def test_a_pause_ends_after_the_last_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pause, "HOLD_S", 0.5)
-    Guest(tmp_path).moving(0.0)
+    PauseRequests(tmp_path).request(0.0)
     begun = time.monotonic()
     assert give_way(tmp_path, 0.1) > 0.2  # the file is written 0.5 s ahead; some of it may be over already
     assert time.monotonic() - begun < 10 and wanted_share(tmp_path) == 1.0
@@ -34,19 +34,19 @@ def test_a_pause_ends_after_the_last_move(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_ctrl_c_ends_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pause, "HOLD_S", 600.0)
-    Guest(tmp_path).moving(0.0)
+    PauseRequests(tmp_path).request(0.0)
     came = threading.Event()
     threading.Timer(0.3, came.set).start()
     assert give_way(tmp_path, 0.1, until=came.is_set) < 60
 
 
 def test_a_page_says_it_now_and_then_and_only_where_it_matters(tmp_path: Path) -> None:
-    guest = Guest(tmp_path)
-    guest.moving(1.0)
+    requests = PauseRequests(tmp_path)
+    requests.request(1.0)
     assert not (tmp_path / MOVING).exists(), "nothing is asked for"
-    guest.moving(0.5)
+    requests.request(0.5)
     written = os.stat(tmp_path / MOVING).st_mtime_ns
-    guest.moving(0.5)
+    requests.request(0.5)
     assert os.stat(tmp_path / MOVING).st_mtime_ns == written
 
 

@@ -1,4 +1,4 @@
-"""Every model takes steps: the parts fit together whichever encoding, appearance, sampler and regularisers they are."""
+"""The step: accumulated batches, gains of views, several devices. That every model trains is in test_every_model."""
 
 import json
 import os
@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,16 +15,28 @@ from datasets.core.console import progress
 from datasets.scene import Scene
 from reconstruct import models
 from reconstruct.config import Config
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.step import StepFunctions, TrainState
+from reconstruct.training.batches import Division
+from reconstruct.training.optimiser import Optimiser
+from reconstruct.training.step import Step, TrainState
 
 SMALL = {
     "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
     "field": {"spatial_width": 16, "view_width": 16, "bottleneck": 4, "ide_degree": 2, "view_depth": 3},
-    "sampler": {"rays": 64, "samples": 512, "grid": 16, "steps": 32, "max_per_ray": 8, "proposals": (8, 8), "final": 8,
-                "proposal_finest": (8.0, 16.0)},
+    "sampler": {
+        "rays": 64,
+        "samples": 512,
+        "grid": 16,
+        "steps": 32,
+        "max_per_ray": 8,
+        "proposals": (8, 8),
+        "final": 8,
+        "proposal_finest": (8.0, 16.0),
+    },
     "surface": {"rays": 16, "samples": 8},
-}  # fmt: skip
+}
+FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
 PROPOSAL = {"surfnerf", "mipnerf", "zip_refnerf"}
 """Tested with their paper preset, which together has every kind of frustum; the others with the fast one."""
 
@@ -41,9 +52,9 @@ def stepped(config: Config, scene: Scene, steps: int) -> tuple[TrainState, Train
     views = scene.split("train")
     with progress("reading", len(views)) as shown:
         pixels = Pixels.load(views, normalisation, 1.0, shown)
-    functions = StepFunctions(config, normalisation)
-    state = start = functions.initial(jax.random.key(0), None, len(views))
-    one = jax.jit(functions._step)  # `advance` is a loop around it, which would only be traced and compiled twice
+    one_step = Step.of(config, SceneFacts(normalisation))
+    state = start = one_step.initial(jax.random.key(0), None, len(views))
+    one = jax.jit(one_step)  # `advance` is a loop around it, which would only be traced and compiled twice
     arguments = (pixels, jnp.asarray(0, jnp.int32), jnp.asarray(0.5), jnp.asarray(True))
     step = one.lower(state, *arguments).compile(compiler_options={"xla_backend_optimization_level": 0})
     for _ in range(steps):
@@ -51,55 +62,37 @@ def stepped(config: Config, scene: Scene, steps: int) -> tuple[TrainState, Train
     return start, state, {name: float(value) for name, value in terms.items()}
 
 
-ALWAYS = ("surfnerf", "surfnerf_voxels", "refnerf", "mipnerf", "finetune")
-"""Models that between them use every encoding, appearance and pass; the others are other combinations of these."""
-
-
-@pytest.mark.parametrize(
-    "model", [name if name in ALWAYS else pytest.param(name, marks=pytest.mark.slow) for name in models.names()]
-)
-def test_every_model_trains(model: str, ball_scene: tuple[Scene, Path]) -> None:
-    config = small(model)
-    before, after, terms = stepped(config, ball_scene[0], 6)
-    assert int(after.step) == 6 and int(after.skipped) == 0
-    assert all(np.isfinite(value) for value in terms.values())
-    arrays = eqx.filter(after.model, eqx.is_inexact_array)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(arrays))
-    pairs = zip(jax.tree.leaves_with_path(before.model), jax.tree.leaves(after.model), strict=True)
-    still = [jax.tree_util.keystr(path) for (path, a), b in pairs if np.array_equal(a, b)]
-    assert not [path for path in still if "blur" not in path and "proposals" not in path], "every parameter takes part"
-    regularised, diffuse = config.surface.enabled, after.model.field.appearance.has_diffuse
-    expected = {"density_smoothness", "normal_consistency", "specular_variation"} if regularised else set()
-    expected |= {"lambertian_bias"} if regularised and diffuse and config.surface.bias else set()
-    assert expected == terms.keys() & {"density_smoothness", "normal_consistency", "specular_variation", "lambertian_bias"}
-    assert ("predicted_normals" in terms) == after.model.field.appearance.predicts_normals
-
-
 def test_accumulated_batches_step_by_their_mean_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
     config = Config.model_validate(models.merged(small("surfnerf_voxels").model_dump(), {"train": {"accumulate": 3}}))
-    functions = StepFunctions(config, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
-    state = functions.initial(jax.random.key(0), None)
+    one_step = Step.of(config, FACTS)
+    state = one_step.initial(jax.random.key(0))
     stepped: list = []
 
-    def batch(self, state: TrainState, pixels, key, progress, second):
+    def gradient(self, model, pixels, key, progress, second):
         value = jax.random.uniform(key)
         cell = (1000 * value).astype(jnp.int32)[None]
-        return jax.tree.map(lambda leaf: jnp.full_like(leaf, value), state.model), {"mse": value}, (cell, value[None])
+        return jax.tree.map(lambda leaf: jnp.full_like(leaf, value), model.split()[0]), {"mse": value}, (cell, value[None])
 
-    monkeypatch.setattr(StepFunctions, "_batch", batch)
-    monkeypatch.setattr(StepFunctions, "_descend", lambda self, state, gradient, *_: stepped.append(gradient) or state)
-    after, terms = functions._step(state, None, jnp.asarray(5), jnp.asarray(0.5), jnp.asarray(False))
+    def descended(self, learned, gradient, moments, *_):
+        stepped.append(gradient)
+        return learned, moments
+
+    monkeypatch.setattr(Step, "gradient", gradient)
+    monkeypatch.setattr(Optimiser, "descended", descended)
+    pixels = Pixels(*(jnp.zeros(s) for s in ((1, 4), (1, 3))), jnp.zeros(1, jnp.int32), jnp.zeros((1, 3)), jnp.zeros(1))
+    after, terms = one_step(state, pixels, jnp.asarray(5), jnp.asarray(0.5), jnp.asarray(False))
     values = jax.vmap(jax.random.uniform)(jax.random.split(jax.random.fold_in(jax.random.key(5), 0), 3))
     np.testing.assert_allclose(jax.tree.leaves(stepped[0])[0], np.mean(values), rtol=1e-6)
     np.testing.assert_allclose(terms["mse"], np.mean(values), rtol=1e-6)
-    changed = np.flatnonzero(np.isfinite(after.occupancy.density) != np.isfinite(state.occupancy.density))
+    known = [np.isfinite(one.model.sampler.grid.density) for one in (after, state)]
+    changed = np.flatnonzero(known[0] != known[1])
     assert len(changed) == 0, "densities that are known are kept as maxima: unknown cells stay unknown"
 
 
 def test_views_of_their_own_exposure_train(ball_scene: tuple[Scene, Path]) -> None:
     config = Config.model_validate(models.merged(small("zipnerf").model_dump(), {"train": {"per_image": "colour"}}))
-    functions = StepFunctions(config, Normalisation.of(ball_scene[0]))
-    assert functions.initial(jax.random.key(0), None, 4).model.per_image.shape == (4, 3)
+    one_step = Step.of(config, SceneFacts(Normalisation.of(ball_scene[0])))
+    assert one_step.initial(jax.random.key(0), None, 4).model.per_image.shape == (4, 3)
     _, after, _ = stepped(config, ball_scene[0], 3)
     assert np.abs(after.model.per_image).min() > 0, "every view's gains learn"
 
@@ -108,8 +101,11 @@ SHARDED = """
 import jax, jax.numpy as jnp, numpy as np
 from reconstruct.config import Config
 from reconstruct.models import load_config, merged
-from reconstruct.rays import Normalisation, Pixels
-from reconstruct.step import StepFunctions
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.training.batches import Division
+from reconstruct.training.step import Step
+from dataclasses import replace
 import json, sys
 
 assert len(jax.devices()) == 4
@@ -118,25 +114,27 @@ origins = rng.normal(size=(5, 3)); origins *= 3 / np.linalg.norm(origins, axis=-
 view = rng.integers(0, 5, 2000)
 directions = rng.uniform(-0.5, 0.5, (2000, 3)) - origins[view]
 f = lambda a: jnp.asarray(a, jnp.float32)
-pixels = Pixels(jnp.asarray(rng.random((2000, 4)), jnp.float16), f(directions), jnp.asarray(view, jnp.int32), f(origins), f(np.full(5, 1e-3)))
+colour, view = jnp.asarray(rng.random((2000, 4)), jnp.float16), jnp.asarray(view, jnp.int32)
+pixels = Pixels(colour, f(directions), view, f(origins), f(np.full(5, 1e-3)))
 config = Config.model_validate(merged(load_config("surfnerf").model_dump(), json.loads(sys.argv[1])))
-normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, sys.argv[2] == "bounded", 0.5, 6.0)
+facts = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, sys.argv[2] == "bounded", 0.5, 6.0))
 found = []
 for count in (1, 4):
-    functions = StepFunctions(config, normalisation).over(jax.devices()[:count])
-    assert (functions.mesh is None) == (count == 1) and (count == 1 or functions.mesh.size == 4)
-    state = functions.initial(jax.random.key(0), None)
+    state = Step.of(config, facts).initial(jax.random.key(0))
+    division = Division.among(jax.devices()[:count], state.model.sampler.divided_sizes)
+    assert (division.mesh is None) == (count == 1) and (count == 1 or division.mesh.size == 4)
     placed = {}
-    if functions.everywhere is not None:
-        state, pixels = jax.device_put((state, pixels), functions.everywhere)
-        placed = {"out_shardings": functions.everywhere}
+    if division.everywhere is not None:
+        state, pixels = jax.device_put((state, pixels), division.everywhere)
+        placed = {"out_shardings": division.everywhere}
     arguments = (jnp.asarray(0, jnp.int32), jnp.asarray(0.5), jnp.asarray(True))
-    step = jax.jit(functions._step, **placed).lower(state, pixels, *arguments)
+    step = jax.jit(replace(Step.of(config, facts), division=division).__call__, **placed).lower(state, pixels, *arguments)
     step = step.compile(compiler_options={"xla_backend_optimization_level": 0})
     for _ in range(3):
         state, terms = step(state, pixels, *arguments)
     assert len(state.model.field.encoding.table.devices()) == count
-    found.append(({k: float(v) for k, v in terms.items()}, np.asarray(state.occupancy.density), np.asarray(state.model.field.spatial.weights[0])))
+    terms = {k: float(v) for k, v in terms.items()}
+    found.append((terms, np.asarray(state.model.sampler.grid.density), np.asarray(state.model.field.spatial.weights[0])))
 (one, grid, weights), (four, grid4, weights4) = found
 for name in one:
     np.testing.assert_allclose(four[name], one[name], rtol=1e-3, atol=1e-6, err_msg=name)
@@ -158,6 +156,7 @@ def test_four_devices_come_to_the_result_of_one(world: str) -> None:
 
 def test_devices_that_do_not_divide_a_batch_are_left_out() -> None:
     config = small("surfnerf_voxels")  # 64 rays, 512 samples
-    functions = StepFunctions(config, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
-    assert functions.over([jax.devices()[0]] * 1).mesh is None and functions.everywhere is None
-    assert functions.over([jax.devices()[0]] * 3).mesh is None
+    sizes = Step.of(config, FACTS).initial(jax.random.key(0)).model.sampler.divided_sizes
+    alone = Division.among([jax.devices()[0]] * 1, sizes)
+    assert alone.mesh is None and alone.everywhere is None
+    assert Division.among([jax.devices()[0]] * 3, sizes).mesh is None

@@ -1,4 +1,4 @@
-"""The simulated arm: small errors that repeat with the seed, a swing that dies away, and stops for safety."""
+"""The simulated arm: small errors that repeat with the seed, an oscillation that decays, and stops for safety."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_the_flange_bends_after_a_stop_beyond_what_the_encoders_see():
     assert 2e-4 < early < 5e-3 and late < 2e-4  # late: the arm's repeatability alone
 
 
-def test_the_swing_lasts_as_long_as_it_says():
+def test_the_oscillation_lasts_as_long_as_it_says():
     arm = _arm()
     arm.move_to(GOAL, 1.0, 1.4, 0.0)
     end, lasts = arm.profile.duration, arm.swings_for(arm.profile, 1e-3)
@@ -99,15 +99,15 @@ def test_the_speed_slider_stretches_a_motion_under_way():
     arm, whole = _arm(), _arm()
     for one in (arm, whole):
         one.move_to(GOAL, 1.0, 1.4, 0.0)
-    arm.slide_speed(0.25, 0.5)
+    arm.set_speed_slider(0.25, 0.5)
     np.testing.assert_allclose(arm.target(0.9)[0], whole.target(0.6)[0], atol=1e-12)  # 0.4 s at a quarter are 0.1 s
     np.testing.assert_allclose(arm.target(0.9)[1], 0.25 * whole.target(0.6)[1], atol=1e-12)
     assert arm.moving(whole.profile.duration + 0.1) and not arm.moving(0.5 + 4 * (whole.profile.duration - 0.5) + 1e-6)
-    arm.slide_speed(1.0, 0.9)
+    arm.set_speed_slider(1.0, 0.9)
     np.testing.assert_allclose(arm.target(1.0)[0], whole.target(0.7)[0], atol=1e-12)
 
 
-def test_a_paused_motion_rests_on_its_way_and_goes_on_to_its_goal():
+def test_a_paused_motion_rests_on_its_path_and_is_resumed_to_its_goal():
     arm, whole = _arm(), _arm()
     for one in (arm, whole):
         one.move_to(GOAL, 1.0, 1.4, 0.0)
@@ -116,9 +116,9 @@ def test_a_paused_motion_rests_on_its_way_and_goes_on_to_its_goal():
     angles, speeds, _ = arm.target(0.91)
     np.testing.assert_allclose(angles, whole.target(0.6 + PAUSE_S / 2)[0], atol=1e-12)  # evenly slower: half as far
     assert not speeds.any() and np.array_equal(arm.actual(50.0)[0], angles) and not arm.actual(50.0)[1].any()
-    arm.slide_speed(1.0, 60.0)
+    arm.set_speed_slider(1.0, 60.0)
     assert not arm.moving(70.0)  # the slider starts nothing
-    arm.go_on(80.0)
+    arm.resume(80.0)
     assert arm.moving(80.0)
     np.testing.assert_allclose(arm.target(80.5)[0], whole.target(0.6 + 0.5)[0], atol=1e-12)  # twice half the ramp was lost
     np.testing.assert_array_equal(arm.target(90.0)[0], GOAL)
@@ -130,14 +130,15 @@ def test_a_paused_motion_is_forgotten_after_a_stop():
     arm.pause(0.6)
     arm.stop(3.0, 5.0)
     rests = arm.target(5.0)[0]
-    arm.go_on(6.0)
+    arm.resume(6.0)
     assert not arm.moving(6.1) and np.array_equal(arm.target(10.0)[0], rests) and np.abs(rests - GOAL).max() > 0.1
 
 
-def test_an_arm_at_rest_is_neither_paused_nor_moved_on():
+def test_an_arm_at_rest_is_neither_paused_nor_resumed():
     arm = _arm()
     now = _visit(arm, GOAL, 0.0)
-    arm.pause(now), arm.go_on(now + 1)
+    arm.pause(now)
+    arm.resume(now + 1)
     assert not arm.moving(now + 2) and np.array_equal(arm.target(now + 2)[0], GOAL)
     _visit(arm, HOME, now + 3)
     assert arm.moving(now + 3.1)
@@ -148,5 +149,5 @@ def test_leaving_a_narrowed_joint_range_is_a_protective_stop():
     arm.joint_limits[1, 2] = 0.5
     arm.move_to(GOAL, 1.0, 1.4, 0.0)
     times = np.arange(0, 3, 0.002)
-    stopped = next(now for now in times if arm.keep_limits(now) or arm.safety is Safety.PROTECTIVE_STOP)
+    stopped = next(now for now in times if arm.check_limits(now) or arm.safety is Safety.PROTECTIVE_STOP)
     assert 0.5 <= arm.target(stopped + 1)[0][2] < 0.6

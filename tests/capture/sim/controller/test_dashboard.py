@@ -42,7 +42,7 @@ def test_stop_stops(controller):
     assert reply(controller, "stop") == "Stopped" and controller.stopped == 1
 
 
-def test_pause_and_play_say_whether_there_was_anything_to_do(controller):
+def test_pause_and_play_fail_where_there_is_nothing_to_do(controller):
     assert reply(controller, "pause") == "Pausing program" and reply(controller, "play") == "Failed to execute: play"
     controller.program_running, controller.program_paused = False, True
     assert (
@@ -59,5 +59,6 @@ def test_the_way_back_from_stops(controller):
     controller.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, 0.0)
     reply(controller, "brake release")
     assert controller.arm.mode is RobotMode.POWER_OFF
-    reply(controller, "power on"), reply(controller, "brake release")
+    reply(controller, "power on")
+    reply(controller, "brake release")
     assert controller.arm.may_move

@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 
+from capture.robots.rtde.wire import packet
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.process import SimulatedController
-from capture.sim.controller.rtde_protocol import packet
 from capture.sim.controller.script import COMMANDS, DONE, EVERY_CYCLE, ControlProgram
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
@@ -64,9 +64,7 @@ def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog
     assert str(number) in caplog.text or str(number) in str(getattr(program, "reason", ""))
 
 
-@pytest.mark.xfail(
-    strict=True, reason="rtde_protocol.type_of knows registers of both directions: an output is taken for an input"
-)
+@pytest.mark.xfail(strict=True, reason="wire.type_of knows registers of both directions: an output is taken for an input")
 def test_an_output_cannot_be_an_input() -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", 2)))
@@ -104,5 +102,5 @@ def test_a_program_with_an_impossible_register_offset_does_not_end_the_controlle
         with socket.create_connection((controller.host, 30003), 10) as client:
             client.sendall(text.encode())
             time.sleep(0.6)
-        assert controller.process.poll() is None, controller.last_words()
+        assert controller.process.poll() is None, controller.last_line()
         controller.ask("truth")

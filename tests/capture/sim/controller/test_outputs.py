@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from capture.kinematics import forward
-from capture.sim.controller import rtde_protocol
+from capture.robots.rtde import wire
 from capture.sim.controller.arm import Arm, Safety
 from capture.sim.controller.outputs import Outputs
 from capture.sim.controller.script import ControlProgram
@@ -62,7 +62,7 @@ def test_states_of_program_and_safety(server):
 
 
 def test_every_variable_has_a_value_that_its_type_can_hold(server):
-    names = [*rtde_protocol.TYPES, "output_double_register_0", "input_int_register_47"]
-    moment, recipe = Outputs(server, 1.0), rtde_protocol.Recipe(names)
+    names = [*wire.TYPES, "output_double_register_0", "input_int_register_47"]
+    moment, recipe = Outputs(server, 1.0), wire.Recipe(names)
     values = recipe.unpack(recipe.pack([moment[name] for name in names]))
     assert values["joint_temperatures"] == [30.0] * 6 and values["payload_cog"] == [0.0] * 3

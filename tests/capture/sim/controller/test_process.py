@@ -1,17 +1,21 @@
-"""The simulated controller as a process: it starts, answers, and never outlives who started it."""
+"""The simulated controller as a process: it starts, answers, and never outlives its parent."""
 
+import asyncio
+import errno
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from capture.errors import SimulationError
 from capture.kinematics import forward
+from capture.sim.controller import _child
 from capture.sim.controller.process import HOME, SimulatedController
 from datasets.core.errors import UsageError
 
@@ -43,15 +47,32 @@ def test_an_arm_as_built_is_the_same_arm_with_the_same_links_seed():
 
 
 @pytest.mark.parametrize("host", ["192.168.77.5", "0.0.0.0", "localhost", "nonsense", "::1"])
-def test_it_listens_to_nobody_but_this_computer(host):
+def test_it_listens_on_loopback_addresses_only(host):
     with pytest.raises(UsageError, match=r"no loopback address; give one of 127\.0\.0\.1 to"):
         SimulatedController.start(host=host)
 
 
-def test_a_busy_port_is_told():
+def test_a_busy_port_is_reported():
     with SimulatedController.start() as simulated:
         with pytest.raises(SimulationError, match=rf"{simulated.host}.*30004, 30003, 29999 are not free there.*another --host"):
             SimulatedController.start(host=simulated.host)
+
+
+def test_a_computer_with_one_loopback_address_uses_that(monkeypatch):
+    tried = []
+
+    async def start_server(handler, host, port):
+        tried.append(host)
+        if host != "127.0.0.1":
+            raise OSError(errno.EADDRNOTAVAIL, "not here")
+        return SimpleNamespace(close=lambda: None, sockets=[SimpleNamespace(getsockname=lambda: (host, 4711))])
+
+    monkeypatch.setattr(asyncio, "start_server", start_server)
+    server = SimpleNamespace(rtde=None, script=None, dashboard=None)
+    assert asyncio.run(_child._listen(server, "")) == ("127.0.0.1", 4711)  # type: ignore[arg-type]
+    assert len(set(tried)) > 10
+    with pytest.raises(OSError, match="not here"):
+        asyncio.run(_child._listen(server, "127.7.7.7"))  # type: ignore[arg-type]
 
 
 def test_unknown_requests_name_the_known_ones():
@@ -62,8 +83,15 @@ def test_unknown_requests_name_the_known_ones():
 
 
 def test_it_dies_with_its_parent():
-    code = "import time\nfrom capture.sim.controller.process import SimulatedController\ns = SimulatedController.start()\nprint(s.host, flush=True)\ntime.sleep(60)"
+    code = """if True:
+        import time
+        from capture.sim.controller.process import SimulatedController
+        started = SimulatedController.start()
+        print(started.host, flush=True)
+        time.sleep(60)
+    """
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
     host = parent.stdout.readline().strip()
     assert _accepts(host, 29999)
     os.kill(parent.pid, signal.SIGKILL)

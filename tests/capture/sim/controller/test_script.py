@@ -40,7 +40,7 @@ def test_a_command_is_carried_out_once():
     assert _order(program, 0, now=10.0) == READY
 
 
-def test_an_asynchronous_move_tells_its_progress():
+def test_an_asynchronous_move_reports_its_progress():
     program = _program()
     _order(program, 1, [*(HOME + 0.5), 1.0, 1.0], flag=1)
     running = program.output_ints[2]
@@ -97,7 +97,7 @@ def test_upper_registers_are_found_in_the_uploaded_text():
     assert _program("# int register offset\n0\nend\n").offset == 0
 
 
-def test_commands_that_stand_in_every_cycle_are_never_done():
+def test_commands_of_every_cycle_are_never_done():
     assert EVERY_CYCLE & set(COMMANDS) == {58}
     program = _program()
     assert _order(program, 58) == READY

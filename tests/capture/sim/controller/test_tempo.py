@@ -17,5 +17,5 @@ def test_phase_is_the_integral_of_the_rate(tempo):
 
 def test_stands_once_it_has_slowed_down_for_good():
     slowing, gathering = Tempo(0.0, 1.0, 1.0, 0.0, 0.5), Tempo(0.0, 1.0, 0.0, 1.0, 0.5)
-    assert [slowing.stands(now) for now in (1.0, 1.4, 1.5, 9.0)] == [False, False, True, True]
-    assert not gathering.stands(1.0)  # it is about to move
+    assert [slowing.stopped(now) for now in (1.0, 1.4, 1.5, 9.0)] == [False, False, True, True]
+    assert not gathering.stopped(1.0)  # it is about to move

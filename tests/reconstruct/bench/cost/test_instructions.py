@@ -11,12 +11,13 @@ from reconstruct.field.mlp import Mlp
 def test_parts_by_calls() -> None:
     inside = [("/a/reconstruct/field/mlp.py", "__call__"), ("/a/reconstruct/field/field.py", "__call__")]
     assert part_of(inside, "jit(f)/jvp()/dot") == Part(SAMPLES, "networks", False)
-    second = [*inside, ("/a/reconstruct/training/objective.py", "second_pass_terms")]
+    second = [*inside, ("/a/reconstruct/training/step.py", "_with_second_pass")]
     assert part_of(second, "jit(f)/transpose(jvp())/dot") == Part("second pass", "networks", True)
     assert part_of([("/a/reconstruct/field/encodings/directional.py", "x")], "") == Part(SAMPLES, "shading", False)
     assert part_of([("/a/reconstruct/field/encodings/tables.py", "combine")], "") == Part(SAMPLES, "encoding", False)
     assert (
-        part_of([("/a/optax/transform.py", "update"), ("/a/reconstruct/training/step.py", "_descend")], "").kernel == "optimiser"
+        part_of([("/a/optax/transform.py", "update"), ("/a/reconstruct/training/optimiser.py", "descended")], "").kernel
+        == "optimiser"
     )
     assert part_of([], "") == Part("copies", "other", False)
 

@@ -17,7 +17,7 @@ def grid() -> PermutohedralLattice:
 
 
 def corners_of(points: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 4 vertices, 4 coordinates) integers and (n, 4) float64 lifted points at one level; test_simplex.py vouches for the search."""
+    """(n, 4 vertices, 4 coordinates) integers and (n, 4) float64 lifted points at one level; test_simplex.py tests the search."""
     scale = resolution * simplex.VERTICES_PER_UNIT_VOLUME
     e = simplex.lift(*(jnp.asarray(points, jnp.float32) * np.float32(scale)))
     code = simplex.ordering(e)

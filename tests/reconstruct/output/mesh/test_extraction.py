@@ -45,7 +45,7 @@ def test_the_surface_follows_predicted_normals_where_there_are_any(ball: Trained
     spread = [np.std(np.linalg.norm(surface.vertices - CENTRE, axis=-1)) for surface in (rough, smooth)]
     assert spread[1] < 0.5 * spread[0]
     assert abs(smooth.volume / rough.volume - 1) < 0.01
-    monkeypatch.setattr(type(ball.state.model.field.appearance), "predicts_normals", False)
+    monkeypatch.setattr(type(ball.model.field.appearance), "predicts_normals", False)
     np.testing.assert_array_equal(extraction.extract(ball, resolution=48).vertices, rough.vertices)
 
 
@@ -65,9 +65,9 @@ def test_it_is_closed_faces_outward_and_shows_the_colour(ball: TrainedModel, tmp
 
 def test_density_is_looked_up_near_occupied_cells_alone(ball: TrainedModel) -> None:
     axes = field_samples.grid_axes(ball, 65)
-    wanted = field_samples.near_occupied(ball.state.occupancy, axes)
+    wanted = ball.model.sampler.near_occupied(axes)
     distance = np.linalg.norm(np.stack(np.meshgrid(*axes, indexing="ij"), -1), axis=-1)
-    cell = 2 / ball.state.occupancy.grid
+    cell = 2 / ball.model.sampler.grid.grid
     assert wanted[np.abs(distance - 0.8) < 0.5 * cell].all()
     assert not wanted[np.abs(distance - 0.8) > 5 * cell].any()
     assert not field_samples.sample_density(ball, axes)[~wanted].any()
@@ -101,10 +101,10 @@ def test_the_grid_covers_a_box_that_is_not_a_cube(ball: TrainedModel) -> None:
 
 def test_no_surface_is_one_clear_error(make_run: Callable[..., Run]) -> None:
     trained = TrainedModel.open(make_run().path)
-    empty = eqx.tree_at(lambda s: s.occupancy.depth, trained.state, jnp.zeros_like(trained.state.occupancy.depth))
+    empty = eqx.tree_at(lambda m: m.sampler.grid.depth, trained.model, jnp.zeros_like(trained.model.sampler.grid.depth))
 
     with pytest.raises(ReconstructError, match="no surface in the object's box"):
-        extraction.extract(replace(trained, state=empty), resolution=32)
+        extraction.extract(replace(trained, model=empty), resolution=32)
 
 
 def test_a_surface_that_leaves_the_box_can_be_closed(ball: TrainedModel) -> None:

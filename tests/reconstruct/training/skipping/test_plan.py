@@ -9,18 +9,19 @@ from datasets.scene import Scene
 from reconstruct.config import Config
 from reconstruct.field.encodings.create import create_encoding
 from reconstruct.models import load_config
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, view_rays
-from reconstruct.training.skipping.facts import Facts
+from reconstruct.training.skipping.evidence import Evidence
 from reconstruct.training.skipping.plan import lenses, normalisation_of, plan
 from reconstruct.training.skipping.record import NAMES, Skip
 
-FACTS = Facts(bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, poses="koala-scene")
+FOUND = Evidence(bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, poses="koala-scene")
 
 
-def planned(facts: Facts = FACTS, gain: float = 3.0, **skip: bool) -> tuple[Config, dict[str, Skip]]:
+def planned(found: Evidence = FOUND, gain: float = 3.0, **skip: bool) -> tuple[Config, dict[str, Skip]]:
     """A plan for the fast preset with these skips on or off, and its decisions by name."""
     base = load_config(overrides=[f"skip.{name}={str(value).lower()}" for name, value in skip.items()])
-    config, skips = plan(facts, base, lambda: gain)
+    config, skips = plan(found, base, lambda: gain)
     assert [skip.name for skip in skips] == list(dict.fromkeys(skip.name for skip in skips)), "one decision each"
     return config, {skip.name: skip for skip in skips}
 
@@ -36,17 +37,17 @@ def test_every_skip_is_decided_with_evidence_saving_and_cost() -> None:
         assert skip.evidence and skip.saving and skip.cost
 
 
-def test_what_is_off_changes_nothing() -> None:
+def test_a_disabled_skip_changes_nothing() -> None:
     names = dict.fromkeys(NAMES, False)
     base = load_config(overrides=[f"skip.{name}=false" for name in names])
-    config, skips = plan(FACTS, base, never)
+    config, skips = plan(FOUND, base, never)
     assert config == base
     assert not any(skip.skipped for skip in skips if skip.name in names and skip.name not in ("surroundings", "multisampling"))
 
 
 @pytest.mark.parametrize(("smallest", "left"), [(1e-3, 8), (0.01, 6), (0.05, 3), (10.0, 1)])
 def test_levels_finer_than_the_smallest_footprint_go(smallest: float, left: int) -> None:
-    before, config = load_config().encoding, planned(replace(FACTS, smallest=smallest), fine_levels=True)[0].encoding
+    before, config = load_config().encoding, planned(replace(FOUND, smallest=smallest), fine_levels=True)[0].encoding
     assert config.levels == left  # 6 * 1.71^n <= 1 / smallest; the coarsest stays
     assert config.coarsest == before.coarsest and (left == 1 or config.finest <= 1 / smallest)
     if 1 < left < 8:
@@ -59,8 +60,11 @@ def test_tables_shrink_with_the_space_that_is_left() -> None:
 
     rows = []
     for possible in (1.0, 0.1):
-        config, skips = planned(replace(FACTS, possible=possible), table_size=True)
-        rows.append(create_encoding(jax.random.key(0), config.encoding).table.shape[1])
+        found = replace(FOUND, possible=possible)
+        config, skips = planned(found, table_size=True)
+        facts = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0), volume=found.volume)
+        assert config.encoding.volume is None, "what is measured is not written into the configuration"
+        rows.append(create_encoding(jax.random.key(0), config.encoding, facts.table_volume(config)).table.shape[1])
         assert skips["table_size"].skipped
     assert rows[1] < rows[0] < 8 * 2**16
     assert "%" in skips["table_size"].saving
@@ -68,8 +72,8 @@ def test_tables_shrink_with_the_space_that_is_left() -> None:
 
 def test_multisampling_goes_where_footprints_are_alike() -> None:
     base = load_config(preset="paper", overrides=["skip.multisampling=true"])
-    assert plan(FACTS, base, never)[0].sampler.frustum == "gaussian"
-    assert plan(replace(FACTS, largest=0.02), base, never)[0].sampler.frustum == "hexagon"
+    assert plan(FOUND, base, never)[0].sampler.frustum == "gaussian"
+    assert plan(replace(FOUND, largest=0.02), base, never)[0].sampler.frustum == "hexagon"
     assert planned(multisampling=True)[0].sampler == load_config().sampler, "the fast preset has none"
 
 

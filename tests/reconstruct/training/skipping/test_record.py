@@ -9,8 +9,11 @@ from reconstruct.models import load_config
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.record import Skip
 
-SKIPS = [Skip.of("empty_rays", True, "masks", "much"), Skip.of("converged", False, "not watched", "the rest"),
-         Skip.of("consistent_passes", True, "all run", "passes")]  # fmt: skip
+SKIPS = [
+    Skip.of("empty_rays", True, "masks", "much"),
+    Skip.of("converged", False, "not watched", "the rest"),
+    Skip.of("consistent_passes", True, "all run", "passes"),
+]
 
 
 def test_decisions_survive_the_file_as_a_plain_list(tmp_path: Path) -> None:
@@ -37,7 +40,9 @@ def test_a_person_reads_what_was_left_out_why_and_what_it_saved_and_nothing_else
     beside = Skip.of("multisampling", True, "this model takes one place per sample", record.NOTHING_MORE)
     elsewhere = Skip.of("structure_from_motion", True, "poses from the scene", "matching the views")
     assert record.left_out([*SKIPS, beside, elsewhere]) == [
-        "empty space: masks; saves much", "comparing normals that agree already: all run; saves passes"]  # fmt: skip
+        "empty space: masks; saves much",
+        "comparing normals that agree already: all run; saves passes",
+    ]
     assert not any(name in line for line in record.left_out(SKIPS) for name in record.NAMES), "words, and no names of settings"
 
 
@@ -46,10 +51,10 @@ def test_every_skip_has_words_for_everybody() -> None:
 
 
 def test_the_end_tells_what_came_of_it() -> None:
-    told = outcome.told(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
-    assert told[0].evidence == "masks; in the end 90% of it was empty"
-    assert told[1] == SKIPS[1], "what was not skipped has no outcome"
-    assert told[2].evidence == "all run; 5 of 8 second passes were left out"
+    found = outcome.with_outcome(SKIPS, {"progress": 0.6, "occupied": 0.1}, passes=3, left_out=5)
+    assert found[0].evidence == "masks; in the end 90% of it was empty"
+    assert found[1] == SKIPS[1], "what was not skipped has no outcome"
+    assert found[2].evidence == "all run; 5 of 8 second passes were left out"
 
 
 def test_passes_grow_rare_while_normals_agree_and_come_back_at_once() -> None:

@@ -3,9 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import EncodingConfig, SamplerConfig
+from reconstruct.config import EncodingConfig
 from reconstruct.field.cloud import Cloud
-from reconstruct.sampling.proposal import Proposal, Spacing, propose
+from reconstruct.sampling.proposals import Proposal, Spacing, propose
 from reconstruct.scene.rays import Normalisation, Rays
 
 
@@ -26,14 +26,13 @@ def test_samples_gather_where_density_is() -> None:
     """A wall at t in [2, 2.1] that the levels find: the final samples sit there, and each level's weights add up to one."""
     rays = Rays(jnp.zeros((5, 3)), jnp.tile(jnp.array([[0.0, 0.0, 1.0]]), (5, 1)), jnp.full(5, 1e-3))
     spacing = Spacing.of(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.5))
-    config = SamplerConfig(kind="proposal", proposals=(64, 64), final=16)
     small = Proposal.create(jax.random.key(1), EncodingConfig(coarsest=8, log2_size=4), 16.0, 0.5)
 
     def wall(proposal: Proposal, rays: Rays, tdist: jax.Array) -> jax.Array:
         inside = jnp.clip(tdist[:, 1:], 2.0, 2.1) - jnp.clip(tdist[:, :-1], 2.0, 2.1)
         return 300 * inside / jnp.diff(tdist)
 
-    run = jax.jit(lambda key: propose((small, small), rays, spacing, key, config, wall))
+    run = jax.jit(lambda key: propose((small, small), rays, spacing, (64, 64, 16), key, wall))
     sdist, levels = run(jax.random.key(0))
     t = np.asarray(spacing.t(sdist))
     assert t.shape == (5, 17)

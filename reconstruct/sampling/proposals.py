@@ -1,20 +1,25 @@
 """Proposal levels: small density fields that tell where the final samples go (Mip-NeRF 360; Zip-NeRF)."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.config import EncodingConfig, SamplerConfig
+from reconstruct.config import EncodingConfig
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.encodings.create import create_encoding
 from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.field.mlp import Mlp
 from reconstruct.numerics.safe import safe_exp
 from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, sample_intervals
-from reconstruct.rendering.volume import volume_weights
+from reconstruct.numerics.volume import volume_weights
 from reconstruct.scene.rays import Normalisation, Rays
+
+Level = tuple[Float[Array, "rays _"], Float[Array, "rays _"]]
+"""Normalised edges and weights of a proposal level."""
 
 
 class Proposal(eqx.Module):
@@ -26,12 +31,21 @@ class Proposal(eqx.Module):
 
     @classmethod
     def create(
-        cls, key: PRNGKeyArray, encoding: EncodingConfig, finest: float, density_bias: float, *, width: int = 64, depth: int = 1
+        cls,
+        key: PRNGKeyArray,
+        encoding: EncodingConfig,
+        finest: float,
+        density_bias: float,
+        *,
+        width: int = 64,
+        depth: int = 1,
+        volume: float | None = None,
     ) -> "Proposal":
-        """One level whose finest resolution is `finest`; a factor 2 between its grids."""
+        """One level whose finest resolution is `finest`; a factor 2 between its grids. `volume`: see `create_encoding`."""
         encoding_key, spatial_key = jax.random.split(key)
         levels = max(2, round(np.log2(finest / encoding.coarsest)) + 1)
-        encoded = create_encoding(encoding_key, encoding.model_copy(update={"levels": levels, "features": 1, "finest": finest}))
+        sizes = encoding.model_copy(update={"levels": levels, "features": 1, "finest": finest})
+        encoded = create_encoding(encoding_key, sizes, volume)
         network = Mlp.create(spatial_key, channels=encoded.num_channels, width=width, depth=depth, outputs=1)
         return cls(encoded, network, density_bias)
 
@@ -60,21 +74,28 @@ class Spacing(eqx.Module):
         return inverse_power_ladder(first + (last - first) * s, -1.5, 2.0)
 
 
+DensityAt = Callable[[Proposal, Rays, Float[Array, "rays edges"]], Float[Array, "rays _"]]
+
+
 def propose(
-    proposals: tuple[Proposal, ...], rays: Rays, spacing: Spacing, key: PRNGKeyArray | None, config: SamplerConfig, density_at
-) -> tuple[Float[Array, "rays edges"], list[tuple[Float[Array, "rays _"], Float[Array, "rays _"]]]]:
-    """Edges of the final intervals, and each proposal's (sdist, weights) for the interlevel loss.
+    proposals: tuple[Proposal, ...],
+    rays: Rays,
+    spacing: Spacing,
+    counts: tuple[int, ...],
+    key: PRNGKeyArray | None,
+    density_at: DensityAt,
+) -> tuple[Float[Array, "rays edges"], tuple[Level, ...]]:
+    """Normalised edges of the final intervals, and each proposal's (edges, weights) for the interlevel loss.
 
     Args:
+        counts: intervals of each proposal level, then of the final one.
         key: jitter of each level, one number per ray; None puts every draw into the middle.
-        density_at: (proposal, rays, tdist) to (rays, m) densities, so that the caller decides on contraction and
-            multisampling.
+        density_at: densities of a proposal in the intervals of rays between distances t.
     """
     num_rays = rays.origins.shape[0]
     sdist = jnp.broadcast_to(jnp.array([0.0, 1.0]), (num_rays, 2))
     weights = jnp.ones((num_rays, 1))
     levels = []
-    counts = (*config.proposals, config.final)
     keys = [None] * len(counts) if key is None else list(jax.random.split(key, len(counts)))
     for level, (count, level_key) in enumerate(zip(counts, keys, strict=True)):
         uniforms = jnp.full(num_rays, 0.5) if level_key is None else jax.random.uniform(level_key, (num_rays,))
@@ -82,7 +103,6 @@ def propose(
         if level < len(proposals):
             tdist = spacing.t(sdist)
             lengths = jnp.diff(tdist, axis=-1) * rays.speed[:, None]
-            proposed = volume_weights(density_at(proposals[level], rays, tdist), lengths)
-            levels.append((sdist, proposed))
-            weights = proposed
-    return sdist, levels
+            weights = volume_weights(density_at(proposals[level], rays, tdist), lengths)
+            levels.append((sdist, weights))
+    return sdist, tuple(levels)

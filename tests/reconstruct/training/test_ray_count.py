@@ -5,10 +5,11 @@ import pytest
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.models import load_config, merged
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training import batch
+from reconstruct.training import ray_count
 
-NORMALISATION = Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0)
+FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
 
 
 def some_pixels() -> Pixels:
@@ -17,31 +18,35 @@ def some_pixels() -> Pixels:
 
 def test_the_linear_scaling_rule() -> None:
     config = load_config("surfnerf", "paper")
-    small = batch.scaled(config, config.sampler.rays // 8)
+    small = ray_count.scaled(config, config.sampler.rays // 8)
     assert (small.sampler.rays, small.train.steps) == (8192, 200_000)
     assert (small.train.rate, small.train.final_rate) == (0.01 / 8, 0.001 / 8)
     assert (small.surface.first_period, small.surface.last_period, small.surface.rays) == (4096, 32, 8192)
-    assert batch.scaled(small, config.sampler.rays) == config, "and back"
+    assert ray_count.scaled(small, config.sampler.rays) == config, "and back"
     assert Config.model_validate(small.model_dump()) == small
 
 
 def test_rays_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch, "needed_bytes", lambda config, normalisation, pixels: 1000 * config.sampler.rays)
+    monkeypatch.setattr(ray_count, "needed_bytes", lambda config, facts, pixels: 1000 * config.sampler.rays)
     config = load_config("surfnerf", "paper")
-    assert batch.fitted(config, NORMALISATION, some_pixels(), limit=70_000_000) == config
-    fitted = batch.fitted(config, NORMALISATION, some_pixels(), limit=9_000_000)
-    assert fitted == batch.scaled(config, 8192)
+    assert ray_count.fitted(config, FACTS, some_pixels(), limit=70_000_000) == config
+    fitted = ray_count.fitted(config, FACTS, some_pixels(), limit=9_000_000)
+    assert fitted == ray_count.scaled(config, 8192)
     with pytest.raises(ReconstructError, match="does not fit into memory"):
-        batch.fitted(config, NORMALISATION, some_pixels(), limit=1000)
+        ray_count.fitted(config, FACTS, some_pixels(), limit=1000)
 
 
 @pytest.mark.slow
 def test_more_rays_need_more_memory() -> None:
     """As the compiler plans it: the tables and a part that grows with the rays."""
-    tiny = {"encoding": {"levels": 2, "log2_size": 10}, "surface": {"enabled": False}, "losses": {"decay": 0},
-            "field": {"spatial_width": 8, "view_width": 8, "bottleneck": 4, "ide_degree": 1},
-            "sampler": {"proposals": (8, 8), "final": 8, "proposal_finest": (8.0, 16.0), "frustum": "point"}}  # fmt: skip
+    tiny = {
+        "encoding": {"levels": 2, "log2_size": 10},
+        "surface": {"enabled": False},
+        "losses": {"decay": 0},
+        "field": {"spatial_width": 8, "view_width": 8, "bottleneck": 4, "ide_degree": 1},
+        "sampler": {"proposals": (8, 8), "final": 8, "proposal_finest": (8.0, 16.0), "frustum": "point"},
+    }
     config = Config.model_validate(merged(load_config("zipnerf", "paper").model_dump(), tiny))
-    few, many = (batch.needed_bytes(batch.scaled(config, rays), NORMALISATION, some_pixels()) for rays in (256, 1024))
+    few, many = (ray_count.needed_bytes(ray_count.scaled(config, rays), FACTS, some_pixels()) for rays in (256, 1024))
     assert many > 1.5 * few > 0
-    assert 0 < batch.memory_limit() < 2**50 and np.isfinite(batch.SHARE)
+    assert 0 < ray_count.memory_limit() < 2**50 and np.isfinite(ray_count.SHARE)

@@ -1,4 +1,4 @@
-"""The controller's side of RTDE version 2: framing, and how values are packed. All numbers are big-endian.
+"""RTDE version 2: framing, and how values are packed. All numbers are big-endian. Our client and the simulated controller use it.
 
 A packet is uint16 size (header included), uint8 type, payload (Universal Robots, "Real-Time Data Exchange guide").
 """
@@ -30,19 +30,20 @@ _DOUBLES = (
     "standard_analog_output1 payload speed_slider_fraction standard_analog_output_0 standard_analog_output_1"
 )
 _OTHERS = {
-    "robot_mode": "INT32", "safety_mode": "INT32", "joint_mode": "VECTOR6INT32",
-    "runtime_state": "UINT32", "robot_status_bits": "UINT32", "safety_status_bits": "UINT32", "speed_slider_mask": "UINT32",
-    "actual_digital_input_bits": "UINT64", "actual_digital_output_bits": "UINT64",
-    "actual_tool_accelerometer": "VECTOR3D", "payload_cog": "VECTOR3D",
-    "standard_analog_output_mask": "UINT8", "standard_analog_output_type": "UINT8",
-}  # fmt: skip
+    "INT32": "robot_mode safety_mode",
+    "UINT32": "runtime_state robot_status_bits safety_status_bits speed_slider_mask",
+    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
+    "UINT8": "standard_analog_output_mask standard_analog_output_type",
+    "VECTOR3D": "actual_tool_accelerometer payload_cog",
+    "VECTOR6INT32": "joint_mode",
+}
 TYPES: dict[str, str] = {
     **dict.fromkeys(_VECTORS.split(), "VECTOR6D"),
     **dict.fromkeys(_DOUBLES.split(), "DOUBLE"),
-    **_OTHERS,
+    **{name: kind for kind, names in _OTHERS.items() for name in names.split()},
     **{f"{kind}_digital_output{mask}": "UINT8" for kind in ("standard", "configurable", "tool") for mask in ("", "_mask")},
 }
-"""Every variable that the client may name, and its type; registers aside."""
+"""Every variable that a client may name, and its type, except registers."""
 
 _REGISTER = re.compile(r"(input|output)_(int|double|bit)_register_(\d{1,3})$")
 

@@ -3,8 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.rendering.volume import composite, sample_weights, volume_weights
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.numerics.volume import volume_weights
 
 
 def reference(density: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -66,14 +65,3 @@ def test_gradient_equals_differences_in_float64() -> None:
         offset = np.eye(8)[i][None] * 1e-6
         difference = (reference(density + offset, lengths) - reference(density - offset, lengths)) @ upstream / 2e-6
         np.testing.assert_allclose(gradient[0, i], difference[0], atol=2e-6)
-
-
-def test_packed_samples_are_composited_per_ray() -> None:
-    edges = jnp.sort(jax.random.uniform(jax.random.key(0), (6, 10)), -1) * 4
-    samples, speed = RaySamples.from_edges(edges), jnp.linspace(1, 2, 6)
-    density = jax.random.uniform(jax.random.key(1), (54,)) * 3
-    weights = sample_weights(density, samples, speed)
-    np.testing.assert_allclose(weights, reference(density.reshape(6, 9), np.diff(edges) * np.asarray(speed)[:, None]), atol=1e-6)
-    values = jax.random.normal(jax.random.key(2), (3, 54))
-    expected = np.einsum("crs,rs->rc", np.asarray(values).reshape(3, 6, 9), weights)
-    np.testing.assert_allclose(composite(values, samples.packed(weights), samples), expected, atol=1e-6)

@@ -1,4 +1,4 @@
-"""What one look at a scene finds out, before anything is trained."""
+"""What decides on skips: footprints, masks and lenses of a scene, found out before anything is trained."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ BALL, CONTRACTED = 4 / 3 * np.pi, 4 / 3 * np.pi * 8
 
 
 @dataclass(frozen=True)
-class Facts:
+class Evidence:
     """Of one scene, its training views and the space that they leave."""
 
     bounded: bool
@@ -40,14 +40,14 @@ class Facts:
         return 8 * self.possible if self.bounded else BALL + (CONTRACTED - BALL) * self.possible
 
 
-def facts_of(
+def evidence_of(
     scene: Scene,
     views: tuple[View, ...],
     pixels: Pixels,
     normalisation: Normalisation,
     possible: NDArray[np.bool_] | None,
     scale: float,
-) -> Facts:
+) -> Evidence:
     """Look at a scene.
 
     Args:
@@ -62,8 +62,16 @@ def facts_of(
     if not bounded and possible is not None:
         outside = np.linalg.norm(cell_centres(round(len(possible) ** (1 / 3)), 2.0), axis=-1)
         share = float(possible[(outside > 1) & (outside < 2)].mean())
-    return Facts(bounded, len(views), float(np.mean(np.asarray(pixels.colour[:, 3]) < 0.01)), smallest, largest, share,
-                 sum(not view.camera.is_pinhole for view in views), str(scene.provenance.get("format", "the scene's files")))  # fmt: skip
+    return Evidence(
+        bounded=bounded,
+        views=len(views),
+        transparent=float(np.mean(np.asarray(pixels.colour[:, 3]) < 0.01)),
+        smallest=smallest,
+        largest=largest,
+        possible=share,
+        bent=sum(not view.camera.is_pinhole for view in views),
+        poses=str(scene.provenance.get("format", "the scene's files")),
+    )
 
 
 def places(normalisation: Normalisation, possible: NDArray[np.bool_] | None) -> NDArray[np.float64]:

@@ -4,8 +4,8 @@ import struct
 
 import pytest
 
-from capture.sim.controller import rtde_protocol
-from capture.sim.controller.rtde_protocol import Recipe, packet, split_packets
+from capture.robots.rtde import wire
+from capture.robots.rtde.wire import Recipe, packet, split_packets
 
 
 def test_packets_survive_any_split():
@@ -38,11 +38,6 @@ def test_recipes_pack_in_order_and_back():
 
 
 def test_types_and_registers():
-    assert (
-        rtde_protocol.type_of("output_int_register_47") == "INT32"
-        and rtde_protocol.type_of("input_double_register_48") == "NOT_FOUND"
-    )
-    assert (
-        rtde_protocol.register_of("input_double_register_24") == ("double", 24) and rtde_protocol.register_of("actual_q") is None
-    )
+    assert wire.type_of("output_int_register_47") == "INT32" and wire.type_of("input_double_register_48") == "NOT_FOUND"
+    assert wire.register_of("input_double_register_24") == ("double", 24) and wire.register_of("actual_q") is None
     assert not Recipe(["actual_q", "actual_p"]).complete

@@ -1,0 +1,217 @@
+"""The sampler that goes by an occupancy grid: packed samples in occupied steps, and the grid's upkeep."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from numpy.typing import NDArray
+
+from datasets.scene import View
+from reconstruct.config import Config
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.field import Field
+from reconstruct.numerics.compiling import barrier
+from reconstruct.sampling import focus
+from reconstruct.sampling.footprint import Footprint, cloud_of
+from reconstruct.sampling.hull import cells_in_masks, cells_in_sight
+from reconstruct.sampling.occupancy import Occupancy
+from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
+from reconstruct.sampling.sampler import Batch, Sampled, Sampler
+from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.steps import Steps
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Pixels, Rays
+
+UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
+"""Every so many steps the field is evaluated in so many cells of the grid."""
+SAMPLES_PER_RAY = 8
+"""The packed list is planned for rays that need at least this many samples each."""
+SHOWN_PER_RAY = 16
+"""Room for a ray's samples in a picture; twice as much where there are surroundings."""
+
+Met = tuple[Int[Array, " n"], Float[Array, " n"]]
+"""Cells and densities."""
+
+
+class OccupiedSteps(Sampler):
+    """Rays are cut into steps; those in occupied cells are drawn as they are expected to contribute, and packed into a list."""
+
+    grid: Occupancy
+    rays: int = eqx.field(static=True)
+    capacity: int = eqx.field(static=True)
+    """Entries of the list."""
+    max_per_ray: int = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+    """Steps of a ray through the object's box."""
+    bounded: bool = eqx.field(static=True)
+    near: float = eqx.field(static=True)
+    far: float = eqx.field(static=True)
+    focused: focus.Focus | None = eqx.field(static=True)
+    """How rays that meet the object are preferred; None: they are not."""
+    empty_below: float = eqx.field(static=True)
+    """Optical depth of a step below which its cell is empty; 0: no cell is."""
+    settle: float = eqx.field(static=True)
+    """Share of the training before any cell is ruled out."""
+
+    rules_out_space: ClassVar[bool] = True
+    memory_grows_with_rays: ClassVar[bool] = False
+
+    @classmethod
+    def create(
+        cls, key: PRNGKeyArray, config: Config, facts: SceneFacts, possible: NDArray[Any] | None, density_bias: float
+    ) -> "OccupiedSteps":
+        """With a full grid, less what is not `possible`."""
+        sampler, normalisation = config.sampler, facts.normalisation
+        bounded = normalisation.bounded
+        half_box = config.field.half_box or facts.half_box
+        candidates = sampler.candidates or (focus.CANDIDATES if facts.box_is_stated else 1)
+        focused = None if bounded or half_box is None or candidates == 1 else focus.Focus(half_box, candidates)
+        return cls(
+            grid=Occupancy.create(key, grid=sampler.grid, outer_grid=sampler.outer_grid, bounded=bounded, possible=possible),
+            rays=sampler.rays,
+            capacity=sampler.samples,
+            max_per_ray=sampler.max_per_ray,
+            steps=sampler.steps,
+            bounded=bounded,
+            near=normalisation.near,
+            far=normalisation.far,
+            focused=focused,
+            empty_below=sampler.optical_depth if config.skip.empty_rays else 0.0,
+            settle=0.0 if bounded else sampler.settle,
+        )
+
+    @classmethod
+    def possible_cells(
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: tuple[float, float]
+    ) -> NDArray[np.bool_] | None:
+        """Cells inside all masks where the object is all there is; elsewhere those that enough cameras see."""
+        if not config.skip.empty_rays:
+            return None
+        if normalisation.bounded:
+            return cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale, slack=slack)
+        return cells_in_sight(views, normalisation, config.sampler.outer_grid)
+
+    @property
+    def rays_drawn(self) -> int:
+        """As configured; where every ray meets the surroundings, no more than the list holds."""
+        return self.rays if self.bounded else min(self.rays, self.capacity // self.max_per_ray)
+
+    @property
+    def rays_kept(self) -> int:
+        """Rays of a batch once those that meet nothing are dropped."""
+        return min(self.rays_drawn, self.capacity // SAMPLES_PER_RAY) if self.empty_below else self.rays_drawn
+
+    @property
+    def samples_drawn(self) -> int:
+        """Entries of the list, filled or not."""
+        return self.capacity
+
+    @property
+    def divided_sizes(self) -> tuple[int, ...]:
+        """Rays drawn, rays kept, samples."""
+        return self.rays_drawn, self.rays_kept, self.capacity
+
+    def steps_of(self, rays: Rays) -> Steps:
+        """How rays are cut into steps."""
+        return Steps.of(rays, steps=self.steps, bounded=self.bounded, near=self.near, far=self.far)
+
+    def expected_depth(self, rays: Rays, jitter: Float[Array, " rays"]) -> Float[Array, "rays steps"]:
+        """Optical depth that the grid expects in the steps of rays."""
+        return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.bounded)
+
+    def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
+        """Random ones; among surroundings rather those that show the object."""
+        total = pixels.directions.shape[0]
+        if self.focused is None:
+            return jax.random.randint(key, (self.rays_drawn,), 0, total)
+        index_key, jitter_key, order_key = jax.random.split(key, 3)
+        index = jax.random.randint(index_key, (self.focused.candidates * self.rays_drawn,), 0, total)
+        rays, _ = barrier(pixels.take(barrier(index)))
+        weights = focus.weights(self.grid, rays, self.focused.half_box, jax.random.uniform(jitter_key, index.shape))
+        return index[focus.taken(order_key, weights, self.rays_drawn)]
+
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
+        """Rays that meet something, with their samples."""
+        jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
+        depth = barrier(self.expected_depth(rays, jitter))
+        hit = jnp.any(depth > 0, -1)
+        if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
+            (order,) = jnp.nonzero(hit, size=self.rays_kept, fill_value=0)
+            depth = jnp.where((jnp.arange(self.rays_kept) < jnp.sum(hit))[:, None], depth[order], 0)
+            chosen = jax.tree.map(lambda a: a[order], (rays, colour, jitter, offset))
+            rays, colour, jitter, offset, depth = barrier((*chosen, depth))
+            hit = jnp.any(depth > 0, -1)
+        samples, fits = self.packed(depth, rays, jitter, offset, self.capacity)
+        return Batch(rays, colour, fits & hit, samples)
+
+    def packed(
+        self,
+        depth: Float[Array, "rays steps"],
+        rays: Rays,
+        jitter: Float[Array, " rays"],
+        offset: Float[Array, " rays"],
+        capacity: int,
+    ) -> tuple[RaySamples, Bool[Array, " rays"]]:
+        """Samples of rays whose steps' expected optical depth is known, and which rays found room."""
+        probability = barrier(draw_probability(depth, self.max_per_ray - 1))
+        words = barrier(draw(probability, offset))
+        steps = self.steps_of(rays)
+        return packed_samples(words, probability, steps, jitter, capacity=capacity, max_per_ray=self.max_per_ray)
+
+    def sampled(self, batch: Batch, key: PRNGKeyArray) -> Sampled:
+        """Those that the batch was made with."""
+        assert batch.samples is not None  # `batch` has put them there
+        return Sampled(batch.samples, Footprint(), batch.used)
+
+    def look(self, rays: Rays) -> Sampled:
+        """Samples in the middle of their steps."""
+        count = rays.origins.shape[0]
+        middle = jnp.full(count, 0.5)
+        depth = barrier(self.expected_depth(rays, middle))
+        per_ray = min(self.max_per_ray, SHOWN_PER_RAY if self.bounded else 2 * SHOWN_PER_RAY)
+        samples, fits = self.packed(depth, rays, middle, middle, max(self.max_per_ray, per_ray * count))
+        return Sampled(barrier(samples), Footprint(), fits)
+
+    def met(self, batch: Batch, density: Float[Array, " n"]) -> Met:
+        """Cells that samples lie in, and the densities found there."""
+        assert batch.samples is not None
+        points, _ = cloud_of(batch.rays, batch.samples, bounded=self.bounded, footprint=Footprint()).contracted()
+        return self.grid.cell(*points), jnp.where(batch.samples.valid, density, 0.0)
+
+    def with_met(self, met: Met) -> "OccupiedSteps":
+        """The grid keeps the largest densities."""
+        return eqx.tree_at(lambda s: s.grid, self, self.grid.noted(*met))
+
+    def upkeep_due(self, since: int, progress: float) -> bool:
+        """Every `UPKEEP_PERIOD` steps, once the field has settled."""
+        return progress >= self.settle and since >= UPKEEP_PERIOD
+
+    def upkept(self, field: Field, key: PRNGKeyArray) -> "OccupiedSteps":
+        """The field is evaluated in the next cells of the grid, and occupied cells are decided anew."""
+        density_of = lambda points: field.density(Cloud(points, None, bounded=True))  # noqa: E731
+        return eqx.tree_at(lambda s: s.grid, self, self.grid.updated(density_of, key, UPKEEP_CELLS, self.empty_below))
+
+    def figures(self) -> dict[str, float]:
+        """Share of the cells that are occupied."""
+        return {"occupied": float(jnp.mean(self.grid.occupied.astype(jnp.float32)))}
+
+    @property
+    def skips_rays(self) -> bool:
+        """Where an object is all there is."""
+        return self.bounded
+
+    def meets(self, rays: Rays) -> Bool[Array, " rays"]:
+        """Which rays have an occupied step."""
+        return jnp.any(self.expected_depth(rays, jnp.full(rays.origins.shape[0], 0.5)) > 0, -1)
+
+    def near_occupied(self, axes: tuple[NDArray[Any], ...]) -> NDArray[np.bool_]:
+        """Points in an occupied cell of the inner grid or next to one."""
+        from scipy.ndimage import binary_dilation
+
+        size = self.grid.grid
+        cells = np.asarray(self.grid.occupied[: size**3]).reshape(size, size, size)
+        cells = np.asarray(binary_dilation(cells, np.ones((3, 3, 3))), bool)
+        return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]

@@ -1,0 +1,118 @@
+"""The sampler that goes by proposal levels: small fields, learned with the model, that say where its samples go."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from datasets.scene import View
+from reconstruct.config import Config, SamplerConfig
+from reconstruct.field.encodings.encoding import Encoding
+from reconstruct.numerics.compiling import barrier
+from reconstruct.sampling.footprint import Footprint, cloud_of
+from reconstruct.sampling.proposals import Proposal, Spacing, propose
+from reconstruct.sampling.sampler import Batch, Sampled, Sampler
+from reconstruct.sampling.samples import RaySamples
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Pixels, Rays
+
+
+class ProposedIntervals(Sampler):
+    """Each proposal's weights place the intervals of the next level; samples stand for the last level's intervals."""
+
+    proposals: tuple[Proposal, ...]
+    rays: int = eqx.field(static=True)
+    counts: tuple[int, ...] = eqx.field(static=True)
+    """Intervals of each proposal level, then of the final one."""
+    bounded: bool = eqx.field(static=True)
+    spacing: Spacing
+    frustum: str = eqx.field(static=True)
+
+    rules_out_space: ClassVar[bool] = False
+    memory_grows_with_rays: ClassVar[bool] = True
+
+    @classmethod
+    def create(
+        cls, key: PRNGKeyArray, config: Config, facts: SceneFacts, possible: Any, density_bias: float
+    ) -> "ProposedIntervals":
+        """Fresh proposals; `possible` is ignored."""
+        sampler, encoding = config.sampler, config.encoding
+        _, *keys = jax.random.split(key, 1 + len(sampler.proposal_finest))
+        sizes = {"width": sampler.proposal_width, "depth": sampler.proposal_depth, "volume": facts.table_volume(config)}
+        proposals = tuple(
+            Proposal.create(level_key, encoding, finest, density_bias, **sizes)
+            for level_key, finest in zip(keys, sampler.proposal_finest, strict=True)
+        )
+        return cls(
+            proposals=proposals,
+            rays=sampler.rays,
+            counts=(*sampler.proposals, sampler.final),
+            bounded=facts.normalisation.bounded,
+            spacing=Spacing.of(facts.normalisation),
+            frustum=sampler.frustum,
+        )
+
+    @classmethod
+    def possible_cells(
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: tuple[float, float]
+    ) -> None:
+        """None: there are no cells."""
+        return None
+
+    @property
+    def rays_drawn(self) -> int:
+        """As configured."""
+        return self.rays
+
+    @property
+    def samples_drawn(self) -> int:
+        """Samples of the final level."""
+        return self.rays * self.counts[-1]
+
+    @property
+    def divided_sizes(self) -> tuple[int, ...]:
+        """Rays."""
+        return (self.rays,)
+
+    @classmethod
+    def frustum_of(cls, config: SamplerConfig) -> str:
+        """As configured."""
+        return config.frustum
+
+    @property
+    def encodings(self) -> tuple[Encoding, ...]:
+        """Those of the proposals."""
+        return tuple(proposal.encoding for proposal in self.proposals)
+
+    def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
+        """Random ones."""
+        return jax.random.randint(key, (self.rays,), 0, pixels.directions.shape[0])
+
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
+        """All rays. Their samples depend on the proposals, which are differentiated."""
+        return Batch(rays, colour, jnp.ones(self.rays, bool), None)
+
+    def sampled(self, batch: Batch, key: PRNGKeyArray) -> Sampled:
+        """Samples jittered once per ray and level."""
+        return self._sampled(batch.rays, key)
+
+    def look(self, rays: Rays) -> Sampled:
+        """Samples in the middle of their strata."""
+        found = self._sampled(rays, None)
+        return Sampled(barrier(found.samples), found.footprint, found.fits)
+
+    def _sampled(self, rays: Rays, key: PRNGKeyArray | None) -> Sampled:
+        count, turn = rays.origins.shape[0], None
+        if self.frustum == "hexagon":
+            turn = jnp.zeros(count) if key is None else 2 * jnp.pi * jax.random.uniform(key, (count,))
+        footprint = Footprint(self.frustum, turn)
+
+        def density_at(proposal: Proposal, rays: Rays, tdist: Float[Array, "rays edges"]) -> Float[Array, "rays _"]:
+            cloud = cloud_of(rays, RaySamples.from_edges(tdist), bounded=self.bounded, footprint=footprint)
+            return proposal.density(cloud).reshape(tdist.shape[0], -1)
+
+        edges, levels = propose(self.proposals, rays, self.spacing, self.counts, key, density_at)
+        samples = RaySamples.from_edges(self.spacing.t(edges))
+        return Sampled(samples, footprint, jnp.ones(count, bool), edges, levels)

@@ -1,0 +1,55 @@
+"""What is measured on a scene before it is trained: kept in run.json beside the configuration, never written into it.
+
+Where the configuration has a value of its own for one of these, that value counts.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from datasets.scene import Scene, View
+from reconstruct.config import Config
+from reconstruct.scene.rays import Normalisation, direction_of_cameras
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """Of one scene and its training views."""
+
+    normalisation: Normalisation
+    """Where the object is, how large, whether there is anything around it, and how near and far it is seen."""
+    towards: Vector | None = None
+    """Mean direction from the object to the cameras; None: not measured."""
+    half_box: Vector | None = None
+    """Half the size of the object's box [scene unit] where there is something around it."""
+    box_is_stated: bool = False
+    """Whether the scene states the object's box; else the pictures suggest it."""
+    volume: float | None = None
+    """Contracted space that can hold anything [scene unit^3]; None: not measured."""
+
+    @classmethod
+    def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation, volume: float | None = None) -> "SceneFacts":
+        """Measure a scene. `views`: those that are trained on."""
+        half_box = None
+        if not normalisation.bounded:
+            x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
+            half_box = (x, y, z)
+        return cls(normalisation, direction_of_cameras(views, normalisation), half_box, scene.box_is_stated, volume)
+
+    def table_volume(self, config: Config) -> float | None:
+        """Space that the encoding's tables are made for; None: full tables."""
+        return config.encoding.volume or (self.volume if config.skip.table_size else None)
+
+    def to_json(self) -> dict[str, Any]:
+        """As run.json has it."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> "SceneFacts":
+        """Inverse of `to_json`. Raises KeyError, TypeError or ValueError where something is missing or unknown."""
+        normalisation = {**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])}
+        vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
+        return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation)})

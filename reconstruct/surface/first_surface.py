@@ -1,0 +1,71 @@
+"""The first surface along a ray, and how wide its pixel's footprint is there (supplement B and equation 7)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from reconstruct.sampling.samples import RaySamples
+
+HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
+"""Half-width at half-maximum of a Gaussian, in standard deviations."""
+CONFIDENT = 0.5
+"""Opacity above which a ray has a surface."""
+
+
+class Surface(eqx.Module):
+    """One surface point per chosen ray; everything here is data, no gradient goes through it."""
+
+    ray: Int[Array, " n"]
+    """Index of the ray."""
+    t: Float[Array, " n"]
+    weight: Float[Array, " n"]
+    """Volume rendering weight of the surface sample; zero where fewer rays than wanted have a surface."""
+    radius: Float[Array, " n"]
+    """Half-width of the neighbourhood [scene unit]."""
+
+
+def first_surface(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Int[Array, " rays"]:
+    """Slot of the first sample whose weight exceeds the ray's median weight (supplement B).
+
+    An entry exceeds the median exactly where at least half of the ray's entries are smaller: counting
+    needs no sort. Where none does (one sample, or all alike) it is the largest.
+    """
+    smaller = jnp.sum((weights[:, None, :] < weights[:, :, None]) & valid[:, None, :], -1)
+    exceeds = valid & (2 * smaller >= jnp.sum(valid, -1, keepdims=True)) & (smaller > 0)
+    first = jnp.argmax(exceeds, -1)
+    return jnp.where(jnp.any(exceeds, -1), first, jnp.argmax(jnp.where(valid, weights, -1.0), -1))
+
+
+def neighbourhood_radius(
+    pixel_radius: Float[Array, " n"], t_mid: Float[Array, " n"], t_half: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """Half-width of the conical frustum across the ray (Mip-NeRF equation 7, supplement equation 7).
+
+        sigma_r^2 = r^2 (t_mid^2 / 4 + 5 t_half^2 / 12 - 4 t_half^4 / (15 (3 t_mid^2 + t_half^2)))
+
+    scaled to the half-width at half-maximum; r t_mid / 2 times that as t_half goes to zero.
+    """
+    denominator = 15 * (3 * t_mid**2 + t_half**2)
+    last = 4 * t_half**2 * (t_half**2 / jnp.where(denominator > 0, denominator, 1.0))  # the fourth power has no room
+    variance = t_mid**2 / 4 + 5 * t_half**2 / 12 - last
+    return HALF_WIDTH * pixel_radius * jnp.sqrt(jnp.maximum(variance, 0.0))
+
+
+def find_surfaces(
+    weights: Float[Array, "rays slots"], samples: RaySamples, pixel_radius: Float[Array, " rays"], count: int
+) -> Surface:
+    """First surfaces of up to `count` rays that are opaque enough. Other rays are skipped, not multiplied by zero."""
+    weights = jax.lax.stop_gradient(weights)
+    opaque = jnp.sum(weights, -1) > CONFIDENT
+    (ray,) = jnp.nonzero(opaque, size=count, fill_value=0)
+    real = jnp.arange(count) < jnp.sum(opaque)
+    t, length = samples.padded(samples.t)[ray], samples.padded(samples.length)[ray]
+    rows = weights[ray]
+    slot = first_surface(rows, length > 0)[:, None]
+    pick = lambda table: jnp.take_along_axis(table, slot, -1)[:, 0]  # noqa: E731
+    t_mid, t_half = pick(t), pick(length) / 2
+    return Surface(
+        ray.astype(jnp.int32), t_mid, jnp.where(real, pick(rows), 0.0), neighbourhood_radius(pixel_radius[ray], t_mid, t_half)
+    )

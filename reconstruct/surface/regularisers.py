@@ -1,0 +1,71 @@
+"""The four surface regularisers of surface points, as functions of arrays: L_d, L_n, L_b and L_s (section 4, supplement C, D)."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def density_smoothness(
+    density: Float[Array, "rays n"],
+    offsets: Float[Array, "rays n 3"],
+    normals: Float[Array, "rays 3"],
+    radius: Float[Array, " rays"],
+    form: str,
+) -> Float[Array, " rays"]:
+    """L_d: density around a surface point belongs into its tangent plane.
+
+    With alpha = 1 - exp(-density * radius), free of the scene's scale, and r the unit offset of a sample:
+    "tangent": alpha |r . n|, which vanishes in the plane; "published": alpha |1 - r . n|, as the published
+    implementation has it.
+    """
+    alpha = -jnp.expm1(-jnp.minimum(density * radius[:, None], 80.0))
+    along = jnp.einsum("rnx,rx->rn", offsets, normals)
+    return jnp.mean(alpha * jnp.abs(along if form == "tangent" else 1 - along), -1)
+
+
+def normal_consistency(normals: Float[Array, "rays n 3"], surface_normal: Float[Array, "rays 3"]) -> Float[Array, " rays"]:
+    """L_n: mean of (1 - |n_i . n|) / 2 over the samples around a surface point."""
+    return jnp.mean((1 - jnp.abs(jnp.einsum("rnx,rx->rn", normals, surface_normal))) / 2, -1)
+
+
+def lambertian_bias(specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]:
+    """L_b: what stays constant in the specular colour belongs to the diffuse one: its magnitude, relative to its maximum.
+
+    The maximum over directions and channels is held constant (supplement C).
+    """
+    largest = jax.lax.stop_gradient(jnp.max(specular, axis=(1, 2), keepdims=True))
+    return jnp.mean(jnp.sum(jnp.square(specular / jnp.maximum(largest, 1e-4)), -1), -1)
+
+
+def direction_likeness(directions: Float[Array, "rays n 3"], form: str) -> Float[Array, "rays n n"]:
+    """How near directions are to each other, in [-1, 1], as data: neighbours in a graph are those of the largest.
+
+    "angular": the cosine of the angle between them; "published": the cosine between their triples of polar angle, azimuth and
+    length, as the published implementation has it, which tears the sphere along a meridian and stretches its poles.
+    """
+    held = jax.lax.stop_gradient(directions)
+    if form == "published":
+        x, y, z = jnp.moveaxis(held, -1, 0)
+        held = jnp.stack([jnp.arctan2(jnp.sqrt(x * x + y * y), z), jnp.arctan2(y, x), jnp.ones_like(z)], -1)
+        held = held / jnp.sqrt(jnp.sum(held * held, -1, keepdims=True))  # at least 1 long: the unit length is one of the three
+    return jnp.einsum("rix,rjx->rij", held, held)
+
+
+def specular_variation(
+    specular: Float[Array, "rays n 3"], likeness: Float[Array, "rays n n"], neighbours: int
+) -> Float[Array, " rays"]:
+    """L_s: graph total variation over directions (supplement D), the mean |c_i - c_j| over the nearest j by `likeness`.
+
+    Gradients go to the sample and not to its neighbours. The nearest are found by repeated maximum, which for a handful beats
+    a sort.
+    """
+    count = likeness.shape[1]
+    likeness = likeness - 4 * jnp.eye(count, dtype=likeness.dtype)
+    held = jax.lax.stop_gradient(specular)
+    total = jnp.zeros(specular.shape[0], specular.dtype)
+    for _ in range(min(neighbours, count - 1)):
+        nearest = jnp.argmax(likeness, -1)
+        other = jnp.take_along_axis(held, nearest[..., None], 1)
+        total = total + jnp.mean(jnp.sum(jnp.abs(specular - other), -1), -1)
+        likeness = likeness - 4 * jax.nn.one_hot(nearest, count, dtype=likeness.dtype)
+    return total / max(min(neighbours, count - 1), 1)

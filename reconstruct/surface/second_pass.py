@@ -1,0 +1,101 @@
+"""The second pass: the field around first surfaces and from many directions, and the regularisers there (paper section 4)."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from reconstruct.field.appearance import Material
+from reconstruct.field.cloud import Cloud, points_on_rays
+from reconstruct.field.field import Field
+from reconstruct.scene.rays import Rays
+from reconstruct.surface import regularisers
+from reconstruct.surface.ball import Ball, ball_samples
+from reconstruct.surface.first_surface import HALF_WIDTH, Surface
+
+PerPoint = dict[str, Float[Array, " n"]]
+
+
+@dataclass(frozen=True)
+class Place:
+    """How surface points become places in the field: in a bounded scene or not, as points or as Gaussians."""
+
+    bounded: bool
+    extended: bool = False
+    """Whether each stands for an isotropic Gaussian as wide as its pixel's cone, which looks the same from all sides."""
+
+    def of(self, rays: Rays, surface: Surface, offsets: Float[Array, "n around 3"] | None = None) -> Cloud:
+        """The surface points, or `offsets` [scene unit] around each of them, point after point."""
+        points = points_on_rays(rays, surface.ray, surface.t, self.bounded).points
+        scale = surface.radius / HALF_WIDTH if self.extended else None
+        if offsets is not None:
+            points = (points.T[:, None] + offsets).reshape(-1, 3).T
+            scale = None if scale is None else jnp.repeat(scale, offsets.shape[1])
+        return Cloud(points, scale, self.bounded)
+
+
+@dataclass(frozen=True)
+class SecondPass:
+    """Weights and forms of the four regularisers; those without a weight are not computed."""
+
+    place: Place
+    ball: Ball
+    density: float
+    normal: float
+    bias: float
+    variation: float
+    density_form: str = "tangent"
+    """See `regularisers.density_smoothness`."""
+    neighbours: int = 3
+    neighbour_form: str = "angular"
+    """See `regularisers.direction_likeness`."""
+
+    def terms(self, field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray) -> dict[str, Float[Array, ""]]:
+        """Mean of each regulariser over the surface points, each counted by its weight along its ray."""
+        directions, radii = ball_samples(key, surface.ray.shape[0], self.ball)
+        _, material, normal = field.with_normals(self.place.of(rays, surface))
+        per_point: PerPoint = {}
+        if self.density or self.normal:
+            reach = self.ball.reach * surface.radius
+            offsets = directions * (radii[:, None] * reach[:, None, None])
+            density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
+            per_point |= self._around(density, normals, directions, normal, reach)
+        if self.variation or (self.bias and field.appearance.has_diffuse):
+            per_point |= self._over_directions(field, material, directions, normal)
+        used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
+        return {name: jnp.sum(surface.weight * value) / used for name, value in per_point.items()}
+
+    def _around(
+        self,
+        density: Float[Array, " n_around"],
+        normals: Float[Array, "3 n_around"],
+        directions: Float[Array, "n around 3"],
+        normal: Float[Array, "3 n"],
+        reach: Float[Array, " n"],
+    ) -> PerPoint:
+        """L_d and L_n: density and normals of the ball's samples."""
+        alone = density.reshape(directions.shape[:2])
+        around = normals.T.reshape(directions.shape)
+        smoothness = regularisers.density_smoothness(alone, directions, normal.T, reach, self.density_form)
+        return {
+            "density_smoothness": self.density * smoothness,
+            "normal_consistency": self.normal * regularisers.normal_consistency(around, normal.T),
+        }
+
+    def _over_directions(
+        self, field: Field, material: Material, directions: Float[Array, "n around 3"], normal: Float[Array, "3 n"]
+    ) -> PerPoint:
+        """L_b and L_s: the reflected colour over the visible hemisphere; all of the colour where nothing is diffuse."""
+        outward = jax.lax.stop_gradient(normal.T)
+        facing = jnp.sum(directions * outward[:, None], -1, keepdims=True)
+        inward = jnp.where(facing > 0, -directions, directions)  # light travels into the surface: d . n <= 0
+        repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
+        shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T), field.appearance.has_diffuse
+        colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
+        likeness = regularisers.direction_likeness(inward, self.neighbour_form)
+        variation = regularisers.specular_variation(colour, likeness, self.neighbours)
+        terms = {"specular_variation": self.variation * variation}
+        if diffuse and self.bias:
+            terms["lambertian_bias"] = self.bias * regularisers.lambertian_bias(colour)
+        return terms

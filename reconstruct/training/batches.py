@@ -1,0 +1,67 @@
+"""What a step trains on: rays drawn from the pixels, divided among the devices."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from datasets.core.errors import UsageError
+from reconstruct.numerics.compiling import barrier
+from reconstruct.rendering.model import Model
+from reconstruct.sampling.sampler import Batch
+from reconstruct.scene.rays import Pixels
+from reconstruct.scene.twists import moved
+
+Tree = TypeVar("Tree")
+
+
+@dataclass(frozen=True)
+class Division:
+    """The devices among which each batch is divided."""
+
+    mesh: jax.sharding.Mesh | None = None
+    """None for one device."""
+
+    @classmethod
+    def among(cls, devices: Sequence[Any], sizes: tuple[int, ...]) -> "Division":
+        """As many of the devices as divide arrays of these lengths evenly.
+
+        Raises:
+            UsageError: the devices are of several processes, none of which can be left out, and do not divide every batch.
+        """
+        count = math.gcd(len(devices), *sizes)
+        if count < len(devices) and len({device.process_index for device in devices}) > 1:
+            raise UsageError(
+                f"{len(devices)} devices do not divide a batch evenly",
+                where="sampler.rays and sampler.samples",
+                why=", ".join(map(str, sorted(set(sizes)))),
+                remedy="choose multiples, or another number of processes",
+            )
+        return cls(None if count == 1 else jax.sharding.Mesh(np.array(devices[:count]), ("rays",)))
+
+    @property
+    def everywhere(self) -> jax.sharding.NamedSharding | None:
+        """How states and pixels lie on the devices: whole on each. None for one device."""
+        return None if self.mesh is None else jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec())
+
+    def spread(self, tree: Tree) -> Tree:
+        """The arrays of a batch divided among the devices along their first axis; everything else is everywhere."""
+        if self.mesh is None:
+            return tree
+        part = jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec(*self.mesh.axis_names))
+        return jax.tree.map(lambda a: jax.lax.with_sharding_constraint(a, part), tree)
+
+
+ONE_DEVICE = Division()
+
+
+def drawn_batch(model: Model, pixels: Pixels, pixel_key: PRNGKeyArray, sample_key: PRNGKeyArray, division: Division) -> Batch:
+    """Random pixels, their rays as the corrected cameras see them, and the samples that the sampler chooses as data."""
+    index = model.sampler.pixels(pixels, pixel_key)
+    rays, colour = barrier(pixels.take(barrier(division.spread(index))))
+    rays = moved(rays, model.poses)
+    return barrier(division.spread(model.sampler.batch(rays, colour, sample_key)))

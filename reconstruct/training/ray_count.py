@@ -1,0 +1,85 @@
+"""How many rays a step takes: what the device has memory for, with steps and learning rate to match."""
+
+import os
+
+import jax
+import jax.numpy as jnp
+
+from reconstruct.config import Config
+from reconstruct.errors import ReconstructError
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Pixels
+from reconstruct.training.step import Step
+
+SHARE = 0.9
+"""Share of the device's memory that a step may take."""
+FEWEST = 256
+"""Steps of fewer rays are refused: by then the model itself does not fit."""
+
+
+def scaled(config: Config, rays: int) -> Config:
+    """The configuration for steps of `rays` rays: k times fewer take k times the steps at a k times smaller rate.
+
+    The linear scaling rule (Goyal et al. 2017), as in the paper. Second passes keep their number: their periods grow k-fold.
+    """
+    factor = config.sampler.rays / rays
+    train, surface, poses = config.train, config.surface, config.poses
+
+    def period(steps: int) -> int:
+        return max(1, 2 ** round(jnp.log2(steps * factor).item()))
+
+    changed = {
+        "sampler": {"rays": rays},
+        "surface": {
+            "rays": max(1, round(surface.rays / factor)),
+            "first_period": period(surface.first_period),
+            "last_period": period(surface.last_period),
+        },
+        "train": {
+            "rate": train.rate / factor,
+            "final_rate": train.final_rate / factor,
+            "steps": round(train.steps * factor),
+        },
+        "poses": {"rate": poses.rate / factor, "final_rate": poses.final_rate / factor},
+    }
+    sections = {name: getattr(config, name).model_copy(update=values) for name, values in changed.items()}
+    return config.model_copy(update=sections)
+
+
+def fitted(config: Config, facts: SceneFacts, pixels: Pixels, limit: int | None = None) -> Config:
+    """The configuration with its rays halved until a step fits into memory.
+
+    Args:
+        limit: bytes that a step may take; None asks the device.
+
+    Raises:
+        ReconstructError: not even `FEWEST` rays fit.
+    """
+    limit = memory_limit() if limit is None else limit
+    while (needed := needed_bytes(config, facts, pixels)) > limit:
+        if config.sampler.rays // 2 < FEWEST:
+            raise ReconstructError(
+                "the model does not fit into memory",
+                why=f"a step of {config.sampler.rays} rays takes {needed >> 20} MiB of {limit >> 20}",
+                remedy="lower encoding.log2_size or the widths of the networks",
+            )
+        config = scaled(config, config.sampler.rays // 2)
+    return config
+
+
+def needed_bytes(config: Config, facts: SceneFacts, pixels: Pixels) -> int:
+    """Memory of a step beside its pixels, as the compiler plans it: state before and after, and everything in between.
+
+    The step is compiled for it; the compilation cache keeps the result for the training.
+    """
+    step = Step.of(config, facts)
+    state = jax.eval_shape(lambda: step.initial(jax.random.key(0), None, pixels.origins.shape[0]))
+    planned = step.compiled(state, pixels).memory_analysis()
+    return int(planned.temp_size_in_bytes + planned.argument_size_in_bytes)
+
+
+def memory_limit() -> int:
+    """Bytes that a step may take on the first device: of its own memory, or of the machine's where it has none."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    total = stats.get("bytes_limit") or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return int(SHARE * total)

@@ -1,0 +1,27 @@
+"""Tests of the arm run with each client of its controller."""
+
+import importlib.util
+from collections.abc import Callable
+
+import pytest
+
+from capture.robots.timing import Deadlines, Settling
+from capture.robots.ur import UR5e
+
+BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
+"""Tests run beside others on two cores: a pause of half a second is no fault there."""
+
+
+@pytest.fixture(params=["ur_rtde", "koala"])
+def client(request: pytest.FixtureRequest) -> str:
+    if request.param == "ur_rtde" and importlib.util.find_spec("rtde_control") is None:
+        pytest.skip("ur-rtde is not installed: it has no wheel for this Python and platform")
+    return request.param
+
+
+@pytest.fixture
+def connect(client: str) -> Callable[..., UR5e]:
+    """Makes an arm that talks to the simulated controller through the client under test; not connected yet."""
+    return lambda simulated, **options: UR5e(
+        simulated.host, settling=Settling(timeout_s=20.0), deadlines=BUSY, client=client, **options
+    )

@@ -1,0 +1,77 @@
+"""What is measured on a scene, and what a configuration says instead."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from datasets.scene import Scene
+from reconstruct.models import load_config
+from reconstruct.rendering.model import Model
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation
+
+SMALL = ["encoding.levels=2", "encoding.log2_size=8", "sampler.grid=16", "sampler.outer_grid=8"]
+
+
+def facts_of(scene: Scene, volume: float | None = None) -> SceneFacts:
+    return SceneFacts.of(scene, scene.views, Normalisation.of(scene), volume)
+
+
+def created(facts: SceneFacts, *overrides: str) -> Model:
+    return Model.create(jax.random.key(0), load_config("surfnerf", "fast", [*SMALL, *overrides]), facts)
+
+
+def test_the_box_among_surroundings_is_measured(ball_scene: tuple[Scene, Path]) -> None:
+    alone = ball_scene[0]
+    low, high = alone.box
+    among = replace(alone, background="scene", box=np.stack([low, high - [0, 0, 0.1]]))
+    found = facts_of(among)
+    np.testing.assert_allclose(found.half_box, [2 / 3, 2 / 3, 1 / 3])  # 0.2 x 0.2 x 0.1 m has a diagonal of 0.3 m: the unit ball
+    assert found.towards is not None and np.linalg.norm(found.towards) < 1
+    assert facts_of(alone).half_box is None
+
+
+def test_facts_survive_being_written(ball_scene: tuple[Scene, Path]) -> None:
+    for scene in (ball_scene[0], replace(ball_scene[0], background="scene")):
+        facts = facts_of(scene, volume=2.0)
+        assert SceneFacts.from_json(facts.to_json()) == facts
+
+
+def test_values_of_the_configuration_replace_what_was_measured(ball_scene: tuple[Scene, Path]) -> None:
+    facts = facts_of(replace(ball_scene[0], background="scene", bounds_from="stated"))
+    measured = created(facts, "field.matte_around=3.5")
+    assert measured.field.appearance.start.towards == facts.towards
+    assert measured.field.appearance.matte.half_box == measured.sampler.focused.half_box == facts.half_box
+    given = created(facts, "field.matte_around=3.5", "field.half_box=[0.1,0.2,0.3]", "field.towards=[0,0,0.5]")
+    assert given.field.appearance.start.towards == (0.0, 0.0, 0.5)
+    assert given.field.appearance.matte.half_box == given.sampler.focused.half_box == (0.1, 0.2, 0.3)
+    assert created(facts, "sampler.candidates=2").sampler.focused.candidates == 2
+    assert created(facts, "sampler.candidates=1").sampler.focused is None
+
+
+@pytest.mark.parametrize(
+    ("background", "bounds_from", "candidates"),
+    [
+        ("scene", "stated", 4),
+        ("scene", "box stated; near from 172 points", 4),
+        ("scene", "cameras alone", None),
+        ("white", "stated", None),
+    ],
+)
+def test_rays_that_meet_a_stated_box_are_preferred(
+    ball_scene: tuple[Scene, Path], background: str, bounds_from: str, candidates: int | None
+) -> None:
+    """A box that is only guessed may hold anything, and without surroundings there is nothing to prefer it to."""
+    focused = created(facts_of(replace(ball_scene[0], background=background, bounds_from=bounds_from))).sampler.focused
+    assert (focused and focused.candidates) == candidates
+
+
+def test_tables_shrink_to_the_measured_volume_only_where_that_is_wanted(ball_scene: tuple[Scene, Path]) -> None:
+    facts, sizes = facts_of(ball_scene[0], volume=1e-3), ["encoding.log2_size=12", "encoding.coarsest=8"]
+    full, fitted = created(facts, *sizes), created(facts, *sizes, "skip.table_size=true")
+    assert fitted.field.encoding.log2_sizes < full.field.encoding.log2_sizes == (12, 12)
+    given = created(facts, *sizes, "skip.table_size=true", "encoding.volume=8")
+    assert given.field.encoding.log2_sizes > fitted.field.encoding.log2_sizes

@@ -1,0 +1,125 @@
+"""Every model trains for a hundred small steps, and loses what it lost when stored_losses.json was written.
+
+After a change that is meant to alter them: python tests/reconstruct/training/test_every_model.py --update
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reconstruct import models
+from reconstruct.config import Config
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.training.faults import FAULTS
+from reconstruct.training.step import Step, TrainState
+
+STORED = Path(__file__).parent / "stored_losses.json"
+STEPS, BLOCK, SECOND = 100, 10, 5
+"""Steps; steps whose mean is stored; every how many steps there is a second pass."""
+RTOL = {0: 1e-3, 9: 0.05}
+"""Of the first and of the last ten steps. One machine repeats them bit for bit. Another one sums in another order: 1e-7 of a
+value, of which Adam makes a step wherever a gradient is tiny, and which a hundred steps enlarge. A wrong loss is further away."""
+ATOL = 1e-7
+"""Of terms that are next to nothing, such as the decay of tables that begin within 1e-4."""
+SMALL = {
+    "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
+    "field": {"spatial_width": 16, "view_width": 16, "bottleneck": 4, "ide_degree": 2, "view_depth": 3, "density_bias": 2.0},
+    "sampler": {
+        "rays": 64,
+        "samples": 512,
+        "grid": 16,
+        "steps": 32,
+        "max_per_ray": 8,
+        "proposals": (8, 8),
+        "final": 8,
+        "proposal_finest": (8.0, 16.0),
+    },
+    "surface": {"rays": 16, "samples": 8},
+    "train": {"rate": 0.003, "final_rate": 0.001, "warmup": 0.02},
+}
+PROPOSAL = {"surfnerf", "mipnerf", "zip_refnerf", "refnerf"}
+"""Tested with their paper preset, which together has every kind of frustum; the others with the fast one."""
+FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.5, 4.5), towards=(0.0, 0.0, 0.3))
+
+
+def small(model: str) -> Config:
+    config = models.load_config(model, "paper" if model in PROPOSAL else "fast")
+    return Config.model_validate(models.merged(config.model_dump(), SMALL))
+
+
+def shaded_ball() -> Pixels:
+    """Four views of a ball of radius 0.6, bright where it faces up, 24 by 24 pixels each."""
+    angle = np.pi * np.arange(4) / 2
+    origins = 3 * np.stack([np.cos(angle), np.sin(angle), 0 * angle + 0.3], -1) / np.hypot(1, 0.3)
+    side = (np.arange(24) + 0.5) / 24 * 2 - 1
+    across, up = (grid.reshape(-1, 1) for grid in np.meshgrid(side, side))
+    directions, colours = [], []
+    for origin in origins:
+        forward = -origin / np.linalg.norm(origin)
+        right = np.cross(forward, [0, 0, 1.0]) / np.linalg.norm(np.cross(forward, [0, 0, 1.0]))
+        rays = forward + 0.35 * (across * right + up * np.cross(right, forward))
+        a, b, c = (rays**2).sum(-1), rays @ origin, origin @ origin - 0.36
+        hit = b * b > a * c
+        normal = (origin + ((-b - np.sqrt(np.where(hit, b * b - a * c, 0))) / a)[:, None] * rays) / 0.6
+        light = np.stack([0.5 + 0.4 * normal[:, 2], 0.3 + 0.2 * normal[:, 0], 0.4 + 0 * b, np.ones_like(b)], -1)
+        directions.append(rays)
+        colours.append(np.where(hit[:, None], np.clip(light, 0, 1), 0))
+    single = lambda values: jnp.asarray(values, jnp.float32)  # noqa: E731
+    view = jnp.repeat(jnp.arange(4, dtype=jnp.int32), 24 * 24)
+    colour = jnp.asarray(np.concatenate(colours), jnp.float16)
+    return Pixels(colour, single(np.concatenate(directions)), view, single(origins), jnp.full(4, 0.01))
+
+
+def trained(model: str, level: int = 0) -> tuple[TrainState, TrainState, dict[str, list[float]]]:
+    """State before and after, and the means of each term over ten steps, without a second pass in most of them."""
+    step = Step.of(small(model), FACTS)
+    state = start = step.initial(jax.random.key(0), None, 4)
+    call = lambda i: (jnp.asarray(0), jnp.asarray(i / STEPS, jnp.float32), jnp.asarray(i % SECOND == SECOND - 1))  # noqa: E731
+    pixels = shaded_ball()
+    one = jax.jit(step).lower(state, pixels, *call(0)).compile(compiler_options={"xla_backend_optimization_level": level})
+    lines = []
+    for i in range(STEPS):
+        state, terms = one(state, pixels, *call(i))
+        lines.append(terms)
+    assert not any(int(line.pop(FAULTS)) for line in lines)
+    table = {name: np.array([float(line[name]) for line in lines]).reshape(-1, BLOCK).mean(-1).tolist() for name in lines[0]}
+    return start, state, table
+
+
+def stored(table: dict[str, list[float]]) -> dict[str, dict[str, float]]:
+    return {name: {str(block): values[block] for block in RTOL} for name, values in table.items()}
+
+
+ALWAYS = ("surfnerf", "surfnerf_voxels", "refnerf", "mipnerf", "finetune")
+"""Models that between them use every encoding, appearance and pass; the others are other combinations of these."""
+
+
+@pytest.mark.parametrize(
+    "model", [name if name in ALWAYS else pytest.param(name, marks=pytest.mark.slow) for name in models.names()]
+)
+def test_every_model_loses_what_it_lost(model: str) -> None:
+    before, after, table = trained(model)
+    assert int(after.step) == STEPS and int(after.skipped) == 0
+    old, new = before.model.split()[0], after.model.split()[0]
+    pairs = zip(jax.tree.leaves_with_path(old), jax.tree.leaves(new), strict=True)
+    still = [jax.tree_util.keystr(path) for (path, a), b in pairs if np.array_equal(a, b)]
+    assert not still, "every parameter takes part"
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(new))
+    assert "normal_consistency" not in table or table["normal_consistency"][0] > 0, "there are surfaces from the start"
+    expected = json.loads(STORED.read_text())[model]
+    assert table.keys() == expected.keys()
+    for name, values in table.items():
+        for block, rtol in RTOL.items():
+            known = expected[name][str(block)]
+            np.testing.assert_allclose(values[block], known, rtol=rtol, atol=ATOL, err_msg=f"{name}, steps {BLOCK * block} on")
+
+
+if __name__ == "__main__" and sys.argv[1:] == ["--update"]:
+    losses = {name: stored(trained(name)[2]) for name in models.names()}
+    STORED.write_text(json.dumps(losses, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,183 @@
+"""How the losses are put together, on rays that are worked by hand."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reconstruct.field.appearance import Material, Shading
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.field import Field
+from reconstruct.models import load_config
+from reconstruct.rendering.model import Model, Rendered
+from reconstruct.sampling.samples import RaySamples
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.surface import second_pass
+from reconstruct.surface.ball import Ball
+from reconstruct.surface.first_surface import Surface
+from reconstruct.surface.second_pass import Place, SecondPass
+from reconstruct.training import objective
+from reconstruct.training.objective import Weights
+
+SMALL = ["encoding.levels=2", "encoding.log2_size=4", "field.spatial_width=4", "field.view_width=4", "sampler.grid=8"]
+FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.5))
+TILTED = np.array([np.sqrt(0.75), 0.0, 0.5])
+"""60 degrees from z."""
+PREDICTED = np.array([0.0, 0.6, -0.8])
+RADII = np.array([1.0, 0.5, 1.0, 0.5])
+DIRECTIONS = np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0], [-1.0, 0, 0]])
+"""From a surface point: out of the surface, into it, and along it twice."""
+
+
+class HalfSpace(Field):
+    """Density 10 where z <= 0. Normals: z on the surface, `TILTED` elsewhere. Reflected colour in direction d: max(0, -d_z)."""
+
+    def with_normals(self, cloud: Cloud) -> tuple[jax.Array, Material, jax.Array]:
+        z, count = cloud.points[2], cloud.points.shape[1]
+        columns = lambda vector: jnp.asarray(vector, jnp.float32)[:, None]  # noqa: E731
+        normals = jnp.where(z == 0, columns([0, 0, 1.0]), columns(TILTED))
+        some = jnp.ones((3, count))
+        material = Material(some, some, some[:1], some * columns(PREDICTED), jnp.zeros((0, count)))
+        return jnp.where(z <= 0, 10.0, 0.0), material, normals
+
+    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+        specular = jnp.broadcast_to(jnp.maximum(-viewdirs[2], 0.0), viewdirs.shape)
+        return Shading(2 * specular, specular)
+
+
+def half_space(appearance: str = "reflection") -> HalfSpace:
+    field = Model.create(jax.random.key(0), load_config(overrides=[*SMALL, f"field.appearance={appearance}"]), FACTS).field
+    return HalfSpace(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred)
+
+
+@pytest.fixture
+def rays() -> Rays:
+    """Two rays straight down from z = 2, which meet the surface at t = 2."""
+    down = jnp.tile(jnp.array([[0.0, 0.0, -1.0]]), (2, 1))
+    return Rays(jnp.array([[0.0, 0.0, 2.0], [0.3, 0.0, 2.0]]), down, jnp.full(2, 0.05))
+
+
+@pytest.fixture
+def surface() -> Surface:
+    """The first ray's surface has weight 0.8; the second entry is none, as where fewer rays have a surface than are wanted."""
+    return Surface(jnp.array([0, 1], jnp.int32), jnp.full(2, 2.0), jnp.array([0.8, 0.0]), jnp.full(2, 0.1))
+
+
+def rendered(weights: list[list[float]], rgb: list[list[float]] | None = None) -> Rendered:
+    w = jnp.asarray(weights)
+    count, dark = w.shape[0], jnp.zeros((w.shape[0], 3))
+    colour = dark if rgb is None else jnp.asarray(rgb)
+    return Rendered(colour, w.sum(-1), dark, dark, jnp.zeros(count), dark, jnp.zeros(count), w)
+
+
+def weights(**changed: float) -> Weights:
+    nothing = dict.fromkeys(Weights.__dataclass_fields__, 0.0)
+    return Weights(**{**nothing, "charbonnier": 1e-3, **changed})
+
+
+def test_colours_count_over_the_background_for_used_rays_alone() -> None:
+    seen = rendered([[0.5], [1.0], [1.0]], [[0.2] * 3, [0.9] * 3, [0.1] * 3])
+    truth = jnp.array([[0.4, 0.4, 0.4, 0.5], [0.5, 0.5, 0.5, 1.0], [0.9, 0.9, 0.9, 1.0]])
+    used = jnp.array([True, True, False])
+    found = objective.photometric(seen, truth, jnp.ones((3, 3)), used, 0.3)
+    # over white: 0.2 + 0.5 against 0.4 * 0.5 + 0.5, no error, Charbonnier 0.3
+    # then an error of 0.4: sqrt(0.16 + 0.09) = 0.5; the third ray is ignored
+    np.testing.assert_allclose(found["photometric"], (0.3 + 0.5) / 2, rtol=1e-5)
+    np.testing.assert_allclose(found["mse"], 0.16 / 2, rtol=1e-5)
+    np.testing.assert_allclose(objective.total(found), 0.4, rtol=1e-5, err_msg="the mean square error is for the log")
+
+
+def test_distortion_of_two_samples() -> None:
+    """Intervals [1, 2] and [2, 4], weights 0.5 and 0.25: 2 * 0.5 * 0.25 * (3 - 1.5) + (0.25 * 1 + 0.0625 * 2) / 3 = 0.5."""
+    samples = RaySamples.from_edges(jnp.array([[1.0, 2.0, 4.0]]))
+    found = objective.distortion_term(rendered([[0.5, 0.25]]), samples, 0.01)
+    np.testing.assert_allclose(found["distortion"], 0.01 * 0.5, rtol=1e-5)
+
+
+def test_hollowness_of_three_samples() -> None:
+    """Densities 0, 10, 5, weights 0, 0.6, 0.3: the third sample lost half, 0.3 * 0.6 * 0.5 = 0.09."""
+    samples = RaySamples.from_edges(jnp.array([[1.0, 2.0, 3.0, 4.0]]))
+    found = objective.hollowness_term(rendered([[0.0, 0.6, 0.3]]), jnp.array([0.0, 10.0, 5.0]), samples, 0.1)
+    np.testing.assert_allclose(found["hollowness"], 0.1 * 0.09, rtol=1e-5)
+
+
+def test_interlevel_loss_of_one_interval_per_level() -> None:
+    """All weight in [0, 0.5], density 2. A blur of half-width b takes 2 b / 4 of it below 0: 0.985 and 0.9985 are left in [0, 1].
+
+    Proposals have 0.7 and 0.9 there: 0.285^2 / 0.70001 + 0.0985^2 / 0.90001 = 0.126811.
+    """
+    edges = jnp.array([[0.0, 0.5, 1.0]])
+    whole = jnp.array([[0.0, 1.0]])
+    levels = ((whole, jnp.array([[0.7]])), (whole, jnp.array([[0.9]])))
+    found = objective.interlevel_term(edges, jnp.array([[1.0, 0.0]]), levels, 0.01)
+    np.testing.assert_allclose(found["interlevel"], 0.01 * 0.126811, rtol=1e-4)
+
+
+def test_decay_sums_levels_and_proposals() -> None:
+    """Tables of 0.1 and two levels: 2 * 0.01; each of two proposals, of 0.2 and two levels, has 2 * 0.04."""
+    model = Model.create(jax.random.key(0), load_config(overrides=SMALL), FACTS)
+    filled = eqx.tree_at(lambda m: m.field.encoding.table, model, jnp.full_like(model.field.encoding.table, 0.1))
+    np.testing.assert_allclose(objective.decay_term(filled, 0.1)["decay"], 0.1 * 0.02, rtol=1e-5)
+    kinds = ["sampler.kind=proposal", "sampler.proposal_finest=[12, 12]", "field.outward=0"]
+    model = Model.create(jax.random.key(0), load_config(overrides=[*SMALL, *kinds]), FACTS)
+    tables = lambda m: [m.field.encoding.table, *(p.encoding.table for p in m.sampler.proposals)]  # noqa: E731
+    values = [jnp.full_like(table, value) for table, value in zip(tables(model), (0.1, 0.2, 0.2), strict=True)]
+    np.testing.assert_allclose(objective.decay_term(eqx.tree_at(tables, model, values), 0.1)["decay"], 0.1 * 0.18, rtol=1e-5)
+
+
+def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
+    """The density's normal is z, the predicted one (0, 0.6, -0.8): |n - n'|^2 = 0.36 + 3.24 = 3.6, and it faces away: 0.8^2."""
+    wanted = weights(orientation=0.1, predicted_normals=3e-4, density_normals=1e-4)
+    found = objective.surface_point_terms(half_space(), rays, surface, wanted, Place(bounded=True))
+    np.testing.assert_allclose(found["predicted_normals"], 0.8 * (3e-4 + 1e-4) * 3.6, rtol=1e-5)
+    np.testing.assert_allclose(found["orientation"], 0.1 * 0.8 * 0.64, rtol=1e-5)
+    alone = objective.surface_point_terms(half_space("view"), rays, surface, wanted, Place(bounded=True))
+    assert alone.keys() == {"orientation"} and float(alone["orientation"]) == 0, "nothing is predicted, and z faces the camera"
+    assert objective.surface_point_terms(half_space(), rays, surface, weights(), Place(bounded=True)) == {}
+
+
+REGULARISERS = SecondPass(
+    Place(bounded=True), Ball(4, reach=2.0), density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1
+)
+
+
+@pytest.fixture
+def fixed_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    directions = jnp.asarray(np.tile(DIRECTIONS, (2, 1, 1)), jnp.float32)
+    monkeypatch.setattr(second_pass, "ball_samples", lambda *_: (directions, jnp.asarray(RADII, jnp.float32)))
+
+
+def test_regularisers_of_one_surface_point(rays: Rays, surface: Surface, fixed_directions: None) -> None:
+    """Samples at 0.2 above, 0.1 below, 0.2 and 0.1 beside; the radius of the ball is 2 * 0.1 = 0.2, the ray's weight 0.8."""
+    found = REGULARISERS.terms(half_space(), rays, surface, jax.random.key(0))
+    # alpha = 1 - exp(-10 * 0.2) = 0.864665 but above, where it is 0; |r . n| is 1 below, 0 beside: mean 0.216166
+    np.testing.assert_allclose(found["density_smoothness"], 0.1 * 0.8 * 0.216166, rtol=1e-5)
+    # (1 - cos 60) / 2 = 0.25 above and below, 0 beside, where the normal is z: mean 0.125
+    np.testing.assert_allclose(found["normal_consistency"], 0.1 * 0.8 * 0.125, rtol=1e-5)
+    # "out" is flipped to look at the surface: colours 1, 1, 0, 0, relative to their maximum 1; three channels: 3 * 2 / 4
+    np.testing.assert_allclose(found["lambertian_bias"], 0.03 * 0.8 * 1.5, rtol=1e-5)
+    # the first two are alike; the others' nearest is across (cosine 0) rather than opposite (-1): 3 * |0 - 1| for two of four
+    np.testing.assert_allclose(found["specular_variation"], 1e-3 * 0.8 * 1.5, rtol=1e-5)
+
+
+def test_without_a_diffuse_colour_the_colour_itself_varies(rays: Rays, surface: Surface, fixed_directions: None) -> None:
+    found = REGULARISERS.terms(half_space("view"), rays, surface, jax.random.key(0))
+    assert "lambertian_bias" not in found
+    np.testing.assert_allclose(found["specular_variation"], 2 * 1e-3 * 0.8 * 1.5, rtol=1e-5)  # rgb is twice the specular colour
+
+
+def test_the_reach_scales_the_ball(rays: Rays, surface: Surface, fixed_directions: None) -> None:
+    """Half the reach: alpha = 1 - exp(-10 * 0.1) = 0.632121."""
+    near = replace(REGULARISERS, ball=Ball(4, reach=1.0)).terms(half_space(), rays, surface, jax.random.key(0))
+    np.testing.assert_allclose(near["density_smoothness"], 0.1 * 0.8 * 0.632121 / 4, rtol=1e-5)
+
+
+def test_regularisers_without_a_weight_are_not_computed(rays: Rays, surface: Surface, fixed_directions: None) -> None:
+    spatial = replace(REGULARISERS, bias=0.0, variation=0.0).terms(half_space(), rays, surface, jax.random.key(0))
+    directional = replace(REGULARISERS, density=0.0, normal=0.0).terms(half_space(), rays, surface, jax.random.key(0))
+    assert spatial.keys() == {"density_smoothness", "normal_consistency"}
+    assert directional.keys() == {"lambertian_bias", "specular_variation"}
