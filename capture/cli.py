@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
+from capture import viewing
 from capture.options import RigName, Settings, TimeScale, TrajectoryName
-from capture.page import commands as page_commands
 from capture.recording import commands as recording_commands
 from capture.rig import commands as rig_commands
 from datasets.core import console
@@ -67,7 +67,7 @@ def run(
     try:
         with ExitStack() as stack:
             if view:
-                stack.enter_context(page_commands.watched(out, session, mount, planned, port))
+                stack.enter_context(viewing.watched(out, session, mount, planned, port))
             shown = stack.enter_context(console.progress("capture", len(planned), "views"))
             with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale) as opened:
 
@@ -120,9 +120,9 @@ def plan_command(
     console.report({**found, "plot": plot, "page": page}, as_json=as_json, text=text)
 
 
-app.command()(page_commands.view)
+app.command()(viewing.view)
 app.command()(recording_commands.check)
-app.command()(page_commands.report)
+app.command()(viewing.report)
 app.command()(recording_commands.replay)
 app.command()(rig_commands.sim)
 app.command()(recording_commands.bench)

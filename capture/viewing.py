@@ -1,4 +1,4 @@
-"""Commands for a person to look at: view, report; and the page of a running capture."""
+"""Commands for a person to look at: view, report; and the page of a running capture. They import pages when they run."""
 
 import os
 import signal
