@@ -21,7 +21,9 @@ __all__ = [
     "jacobian",
     "link_frames",
     "nearest_turn",
+    "pose_from_six",
     "singularity",
+    "six_from_pose",
     "wrap",
 ]
 
@@ -62,6 +64,17 @@ def _solver() -> Callable[[Joints], Joints]:
         return partial(branches, links=UR5E)
     arm = DhRobot(UR5E.alpha, UR5E.a, UR5E.d)
     return lambda target: np.array(arm.IK(target).Q, np.float64).reshape(-1, 6)
+
+
+def pose_from_six(numbers: ArrayLike) -> Joints:
+    """(4, 4) pose of the six numbers that controllers use: position [m] and rotation vector [rad]."""
+    numbers = np.asarray(numbers, np.float64)
+    return pose.from_rotation_vector(numbers[3:], numbers[:3])
+
+
+def six_from_pose(matrix: Joints) -> Joints:
+    """(6,) position [m] and rotation vector [rad] of a (4, 4) pose."""
+    return np.concatenate([matrix[:3, 3], pose.rotation_vector(matrix)])
 
 
 def wrap(angles: ArrayLike) -> Joints:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError
+from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
 from capture.robots.client import ClientChoice, StartFailure
 from capture.robots.dashboard import Dashboard
@@ -116,10 +117,8 @@ class UR5e:
             raise self._fault("no state arrives from the robot", RigConnectionError)
         if not sample.content["connected"]:  # the client goes on returning the last values
             raise self._fault("the connection to the robot was lost", RigConnectionError)
-        numbers = np.asarray(sample.content["tcp_pose"])
-        base_from_tcp = pose.from_rotation_vector(numbers[3:], numbers[:3])
         return RobotState(
-            base_from_flange=base_from_tcp @ self._tcp_from_flange,
+            base_from_flange=pose_from_six(sample.content["tcp_pose"]) @ self._tcp_from_flange,
             joints=np.asarray(sample.content["joints"]),
             joint_speeds=np.asarray(sample.content["joint_speeds"]),
             robot_time_s=float(sample.content["robot_time_s"]),
@@ -172,7 +171,7 @@ class UR5e:
     def _describe(self, dashboard: Dashboard, client: str, tcp_offset: list[float]) -> None:
         if len(tcp_offset) != 6:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
-        self._tcp_from_flange = pose.inverse(pose.from_rotation_vector(tcp_offset[3:], tcp_offset[:3]))
+        self._tcp_from_flange = pose.inverse(pose_from_six(tcp_offset))
         self._description = {
             "model": "UR5e",
             "host": self.host,

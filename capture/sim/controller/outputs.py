@@ -5,45 +5,22 @@ Each is computed at most once, and only where a connection's recipe contains it:
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from capture.robots.rtde import wire
-from capture.sim.controller.arm import Arm, RobotMode, Safety
+from capture.sim.controller.arm import RobotMode, Safety
 from capture.sim.controller.profiles import Joints
-from capture.sim.controller.script import ControlProgram
+
+if TYPE_CHECKING:
+    from capture.sim.controller.server import ControllerServer
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
-
-
-class Controller(Protocol):
-    """What outputs are computed from."""
-
-    arm: Arm
-    program: ControlProgram | None
-    digital_outputs: int
-
-    @property
-    def program_running(self) -> bool:
-        """Whether a program runs and is not paused."""
-        ...
-
-    @property
-    def program_paused(self) -> bool:
-        """Whether a program is paused."""
-        ...
-
-    def tcp_pose(self, joints: Joints) -> NDArray[np.float64]:
-        """(6,) position [m] and rotation vector [rad] of the tool at (6,) joint angles."""
-        ...
 
 
 class Outputs:
     """The variables at the controller's time `now` [s], by name; those that never change are zero."""
 
-    def __init__(self, controller: Controller, now: float) -> None:
+    def __init__(self, controller: "ControllerServer", now: float) -> None:
         self.controller, self.arm, self.now = controller, controller.arm, now
 
     def __getitem__(self, name: str) -> Any:

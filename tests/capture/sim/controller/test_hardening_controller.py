@@ -26,7 +26,6 @@ def received(connection: socket.socket, kind: int) -> bytes:
 
 
 @pytest.mark.parametrize("version", [0, 3, 99])
-@pytest.mark.xfail(strict=True, reason="session.Session.handle accepts every protocol version")
 def test_a_protocol_version_that_does_not_exist_is_not_accepted(version: int) -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", version)))
@@ -35,7 +34,6 @@ def test_a_protocol_version_that_does_not_exist_is_not_accepted(version: int) ->
         assert received(client, ord("V")) == b"\x01"
 
 
-@pytest.mark.xfail(strict=True, reason="session.Session.handle speaks version 2 whatever was agreed on")
 def test_protocol_version_1_has_neither_frequencies_nor_recipe_numbers() -> None:
     """Universal Robots, "Real-Time Data Exchange guide": in version 1 a recipe is names alone, and data are values alone."""
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
@@ -54,7 +52,6 @@ def test_the_premise_there_are_commands_that_are_not_simulated() -> None:
 
 
 @pytest.mark.parametrize("number", UNKNOWN[::6])
-@pytest.mark.xfail(strict=True, reason="ControlProgram.cycle answers done to commands that it does not know")
 def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog: pytest.LogCaptureFixture) -> None:
     program = ControlProgram(Arm(0, HOME, 0.0, 0.0), "def rtde_control():\nend\n")
     program.input_ints[0] = number
@@ -64,7 +61,6 @@ def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog
     assert str(number) in caplog.text or str(number) in str(getattr(program, "reason", ""))
 
 
-@pytest.mark.xfail(strict=True, reason="wire.type_of knows registers of both directions: an output is taken for an input")
 def test_an_output_cannot_be_an_input() -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", 2)))
@@ -74,7 +70,6 @@ def test_an_output_cannot_be_an_input() -> None:
 
 
 @pytest.mark.parametrize("program", ["movej([0,-1.2,0,-1.5,0,0], a=1.4, v=1.0)\n", "movej([0,-1.2,0,-1.5,0,0])"])
-@pytest.mark.xfail(strict=True, reason="ControllerServer.script keeps everything until a line 'end'")
 def test_a_program_of_one_line_is_executed_or_refused(program: str) -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30003), 10) as client:
         client.sendall(program.encode())
