@@ -7,25 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datasets import pose
-from datasets.kinematics import UR5E, Links, forward, jacobian, link_frames
-
-__all__ = [
-    "JOINT_LIMIT",
-    "MAX_JOINT_SPEED",
-    "REACH",
-    "UR5E",
-    "Joints",
-    "Links",
-    "forward",
-    "inverse",
-    "jacobian",
-    "link_frames",
-    "nearest_turn",
-    "pose_from_six",
-    "singularity",
-    "six_from_pose",
-    "wrap",
-]
+from datasets.kinematics import UR5E as UR5E
+from datasets.kinematics import Links as Links
+from datasets.kinematics import forward as forward
+from datasets.kinematics import jacobian as jacobian
+from datasets.kinematics import link_frames as link_frames
 
 Joints = NDArray[np.float64]
 

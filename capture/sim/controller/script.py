@@ -1,8 +1,8 @@
 """What can be seen from outside of the control program that a client uploads; the vendor's and ours share these registers.
 
 The client writes a command number into input_int_register_0 and its arguments into the registers after it; the program
-answers 1 (ready) and 2 (done) in output_int_register_0 and results in the other output registers. A new command is one
-more function with `@command(number)`; any other command ends the program with the reason.
+answers 1 (ready) and 2 (done) in output_int_register_0 and results in the other output registers. `ACTIONS` and `ANSWERS`
+are the commands that are simulated; any other one ends the program with the reason.
 """
 
 import logging
@@ -24,8 +24,6 @@ REGISTERS = 48
 """Of each kind and direction."""
 MAX_PROGRAM = 1 << 18
 """Bytes; the vendor's program has 50,000, and a path adds 100 per point."""
-Handler = Callable[["ControlProgram"], "Generator[None] | None"]
-COMMANDS: dict[int, Handler] = {}
 EVERY_CYCLE = frozenset({58})
 """Commands that are carried out in every cycle while they are in the register, and never answered with done."""
 _OFFSET = re.compile(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d{1,20})")
@@ -34,16 +32,6 @@ _REGISTER_CALL = re.compile(r"(?:read_input|write_output)_(integer|float|boolean
 
 class ProgramError(Exception):
     """The program cannot go on."""
-
-
-def command(*numbers: int) -> Callable[[Handler], Handler]:
-    """Register the function as the body of these commands; a generator blocks the program until it ends."""
-
-    def register(handler: Handler) -> Handler:
-        COMMANDS.update(dict.fromkeys(numbers, handler))
-        return handler
-
-    return register
 
 
 def is_whole(text: bytes | bytearray) -> bool:
@@ -101,12 +89,10 @@ class ControlProgram:
         start = self.offset + first
         return np.array(self.input_doubles[start : start + count])
 
-    def answer(self, values: object = (), flag: bool | None = None) -> None:
-        """Write the result registers."""
-        numbers = np.asarray(values, np.float64).ravel()
-        self.output_doubles[self.offset : self.offset + len(numbers)] = numbers.tolist()
-        if flag is not None:
-            self.output_ints[self.offset + 1] = int(flag)
+    @property
+    def joints(self) -> Joints:
+        """(6,) angles that the encoders measure now [rad]."""
+        return self.arm.actual(self.now)[0]
 
     def cycle(self, now: float) -> None:
         """What the program does in one cycle at controller time `now` [s]."""
@@ -145,9 +131,12 @@ class ControlProgram:
 
     def _execute(self, number: int) -> None:
         try:
-            if number not in COMMANDS:
+            if number in ACTIONS:
+                self._body = ACTIONS[number](self)
+            elif number in ANSWERS:
+                self._answer(ANSWERS[number](self))
+            else:
                 raise ProgramError(f"command {number} is not simulated")
-            self._body = COMMANDS[number](self)
         except ProgramError as error:
             self.fail(str(error))
             return
@@ -156,6 +145,14 @@ class ControlProgram:
         else:
             self._executing = True
             self._resume()
+
+    def _answer(self, result: Joints | bool) -> None:
+        """Write the result registers: a flag, six numbers, or those of a (4, 4) pose."""
+        if isinstance(result, bool):
+            self.output_ints[self.offset + 1] = int(result)
+        else:
+            numbers = six_from_pose(result) if result.ndim == 2 else result
+            self.output_doubles[self.offset : self.offset + 6] = numbers.tolist()
 
     def _resume(self) -> None:
         if self._body is not None:
@@ -170,16 +167,6 @@ class ControlProgram:
         self.output_ints[self.offset] = value
 
 
-@command(1, 4)
-def _move_joints(program: ControlProgram) -> Generator[None] | None:
-    return _move(program, program.arguments(0, 6))
-
-
-@command(2)
-def _move_to_pose(program: ControlProgram) -> Generator[None] | None:
-    return _move(program, _inverse(program, program.arguments(0, 6), program.arm.target(program.now)[0]))
-
-
 def _move(program: ControlProgram, goal: Joints) -> Generator[None] | None:
     if np.isfinite(goal).all() and not program.arm.reaches(goal):
         raise ProgramError("a motion leads out of reach")
@@ -188,7 +175,10 @@ def _move(program: ControlProgram, goal: Joints) -> Generator[None] | None:
     return _motion(program)
 
 
-@command(3)
+def _move_to_pose(program: ControlProgram) -> Generator[None] | None:
+    return _move(program, _inverse(program, program.arm.target(program.now)[0]))
+
+
 def _move_line(program: ControlProgram) -> Generator[None] | None:
     speed, acceleration = np.maximum(program.arguments(6, 2), 1e-3)
     path, distance = _line(program, program.arm.target(program.now)[0], program.arguments(0, 6))
@@ -208,81 +198,29 @@ def _until_rest(program: ControlProgram) -> Generator[None]:
         yield
 
 
-@command(15, 16, 33, 34)
-def _stop(program: ControlProgram) -> Generator[None] | None:
+def _stop(program: ControlProgram, *, asynchronous: int = 0) -> Generator[None] | None:
     program.arm.stop(float(program.arguments(0, 1)[0]), program.now)
-    asynchronous = program.int_argument(0) in (33, 34) and program.int_argument(1)
     return None if asynchronous else _until_rest(program)
 
 
-@command(29)
 def _set_tcp(program: ControlProgram) -> None:
     program.arm.flange_from_tcp = pose_from_six(program.arguments(0, 6))
 
 
-@command(40)
-def _tcp_offset(program: ControlProgram) -> None:
-    program.answer(six_from_pose(program.arm.flange_from_tcp))
-
-
-@command(31)
-def _protective_stop(program: ControlProgram) -> None:
-    program.arm.stop_for_safety(Safety.PROTECTIVE_STOP, program.now)
-
-
-@command(35)
 def _watchdog(program: ControlProgram) -> None:
     program.watchdog_s = 1.0 / max(float(program.arguments(0, 1)[0]), 1e-3)
 
 
-@command(37)
-def _joints_within_limits(program: ControlProgram) -> None:
-    program.answer(flag=bool((np.abs(program.arguments(0, 6)) <= kinematics.JOINT_LIMIT).all()))
-
-
-@command(39)
-def _pose_trans(program: ControlProgram) -> None:
-    program.answer(six_from_pose(pose_from_six(program.arguments(0, 6)) @ pose_from_six(program.arguments(6, 6))))
-
-
-@command(28)
-def _target_waypoint(program: ControlProgram) -> None:
-    program.answer(six_from_pose(program.arm.base_from_tcp(program.arm.profile.at(np.inf)[0])))
-
-
-@command(43)
-def _forward(program: ControlProgram) -> None:
-    program.answer(six_from_pose(program.arm.base_from_tcp(program.arm.actual(program.now)[0])))
-
-
-@command(58)
-def _flange_pose(program: ControlProgram) -> None:
-    program.answer(six_from_pose(kinematics.forward(program.arm.actual(program.now)[0], program.arm.links)))
-
-
-@command(30, 46)
-def _joints_of_pose(program: ControlProgram) -> None:
-    near = program.arguments(6, 6) if program.int_argument(0) == 30 else program.arm.actual(program.now)[0]
-    program.answer(_inverse(program, program.arguments(0, 6), near))
-
-
-@command(36, 60, 61)
-def _has_inverse(program: ControlProgram) -> None:
+def _has_inverse(program: ControlProgram) -> bool:
     try:
-        _inverse(program, program.arguments(0, 6), program.arm.actual(program.now)[0])
-        program.answer(flag=True)
+        return len(_inverse(program, program.joints)) > 0
     except ProgramError:
-        program.answer(flag=False)
+        return False
 
 
-@command(47)
-def _is_steady(program: ControlProgram) -> None:
-    program.answer(flag=bool((np.abs(program.arm.actual(program.now)[1]) < 1e-3).all()))
-
-
-def _inverse(program: ControlProgram, tcp: NDArray[np.float64], near: Joints) -> Joints:
-    """Joint angles nearest to `near` that bring the tool point to a pose with the arm's true links."""
-    base_from_flange = pose_from_six(tcp) @ pose.inverse(program.arm.flange_from_tcp)
+def _inverse(program: ControlProgram, near: Joints, tcp: Joints | None = None) -> Joints:
+    """Joint angles nearest to `near` that bring the tool point to a pose (None: the first argument) with the true links."""
+    base_from_flange = pose_from_six(program.arguments(0, 6) if tcp is None else tcp) @ pose.inverse(program.arm.flange_from_tcp)
     branches = kinematics.inverse(base_from_flange)
     if not len(branches):
         raise ProgramError("the inverse kinematics of a pose has no solution")
@@ -304,7 +242,33 @@ def _line(program: ControlProgram, start: Joints, tcp: NDArray[np.float64]) -> t
     path, count = [start], max(int(length / 0.005), 8)
     for share in np.linspace(0, 1, count + 1)[1:]:
         between = begin[:3, :3] @ pose.from_rotation_vector(turn * share)[:3, :3]
-        path.append(_inverse(program, np.concatenate([begin[:3, 3] + share * way, pose.rotation_vector(between)]), path[-1]))
+        path.append(_inverse(program, path[-1], np.concatenate([begin[:3, 3] + share * way, pose.rotation_vector(between)])))
         if np.abs(path[-1] - path[-2]).max() > 0.5:
             raise ProgramError("a straight line passes a singularity")
     return np.array(path), max(length, float(np.linalg.norm(turn)) * 0.1, 1e-6)
+
+
+ACTIONS: dict[int, Callable[[ControlProgram], "Generator[None] | None"]] = {
+    **dict.fromkeys((1, 4), lambda at: _move(at, at.arguments(0, 6))),
+    2: _move_to_pose,
+    3: _move_line,
+    **dict.fromkeys((15, 16), _stop),
+    **dict.fromkeys((33, 34), lambda at: _stop(at, asynchronous=at.int_argument(1))),
+    29: _set_tcp,
+    31: lambda at: at.arm.stop_for_safety(Safety.PROTECTIVE_STOP, at.now),
+    35: _watchdog,
+}
+"""What commands do; a generator blocks the program until it ends."""
+ANSWERS: dict[int, Callable[[ControlProgram], Joints | bool]] = {
+    28: lambda at: at.arm.base_from_tcp(at.arm.profile.at(np.inf)[0]),
+    30: lambda at: _inverse(at, at.arguments(6, 6)),
+    **dict.fromkeys((36, 60, 61), _has_inverse),
+    37: lambda at: bool((np.abs(at.arguments(0, 6)) <= kinematics.JOINT_LIMIT).all()),
+    39: lambda at: pose_from_six(at.arguments(0, 6)) @ pose_from_six(at.arguments(6, 6)),
+    40: lambda at: at.arm.flange_from_tcp,
+    43: lambda at: at.arm.base_from_tcp(at.joints),
+    46: lambda at: _inverse(at, at.joints),
+    47: lambda at: bool((np.abs(at.arm.actual(at.now)[1]) < 1e-3).all()),
+    58: lambda at: kinematics.forward(at.joints, at.arm.links),
+}
+"""What commands ask for: a flag, six numbers, or a pose."""

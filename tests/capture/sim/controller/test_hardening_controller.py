@@ -13,10 +13,10 @@ from capture.robots.rtde import program
 from capture.robots.rtde.wire import packet
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.process import SimulatedController
-from capture.sim.controller.script import COMMANDS, DONE, ControlProgram, refusal
+from capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
-UNKNOWN = [number for number in range(1, 80) if number not in COMMANDS]
+UNKNOWN = [number for number in range(1, 80) if number not in ACTIONS and number not in ANSWERS]
 """Commands of the client that the simulation does not carry out: paths, payload, freedrive and others."""
 
 
