@@ -18,16 +18,6 @@ def _presets(incomplete: str) -> list[str]:
     return [name for name in ("fast", "paper") if name.startswith(incomplete)]
 
 
-def _side(name: str | None) -> str | None:
-    """A side of the object's box, or none."""
-    from datasets.core.errors import UsageError
-    from reconstruct.output.mesh.isolation import SIDES
-
-    if name is not None and name not in SIDES:
-        raise UsageError(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
-    return name
-
-
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Scene folder, as for 'train'.")]
 SceneNames = Annotated[list[str], typer.Argument(metavar="SCENE...", help="Scene folders, as for 'train'.")]
@@ -46,19 +36,4 @@ Budget = Annotated[float | None, typer.Option("--budget", help="Seconds of train
 Seeds = Annotated[
     list[int] | None,
     typer.Option("--seed", min=0, help="Seed to train with; repeatable: tables then show means and standard deviations."),
-]
-Split = Annotated[str, typer.Option("--split", help="Views to use: train, val or test.")]
-CameraPath = Annotated[
-    Path | None,
-    typer.Option("--path", metavar="FILE.yaml", help="Camera path to render along, as written by 'reconstruct view'."),
-]
-StandsOn = Annotated[
-    str | None,
-    typer.Option(
-        "--stands-on",
-        metavar="SIDE",
-        callback=_side,
-        help="Side of the box that the object stands on, e.g. -z. Removes the table top, and whatever enters the box through "
-        "other sides, from the mesh.",
-    ),
 ]

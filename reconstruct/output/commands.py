@@ -1,4 +1,4 @@
-"""Commands for a trained run: figures, eval, render, view, film, mesh, report."""
+"""Commands for a trained run: figures, eval, render, film, mesh, report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,12 +6,32 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from datasets.core import console
-from reconstruct.options import CameraPath, NewFolder, RunFolder, Split, StandsOn
+from reconstruct.options import NewFolder, RunFolder
 
 if TYPE_CHECKING:
     from reconstruct.output.trained_model import TrainedModel
 
 app = typer.Typer()
+
+
+def _side(name: str | None) -> str | None:
+    """A side of the object's box, or none."""
+    from datasets.core.errors import UsageError
+    from reconstruct.output.mesh.isolation import SIDES
+
+    if name is not None and name not in SIDES:
+        raise UsageError(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
+    return name
+
+
+Split = Annotated[str, typer.Option("--split", help="Views to use: train, val or test.")]
+CameraPath = Annotated[
+    Path | None,
+    typer.Option("--path", metavar="FILE.yaml", help="Camera path to render along, as written by 'reconstruct view'."),
+]
+_ON = "Side of the box that the object stands on, e.g. -z."
+_REMOVES = "Removes the table top, and whatever enters the box through other sides, from the mesh."
+StandsOn = Annotated[str | None, typer.Option("--stands-on", metavar="SIDE", callback=_side, help=f"{_ON} {_REMOVES}")]
 
 
 @app.command()
@@ -75,33 +95,6 @@ def render(run: RunFolder, out: NewFolder, split: Split = "test", path: CameraPa
     trained = _opened(run)
     result = export.render(trained, out, split=split) if frames is None else export.render_along(trained, frames, out)
     console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
-
-
-@app.command()
-def view(
-    path: Annotated[Path, typer.Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
-    mesh: Annotated[Path | None, typer.Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
-    port: console.Port = 8080,
-    as_json: console.Json = False,
-) -> None:
-    """Explore a run in the browser, during training or afterwards."""
-    from datasets.page import open_page
-    from reconstruct.backend import cache_compilations
-    from reconstruct.run import RUN, Run
-
-    cache_compilations()
-    with open_page(path.name, port) as page:
-        if (path / RUN).is_file():
-            from reconstruct.page.run_page import show
-
-            show(page, Run.open(path), mesh=mesh)
-        else:
-            from datasets.formats import load_scene
-            from datasets.page.view import show as show_scene
-
-            show_scene(page, path, load_scene(path), quick=True)
-        console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
-        page.serve()
 
 
 @app.command()
