@@ -25,8 +25,7 @@ NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write; must be
 StudyFolder = Annotated[Path, typer.Option("--out", help="Folder to write; an interrupted study is resumed.")]
 ModelName = Annotated[str, typer.Option("--model", help="Model, see 'reconstruct models'.", autocompletion=_models)]
 Preset = Annotated[
-    str,
-    typer.Option("--preset", help="fast: a workstation without GPU; paper: the published sizes.", autocompletion=_presets),
+    str, typer.Option("--preset", help="fast: a workstation without GPU; paper: the published sizes.", autocompletion=_presets)
 ]
 Settings = Annotated[
     list[str] | None,
