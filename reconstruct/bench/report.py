@@ -16,8 +16,7 @@ from reconstruct.output import metric_names
 
 REPORT = "index.html"
 METRICS = ("psnr", "ssim", "normal_mae_alpha_acc_deg", "normal_mae_deg", "normal_pred_mae_alpha_acc_deg", "depth_rmse_mm")
-COLUMNS = (*METRICS, "chamfer_mm", "seconds")
-"""Metrics in the table of all points."""
+COLUMNS = (*METRICS, "chamfer_mm", "seconds")  # metrics in the table of all points
 RATES = ("steps", "rays_per_s", "samples_per_s", "peak_memory_mb")
 RATE_HEADINGS = ("steps", "rays/s", "samples/s", "memory [MB]")
 

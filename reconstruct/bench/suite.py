@@ -18,8 +18,7 @@ from reconstruct.bench.scenes.shiny import SCENES
 QUALITY, COST, PROFILE = "quality", "cost", "profile"
 """Kinds of trials: error after a budget; time and memory for a number of images; profile of a step."""
 BUDGETS_S = (15.0, 30.0, 60.0, 120.0, 300.0)
-REAL = ("lego400", "mold_gold_cape")
-"""Scenes that are used if they are found."""
+REAL = ("lego400", "mold_gold_cape")  # scenes that are used if they are found
 
 
 @dataclass(frozen=True)
@@ -104,8 +103,7 @@ class Choice:
 def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     """The selected trials of a suite. Models and budgets that it lacks are added.
 
-    Raises:
-        UsageError: unknown suite or scene, or no trial has that scale or preset.
+    Raises UsageError: unknown suite or scene, or no trial has that scale or preset.
     """
     if suite not in SUITES:
         raise UsageError(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))

@@ -35,10 +35,8 @@ ALIGNED = {
     "steps": "steps of the method of Levenberg and Marquardt",
 }
 """Definitions for aligned views."""
-ALIGNED_SHOWN = ("psnr", "ssim", "lpips")
-"""Metrics of aligned views in the summary."""
-TRUE_SURFACE = "truth/object.ply"
-"""True mesh [m] of the object in a simulated scene."""
+ALIGNED_SHOWN = ("psnr", "ssim", "lpips")  # metrics of aligned views in the summary
+TRUE_SURFACE = "truth/object.ply"  # true mesh [m] of the object in a simulated scene
 
 
 def evaluate(
@@ -51,8 +49,7 @@ def evaluate(
         align: also evaluate after aligning the pose of each view to the model.
         stands_on: side of the box that the object stands on, for its mesh, see `extraction.extract`.
 
-    Raises:
-        UsageError: the scene has no such views.
+    Raises UsageError: the scene has no such views.
     """
     views = trained.scene.split(split)
     start = time.perf_counter()

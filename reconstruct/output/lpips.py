@@ -56,10 +56,8 @@ WEIGHTS: dict[str, tuple[int, ...]] = {
 """Names and shapes of the required arrays; others in the file are ignored."""
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Normalisation of colours in -1..1 before the first layer, from the published program."""
-SMALLEST = 31
-"""Smallest image side for which every layer has a pixel."""
-SHORTEST = 1e-10
-"""Added to the length of features before the division."""
+SMALLEST = 31  # smallest image side for which every layer has a pixel
+SHORTEST = 1e-10  # added to the length of features before the division
 
 
 class Lpips(eqx.Module):

@@ -39,8 +39,7 @@ DEFINITIONS = {
 }
 """Unit and meaning of each metric of a view."""
 
-BEST_MSE = 1e-10
-"""Lower bound of the mean squared error: 100 dB."""
+BEST_MSE = 1e-10  # lower bound of the mean squared error: 100 dB
 
 
 def psnr(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = None) -> float | None:

@@ -32,16 +32,11 @@ from reconstruct.surface.first_surface import first_surface
 from reconstruct.surface.regularisers import direction_likeness
 from reconstruct.training.loop import start
 
-STEPS = 600
-"""Steps of the short training for B.1."""
-STATES = 6
-"""States of that training that are drawn."""
-SAMPLES = 96
-"""Samples along the ray."""
-HEMISPHERE = 2048
-"""Directions over the sphere for C.1."""
-POINTS = 3
-"""Surface points drawn in C.1."""
+STEPS = 600  # steps of the short training for B.1
+STATES = 6  # states of that training that are drawn
+SAMPLES = 96  # samples along the ray
+HEMISPHERE = 2048  # directions over the sphere for C.1
+POINTS = 3  # surface points drawn in C.1
 
 
 def draw_all(trained: TrainedModel, out: Path, *, steps: int = STEPS) -> dict[str, Any]:

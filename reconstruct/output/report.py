@@ -25,7 +25,6 @@ from reconstruct.scene import poses
 from reconstruct.training.skipping import record
 
 VIEWS = 4
-"""Number of test views in the report."""
 CALIBRATION_ERRORS = {
     "hand_eye_mm": "hand-eye pose, position",
     "hand_eye_deg": "hand-eye pose, angle",
@@ -53,8 +52,7 @@ def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) 
     Args:
         calibration: file of 'calib handeye' to report the accuracy of, against the truth if the recording was simulated.
 
-    Raises:
-        UsageError: `out` is not empty.
+    Raises UsageError: `out` is not empty.
     """
     files.refuse_existing(out)
     calibrated = _calibration_scores(calibration)

@@ -16,17 +16,14 @@ from reconstruct.scene.rays import over
 
 Values = dict[str, NDArray[np.float32]]
 
-NORMALS = "normals"
-"""The channel that requires a second pass through the field."""
+NORMALS = "normals"  # the channel that requires a second pass through the field
 SHADED = ("rgb", "diffuse", "specular", NORMALS)
 CHANNELS = (
     {name: name for name in SHADED} | {"normals (predicted)": "normals_pred"} | {n: n for n in ("depth", "opacity", "roughness")}
 )
 """Names on the page, and the renderer's names."""
-OPAQUE = 0.5
-"""Opacity above which a pixel hides what is behind it."""
-BEHIND_ALL = 160.0
-"""Depth of pixels that hide nothing: the page's depth ends at 167."""
+OPAQUE = 0.5  # opacity above which a pixel hides what is behind it
+BEHIND_ALL = 160.0  # depth of pixels that hide nothing: the page's depth ends at 167
 
 
 @dataclass(frozen=True)

@@ -45,17 +45,13 @@ if TYPE_CHECKING:
 
 SLICE = 2048
 """Rays per call of the renderer, after which a picture can be cancelled; one compiled program serves all sizes."""
-WIDTH = 640
-"""Smallest width of the pictures that are sent; coarse ones are enlarged [px]."""
-POLL_S = 1.0
-"""Seconds between checks for a new checkpoint."""
+WIDTH = 640  # smallest width of the pictures that are sent; coarse ones are enlarged [px]
+POLL_S = 1.0  # seconds between checks for a new checkpoint
 MESH_RESOLUTION = 128
-PATH = "path.yaml"
-"""File of the path editor in the run's folder."""
+PATH = "path.yaml"  # file of the path editor in the run's folder
 DEPTHS = (0.01, 50.0)
 """Camera distances [world unit] whose depths the browser resolves; its depth goes to 167 in steps of 1e-5."""
-NOTHING = "nothing"
-"""Channel that shows only cameras and mesh."""
+NOTHING = "nothing"  # channel that shows only cameras and mesh
 logger = logging.getLogger(__name__)
 
 

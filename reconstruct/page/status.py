@@ -11,8 +11,7 @@ from reconstruct import checkpoint
 from reconstruct.run import CHECKPOINTS, LOG, Run
 from reconstruct.training.skipping import record
 
-QUIET_S = 300.0
-"""A training without output for this long counts as stopped."""
+QUIET_S = 300.0  # a training without output for this long counts as stopped
 
 
 def is_training(run: Run) -> bool:

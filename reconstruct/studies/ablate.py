@@ -31,10 +31,8 @@ from reconstruct.studies.seeds import seed_folder, welch
 FORMAT, VERSION = "koala-study", 2
 STUDY = "study.json"
 DRAWN = ("psnr", "normal_mae_alpha_acc_deg")
-"""Columns of the figure."""
 LOSSES = ("density", "normal", "bias", "variation")
-PUBLISHED, REFNERF = SurfaceConfig(), LossConfig()
-"""Their default weights."""
+PUBLISHED, REFNERF = SurfaceConfig(), LossConfig()  # their default weights
 NO_PASS = "surface.enabled=false"
 Cells = dict[str, tuple[str, ...]]
 
@@ -100,8 +98,7 @@ def plan(
 ) -> Study:
     """The study of the wanted cells (default: all of `grid`; always with the base) and seeds (default: the model's own).
 
-    Raises:
-        UsageError: unknown scene, model, setting or cell, or a seed given twice.
+    Raises UsageError: unknown scene, model, setting or cell, or a seed given twice.
     """
     recipe = Recipe(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s)
     base = recipe.config()
@@ -116,8 +113,7 @@ def plan(
 def run(study: Study, out: Path) -> dict[str, Any]:
     """Run every cell with every seed that is not finished, then write the table, the figure and the report.
 
-    Raises:
-        UsageError: `out` holds something else, or a study of something else.
+    Raises UsageError: `out` holds something else, or a study of something else.
     """
     cells = {name: list(changes) for name, changes in study.cells.items()}
     settings = study.recipe.content("scene", "model", "preset", "overrides", "budget_s")

@@ -18,10 +18,8 @@ from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, RUN
 from reconstruct.training.loop import train
 
-CELLS = "cells"
-"""Folder of the trainings of a study with named cells."""
-BASE = "base"
-"""Cell without changes."""
+CELLS = "cells"  # folder of the trainings of a study with named cells
+BASE = "base"  # cell without changes
 
 
 @dataclass(frozen=True)
@@ -84,22 +82,14 @@ def run_all(jobs: Sequence[Job], title: str) -> None:
 
 
 def chosen_seeds(base: Config, seeds: Sequence[int]) -> tuple[int, ...]:
-    """The given seeds, or the configuration's own.
-
-    Raises:
-        UsageError: a seed is given twice.
-    """
+    """The given seeds, or the configuration's own. Raises UsageError: a seed is given twice."""
     if len(set(seeds)) < len(seeds):
         raise UsageError("a seed is given twice", where="--seed", why=" ".join(map(str, seeds)), remedy="give each once")
     return tuple(seeds) or (base.train.seed,)
 
 
 def scenes_by_name(scenes: Sequence[str]) -> dict[str, str]:
-    """Paths of scenes by the names of their folders.
-
-    Raises:
-        UsageError: a scene does not exist, or two have the same name.
-    """
+    """Paths of scenes by the names of their folders. Raises UsageError: a scene does not exist, or two have the same name."""
     places = [find(scene).resolve() for scene in scenes]
     if len({place.name for place in places}) < len(places):
         raise UsageError("two scenes have the same name", why=", ".join(place.name for place in places), remedy="rename a folder")
@@ -118,8 +108,7 @@ def open_study(
     Returns:
         The content of the file.
 
-    Raises:
-        UsageError: a setting differs, or the folder holds something else.
+    Raises UsageError: a setting differs, or the folder holds something else.
     """
     before: dict[str, Any] = {}
     if path.is_file():

@@ -93,8 +93,7 @@ class _Measured:
 def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
     """A row for the seeds of each training, or one per image of each run, in the order of the runs, grouped by scene.
 
-    Raises:
-        UsageError: not a run, or not evaluated.
+    Raises UsageError: not a run, or not evaluated.
     """
     measured = [_Measured.open(path) for path in runs]
     rows, labels = [], set()
@@ -113,11 +112,7 @@ def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
 
 
 def row_of_seeds(runs: Sequence[Path]) -> Row:
-    """The row of runs that differ only in their seed.
-
-    Raises:
-        UsageError: they differ in more, or one was not evaluated.
-    """
+    """The row of runs that differ only in their seed. Raises UsageError: they differ in more, or one was not evaluated."""
     rows = rows_of_runs(runs)
     if len(rows) > 1:
         why, advice = "they differ in settings, budget or device", "remove the older runs, or choose another --out"

@@ -24,8 +24,7 @@ from reconstruct.training.skipping import record
 
 FORMAT, VERSION = "koala-skips", 1
 COMPARISON = "comparison.json"
-WORST_DB, WORST_DEG = 0.1, 0.2
-"""A skip with a higher cost than this on any scene is off by default."""
+WORST_DB, WORST_DEG = 0.1, 0.2  # a skip with a higher cost than this on any scene is off by default
 NORMALS = "normal_mae_alpha_acc_deg"
 
 
@@ -81,8 +80,7 @@ def run(
 ) -> list[Result]:
     """Run every cell that is not finished, then write the table.
 
-    Raises:
-        UsageError: unknown scene, skip, model or setting; or `out` holds something else, or a comparison with other settings.
+    Raises UsageError: unknown scene, skip, model or setting; or `out` holds something else, or a comparison with other settings.
     """
     wanted, places = cells(names), scenes_by_name(scenes)
     recipes = {name: Recipe(path, model, preset, tuple(overrides)) for name, path in places.items()}

@@ -36,8 +36,7 @@ def plan(
 ) -> list[Job]:
     """Every model on every scene with every seed, or the model's own; seed by seed, so that the table is complete early.
 
-    Raises:
-        UsageError: an unknown scene, model or setting, a seed given twice, or two scenes of the same name.
+    Raises UsageError: an unknown scene, model or setting, a seed given twice, or two scenes of the same name.
     """
     recipes = {
         (name, model): Recipe(path, model, preset, tuple(overrides), budget_s)

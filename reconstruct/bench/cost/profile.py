@@ -20,8 +20,7 @@ from reconstruct.run import CHECKPOINTS
 from reconstruct.scene.rays import Pixels
 from reconstruct.training.step import Step, TrainState
 
-STEPS = 16
-"""Traced steps, without and with a second pass."""
+STEPS = 16  # traced steps, without and with a second pass
 
 
 def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:

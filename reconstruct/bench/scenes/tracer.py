@@ -17,12 +17,9 @@ from reconstruct.bench.scenes.light import MATTE, Light
 from reconstruct.bench.scenes.solids import Distance, normals
 from reconstruct.numerics.safe import safe_norm
 
-ON_SURFACE = 1e-5
-"""A ray has hit below this distance [radius of the scene]."""
-STEPS, ROUNDS = 16, 16
-"""Steps between selections of the rays that continue, and the maximum number of these."""
-CHUNK = 8192
-"""Rays traced at once: one size, so that each program is compiled once."""
+ON_SURFACE = 1e-5  # a ray has hit below this distance [radius of the scene]
+STEPS, ROUNDS = 16, 16  # steps between selections of the rays that continue, and the maximum number of these
+CHUNK = 8192  # rays traced at once: one size, so that each program is compiled once
 Vectors = Float[Array, "3 n"]
 
 

@@ -21,14 +21,11 @@ from reconstruct.output.trained_model import TrainedModel
 if TYPE_CHECKING:
     import trimesh
 
-RESOLUTION = 256
-"""Grid points along the longest side of the box."""
-LEVEL = 0.5
-"""Share of light that a stretch of surface material as long as 1/128 of the box absorbs."""
+RESOLUTION = 256  # grid points along the longest side of the box
+LEVEL = 0.5  # share of light that a stretch of surface material as long as 1/128 of the box absorbs
 FOLLOWED = 1 / 24
 """Share of the box's longest side over which predicted normals are believed more than the density."""
-SMALLEST_PART = 0.05
-"""Pieces with less than this share of the largest piece's area are noise."""
+SMALLEST_PART = 0.05  # pieces with less than this share of the largest piece's area are noise
 
 
 def extract(
@@ -52,8 +49,7 @@ def extract(
             box through other sides, see `isolation`; None keeps all.
         follow: refine the surface to follow the predicted normals, see `refinement`, of a model that has them.
 
-    Raises:
-        ReconstructError: there is no surface in the box.
+    Raises ReconstructError: there is no surface in the box.
     """
     import trimesh
     from skimage.measure import marching_cubes

@@ -14,16 +14,12 @@ from datasets.scene import View
 if TYPE_CHECKING:
     import trimesh
 
-POINTS = 100_000
-"""Points drawn on each surface."""
-FLOOR = 0.02
-"""Share of the box's height, at its floor, that is not compared."""
+POINTS = 100_000  # points drawn on each surface
+FLOOR = 0.02  # share of the box's height, at its floor, that is not compared
 HIDDEN_PX = 4.0
 """A point is visible if it is less than this many pixel widths behind the nearest point at its pixel and the eight around."""
-PICTURE_PX = 160
-"""Longer side of the depth maps that determine visibility."""
-CANDIDATES = 4
-"""Number of triangles of each kind that are tried for the true distance."""
+PICTURE_PX = 160  # longer side of the depth maps that determine visibility
+CANDIDATES = 4  # number of triangles of each kind that are tried for the true distance
 DEFINITIONS = {
     "chamfer_mm": "mean of accuracy and completeness",
     "accuracy_mm": "mean distance from points of the mesh to the true surface",
