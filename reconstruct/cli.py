@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from datasets.core import console
 from reconstruct.bench import commands as bench_commands
@@ -25,8 +25,8 @@ def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
 
 
 def view(
-    path: Annotated[Path, typer.Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
-    mesh: Annotated[Path | None, typer.Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
+    path: Annotated[Path, Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
+    mesh: Annotated[Path | None, Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
     port: console.Port = 8080,
     as_json: console.Json = False,
 ) -> None:
