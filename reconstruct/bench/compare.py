@@ -103,10 +103,8 @@ def paired(figure: str, pairs: np.ndarray) -> Difference:
     """Paired t-test of the (n, 2) means of setups."""
     sample = Sample.of(pairs[:, 1] - pairs[:, 0])
     change = seeds.tested(sample.mean, float(sample.deviation / np.sqrt(sample.count)), sample.count - 1)
-    before, after = pairs.mean(0)
-    return Difference(
-        EVERYWHERE, figure, float(before), float(after), change.low, change.high, change.p, (sample.count, sample.count)
-    )
+    before, after = pairs.mean(0).tolist()
+    return Difference(EVERYWHERE, figure, before, after, change.low, change.high, change.p, (sample.count,) * 2)
 
 
 def summary(differences: Sequence[Difference]) -> dict[str, Any]:

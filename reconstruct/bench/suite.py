@@ -63,10 +63,7 @@ class Block:
     def trials(self) -> list[Trial]:
         """The trials, shortest first and seed by seed, so that an interrupted benchmark has results."""
         every = product(self.seeds, self.budgets_s, self.scenes, self.models, self.presets, self.views)
-        return [
-            Trial(self.kind, name, scale, views, model, preset, budget, seed)
-            for seed, budget, (name, scale), model, preset, views in every
-        ]
+        return [Trial(self.kind, *scene, views, model, preset, budget, s) for s, budget, scene, model, preset, views in every]
 
 
 SHINY = tuple((name, 1.0) for name in SCENES)

@@ -84,9 +84,8 @@ class Lpips(eqx.Module):
         advice = "make it as docs/numbers.md says"
         for name, shape in WEIGHTS.items():
             if name not in found:
-                raise UsageError(
-                    "does not hold the weights of LPIPS with AlexNet", where=path, why=f"no array {name}", remedy=advice
-                )
+                problem = "does not hold the weights of LPIPS with AlexNet"
+                raise UsageError(problem, where=path, why=f"no array {name}", remedy=advice)
             array = found[name]
             if array.shape != shape or array.dtype.kind != "f":
                 why = f"{array.shape} of {array.dtype}, not {shape}"

@@ -158,9 +158,8 @@ def draw_weights(steps: Sequence[int], depth: NDArray, weights: NDArray, first: 
         axes.step(depth, weights[index], where="mid", color="#2f6fde")
         axes.axvline(float(depth[first[index]]), color="#d98324", label="first surface")
         axes.axhline(np.median(weights[index]), color="grey", linestyle="--", linewidth=0.8, label="median weight")
-        axes.set(
-            title=f"step {step}", xlabel="distance along the ray [scene unit]", ylim=(0, max(1.05 * weights[index].max(), 1e-3))
-        )
+        top = max(1.05 * weights[index].max(), 1e-3)
+        axes.set(title=f"step {step}", xlabel="distance along the ray [scene unit]", ylim=(0, top))
     figure.axes[-1].legend(fontsize=8)
     figure.axes[0].set_ylabel("weight")
     return figure

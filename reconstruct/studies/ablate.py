@@ -10,6 +10,7 @@ An interrupted study is resumed; further cells and seeds can be added.
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -118,11 +119,10 @@ def run(study: Study, out: Path) -> dict[str, Any]:
     cells = {name: list(changes) for name, changes in study.cells.items()}
     settings = study.recipe.content("scene", "model", "preset", "overrides", "budget_s")
     cells = open_study(out / STUDY, kind=FORMAT, version=VERSION, settings=settings, members={"cells": cells})["cells"]
-    jobs = [
-        Job(out / CELLS / folder_name(name) / seed_folder(seed), study.recipe, (*changes, f"train.seed={seed}"))
-        for seed in study.seeds
-        for name, changes in study.cells.items()
-    ]
+    jobs = []
+    for seed, (name, changes) in product(study.seeds, study.cells.items()):
+        place = out / CELLS / folder_name(name) / seed_folder(seed)
+        jobs.append(Job(place, study.recipe, (*changes, f"train.seed={seed}")))
     run_all(jobs, "ablating")
     rows = [replace(row, label=name) for name, row in _finished(cells, out).items()]
     columns = results_table.chosen_columns(rows)
@@ -170,14 +170,13 @@ def _number(row: Row, name: str) -> Number:
 def _command(study: Study, cells: Mapping[str, Sequence[str]], out: Path) -> str:
     """The command line that makes a study."""
     recipe = study.recipe
-    options = [] if recipe.budget_s is None else [f"--budget {recipe.budget_s:g}"]
+    options = [f"--model {recipe.model} --preset {recipe.preset}"]
+    options += [] if recipe.budget_s is None else [f"--budget {recipe.budget_s:g}"]
     options += [f"--set {shlex.quote(override)}" for override in recipe.overrides]
     options += [f"--seed {seed}" for seed in study.seeds]
     if not set(cells) >= set(grid(recipe.config())):
         options += [f"--cell {shlex.quote(name)}" for name in cells if name != BASE]
-    return " ".join(
-        [f"reconstruct ablate {recipe.scene} --model {recipe.model} --preset {recipe.preset}", *options, f"--out {out}"]
-    )
+    return " ".join([f"reconstruct ablate {recipe.scene}", *options, f"--out {out}"])
 
 
 def _uncertainty(rows: Sequence[Row]) -> str:

@@ -125,17 +125,11 @@ def over_seeds(rows: Sequence[Row]) -> Row:
     if len(rows) == 1:
         return rows[0]
     columns = {name: [row.values.get(name) for row in rows] for name in rows[0].values}
-    samples = {
-        name: Sample.of([value for value in column if value is not None])
-        for name, column in columns.items()
-        if None not in column
-    }
-    return replace(
-        rows[0],
-        values={name: samples[name].mean if name in samples else None for name in columns},
-        deviations={name: sample.deviation for name, sample in samples.items()},
-        seeds=len(rows),
-    )
+    complete = {name: [value for value in column if value is not None] for name, column in columns.items()}
+    samples = {name: Sample.of(column) for name, column in complete.items() if len(column) == len(rows)}
+    values = {name: samples[name].mean if name in samples else None for name in columns}
+    deviations = {name: sample.deviation for name, sample in samples.items()}
+    return replace(rows[0], values=values, deviations=deviations, seeds=len(rows))
 
 
 def _by_recipe(measured: Sequence[_Measured]) -> list[list[_Measured]]:

@@ -117,19 +117,13 @@ def step_ms(run: Path) -> float:
 
 def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
     """The results as plain values."""
-    return [
-        {
-            "scene": r.scene,
-            "skip": r.name,
-            "applied": r.applied,
-            "cost_db": round(r.cost_db, 3),
-            "cost_deg": None if r.cost_deg is None else round(r.cost_deg, 2),
-            "kept_ms": round(r.step_ms[0], 1),
-            "skipped_ms": round(r.step_ms[1], 1),
-            "cheap": r.cheap,
-        }
-        for r in results
-    ]
+    found = []
+    for r in results:
+        about = {"scene": r.scene, "skip": r.name, "applied": r.applied}
+        cost = {"cost_db": round(r.cost_db, 3), "cost_deg": None if r.cost_deg is None else round(r.cost_deg, 2)}
+        kept_ms, skipped_ms = (round(ms, 1) for ms in r.step_ms)
+        found.append({**about, **cost, "kept_ms": kept_ms, "skipped_ms": skipped_ms, "cheap": r.cheap})
+    return found
 
 
 def markdown(results: Sequence[Result]) -> str:

@@ -22,9 +22,7 @@ def train(
     resume: Annotated[bool, Option("--resume", help="Resume the run in --out.")] = False,
     from_: Annotated[Path | None, Option("--from", metavar="RUN", help="Run whose weights to start from.")] = None,
     finetune: Annotated[bool, Option("--finetune", help="With --from: train on with the surface regularisers.")] = False,
-    rays: Annotated[
-        int | None, Option(min=256, help="Rays per step; learning rate and steps follow by the linear scaling rule.")
-    ] = None,
+    rays: Annotated[int | None, Option(min=256, help="Rays per step; learning rate and steps follow by linear scaling.")] = None,
     no_skip: Annotated[
         list[str] | None, Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.")
     ] = None,
@@ -42,7 +40,7 @@ def train(
         int | None, Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: index of this process, from 0.")
     ] = None,
     list_settings: Annotated[
-        bool, Option("--list-settings", help="List every --set key with type, default and meaning, then exit.")
+        bool, Option("--list-settings", help="List every --set key with type, default and meaning.")
     ] = False,
     as_json: console.Json = False,
 ) -> None:

@@ -57,7 +57,5 @@ def three_metals() -> Tracer:
     return Tracer((Body(bar, RED_LACQUER), Body(sphere, CHROME), Body(cube, ROUGH_COPPER), Body(ring, GOLD)), Light.studio(5))
 
 
-SCENES: dict[str, Callable[[], Tracer]] = {
-    made.__name__: made for made in (chrome_ball, gold_rings, teapot, lacquered_box, three_metals)
-}
-"""By the name of their folder."""
+_MADE = (chrome_ball, gold_rings, teapot, lacquered_box, three_metals)
+SCENES: dict[str, Callable[[], Tracer]] = {made.__name__: made for made in _MADE}

@@ -60,12 +60,8 @@ def extract(
     threshold = -np.log1p(-level) * 128 / side
     if not density.min() < threshold < density.max():
         why = f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}"
-        raise ReconstructError(
-            "there is no surface in the object's box",
-            where=trained.run.path,
-            why=why,
-            remedy="train longer, or check the scene's box",
-        )
+        problem, advice = "there is no surface in the object's box", "train longer, or check the scene's box"
+        raise ReconstructError(problem, where=trained.run.path, why=why, remedy=advice)
     spacing = axes[0][1] - axes[0][0]
     first = np.array([axis[0] for axis in axes])
     if stands_on is not None:
@@ -98,10 +94,8 @@ def summary(surface: "trimesh.Trimesh", scene: Scene) -> tuple[dict[str, Any], s
         text = f"open at {open_at[0]}, where it leaves the object's box; --watertight closes it\n{text}"
     elif open_at:
         sides, example = ", ".join(open_at), "-z" if "-z" in open_at else open_at[0]
-        text = (
-            f"open at {sides}, where it leaves the object's box: surroundings may be part of it; "
-            f"--stands-on {example} removes what enters through other sides\n{text}"
-        )
+        advice = f"surroundings may be part of it; --stands-on {example} removes what enters through other sides"
+        text = f"open at {sides}, where it leaves the object's box: {advice}\n{text}"
     return found, text
 
 

@@ -81,13 +81,10 @@ def compare(
     accuracy, completeness = true.distance(found.points[found.counts]), found.distance(true.points[true.counts])
     threshold = 0.01 * float(np.linalg.norm(truth.extents))
     precision, recall = float(np.mean(accuracy < threshold)), float(np.mean(completeness < threshold))
-    return {
-        "chamfer_mm": 1e3 * float(accuracy.mean() + completeness.mean()) / 2,
-        "accuracy_mm": 1e3 * float(accuracy.mean()),
-        "completeness_mm": 1e3 * float(completeness.mean()),
-        "f_score": 2 * precision * recall / max(precision + recall, 1e-12),
-        "threshold_mm": 1e3 * threshold,
-    }
+    chamfer, f_score = (accuracy.mean() + completeness.mean()) / 2, 2 * precision * recall / max(precision + recall, 1e-12)
+    means = {"chamfer_mm": chamfer, "accuracy_mm": accuracy.mean(), "completeness_mm": completeness.mean()}
+    distances = {name: 1e3 * float(value) for name, value in means.items()}
+    return {**distances, "f_score": f_score, "threshold_mm": 1e3 * threshold}
 
 
 def visible(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.bool_]:
