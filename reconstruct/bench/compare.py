@@ -34,13 +34,10 @@ class Difference:
     figure: str
     before: float
     after: float
-    low: float
-    """Lower end of the confidence interval of after - before."""
+    low: float  # lower end of the confidence interval of after - before
     high: float
-    p: float
-    """p-value; NaN if it is unknown."""
-    count: tuple[int, int]
-    """Number of seeds of each benchmark; of setups, for the mean over all."""
+    p: float  # p-value; NaN if it is unknown
+    count: tuple[int, int]  # number of seeds of each benchmark; of setups, for the mean over all
 
     @property
     def change(self) -> float:

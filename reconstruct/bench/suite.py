@@ -27,10 +27,8 @@ class Trial:
 
     kind: str
     scene: str
-    scale: float
-    """Images are resampled by this factor."""
-    views: int
-    """Number of training views; 0 for all."""
+    scale: float  # images are resampled by this factor
+    views: int  # number of training views; 0 for all
     model: str
     preset: str
     budget_s: float
@@ -51,8 +49,7 @@ class Trial:
 class Block:
     """All combinations of the listed values."""
 
-    scenes: tuple[tuple[str, float], ...]
-    """Name and scale."""
+    scenes: tuple[tuple[str, float], ...]  # name and scale
     models: tuple[str, ...] = ("surfnerf",)
     presets: tuple[str, ...] = ("fast",)
     budgets_s: tuple[float, ...] = BUDGETS_S

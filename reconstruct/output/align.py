@@ -36,10 +36,8 @@ HUBER = 2.0  # errors beyond this many standard deviations count linearly
 class Aligned:
     """A view with an aligned pose."""
 
-    view: View
-    """The view with the new pose."""
-    pixels: int
-    """Number of pixels used for the alignment."""
+    view: View  # the view with the new pose
+    pixels: int  # number of pixels used for the alignment
     steps: int
 
 

@@ -29,16 +29,13 @@ Picture = Float[np.ndarray, "height width 3"]
 class Layer:
     """One convolution of AlexNet, and the pooling before it."""
 
-    name: str
-    """Name of its weights in the file."""
+    name: str  # name of its weights in the file
     inputs: int
     outputs: int
-    size: int
-    """Side of the square kernel [px]."""
+    size: int  # side of the square kernel [px]
     stride: int
     padding: int
-    pooled: bool
-    """Whether max pooling (3x3, stride 2) comes first."""
+    pooled: bool  # whether max pooling (3x3, stride 2) comes first
 
 
 LAYERS = (
@@ -67,8 +64,7 @@ class Lpips(eqx.Module):
     biases: tuple[Float[Array, " outputs"], ...]
     shares: tuple[Float[Array, " outputs"], ...]
     """Weight of each channel's squared difference, per layer; at least 0."""
-    file: str = eqx.field(static=True, default="")
-    """File of the weights."""
+    file: str = eqx.field(static=True, default="")  # file of the weights
     sha256: str = eqx.field(static=True, default="")
     """Hash of that file: only values with the same hash are comparable."""
 

@@ -30,12 +30,9 @@ BEHIND_ALL = 160.0  # depth of pixels that hide nothing: the page's depth ends a
 class Viewpoint:
     """The camera of a browser."""
 
-    world_from_camera: NDArray[np.float64]
-    """(4, 4), OpenCV camera axes."""
-    fov: float
-    """Vertical field of view [rad]."""
-    aspect: float
-    """Width by height."""
+    world_from_camera: NDArray[np.float64]  # (4, 4), OpenCV camera axes
+    fov: float  # vertical field of view [rad]
+    aspect: float  # width by height
 
     def camera(self, rays: int) -> Camera:
         """A pinhole camera with about `rays` pixels."""

@@ -21,8 +21,7 @@ Paint = Callable[[viser.ClientHandle, Viewpoint, int, Cancelled], None]
 class _Browser:
     client: viser.ClientHandle
     moves: int = 0
-    done: int = 0
-    """Number of levels shown from the current viewpoint."""
+    done: int = 0  # number of levels shown from the current viewpoint
 
 
 class RenderLoop:

@@ -42,12 +42,9 @@ Cells = dict[str, tuple[str, ...]]
 class Study:
     """Trainings of an ablation."""
 
-    recipe: Recipe
-    """Common to all cells."""
-    seeds: tuple[int, ...]
-    """Each cell is trained with each seed."""
-    cells: Cells
-    """Overrides of each cell by name."""
+    recipe: Recipe  # common to all cells
+    seeds: tuple[int, ...]  # each cell is trained with each seed
+    cells: Cells  # overrides of each cell by name
 
 
 def grid(base: Config) -> Cells:

@@ -26,13 +26,11 @@ BASE = "base"  # cell without changes
 class Recipe:
     """Scene, model and budget of a training."""
 
-    scene: str
-    """Path of the scene."""
+    scene: str  # path of the scene
     model: str
     preset: str
     overrides: tuple[str, ...] = ()
-    budget_s: float | None = None
-    """Seconds of training; None for the configuration's steps."""
+    budget_s: float | None = None  # seconds of training; None for the configuration's steps
 
     def config(self, changes: Sequence[str] = ()) -> Config:
         """The configuration, with further overrides. Raises UsageError for an unknown model, preset or setting."""
@@ -48,11 +46,9 @@ class Recipe:
 class Job:
     """One training and its evaluation."""
 
-    path: Path
-    """Folder of the run."""
+    path: Path  # folder of the run
     recipe: Recipe
-    changes: tuple[str, ...] = ()
-    """Further overrides."""
+    changes: tuple[str, ...] = ()  # further overrides
 
     @property
     def done(self) -> bool:

@@ -34,12 +34,9 @@ class Result:
 
     scene: str
     name: str
-    applied: bool
-    """Whether the skip applied to the scene."""
-    psnr: tuple[float, float]
-    """Kept, skipped [dB]."""
-    normal_mae_deg: tuple[float, float] | None
-    """Kept, skipped; None without true normals."""
+    applied: bool  # whether the skip applied to the scene
+    psnr: tuple[float, float]  # kept, skipped [dB]
+    normal_mae_deg: tuple[float, float] | None  # kept, skipped; None without true normals
     step_ms: tuple[float, float]
     """Kept, skipped: time of a step, from the fastest tenth of the training."""
 

@@ -40,16 +40,13 @@ class Kernel:
     """One piece of a step."""
 
     name: str
-    rays: int
-    """Rays of the batch."""
+    rays: int  # rays of the batch
     operations: float
-    exponentials: float
-    """Exponentials, error functions, sines, roots."""
+    exponentials: float  # exponentials, error functions, sines, roots
     bytes: float
     gathers: float
     scatters: float
-    seconds: float
-    """Measured time."""
+    seconds: float  # measured time
 
     def least(self, limits: dict[str, float]) -> tuple[float, str]:
         """Lower bound of the seconds by the machine's limits, and the name of the binding limit."""
@@ -66,10 +63,8 @@ class Piece(NamedTuple):
     name: str
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    gathers: float = 0.0
-    """Numbers looked up in tables."""
-    scatters: float = 0.0
-    """Numbers added to tables."""
+    gathers: float = 0.0  # numbers looked up in tables
+    scatters: float = 0.0  # numbers added to tables
 
 
 @dataclass(frozen=True)

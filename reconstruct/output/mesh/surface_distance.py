@@ -35,12 +35,9 @@ class Surface:
     """A mesh, points drawn on it, and which of them are compared."""
 
     mesh: "trimesh.Trimesh"
-    points: NDArray[np.float64]
-    """(n, 3) [m]."""
-    faces: NDArray[np.int64]
-    """(n,) triangle of each point."""
-    counts: NDArray[np.bool_]
-    """(n,) True inside the box, above its floor, and visible to a camera."""
+    points: NDArray[np.float64]  # (n, 3) [m]
+    faces: NDArray[np.int64]  # (n,) triangle of each point
+    counts: NDArray[np.bool_]  # (n,) True inside the box, above its floor, and visible to a camera
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS) -> "Surface":
