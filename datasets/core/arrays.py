@@ -10,7 +10,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError, UsageError
+from datasets.core import files
+from datasets.core.errors import DatasetError
 
 MAX_BYTES = 2**28
 """Larger archives, by unpacked size, are refused: ours hold poses and points, not images."""
@@ -23,22 +24,21 @@ def read_npy(path: Path) -> NDArray[Any]:
     """The array in a .npy file.
 
     Raises:
-        UsageError: there is no such file.
+        UsageError: there is no such file, or it is too large.
         DatasetError: it is no array file, holds objects, or is shorter than its header says.
     """
+    data = files.read_regular(path, MAX_BYTES, suffixes=(".npy",))
     try:
-        with open(path, "rb") as file:
-            return _array(file, path.stat().st_size, where=path)
-    except FileNotFoundError:
-        raise UsageError("no such file", where=path, remedy="check the path") from None
+        return _array(io.BytesIO(data), len(data), where=path)
     except _BROKEN as error:
         raise _refusal(path, error) from None
 
 
 def read_npz(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, NDArray[Any]]:
     """The arrays in a .npz file whose names begin with one of `prefixes`. Raises as `read_npy` does."""
+    data = files.read_regular(path, MAX_BYTES, suffixes=(".npz",))
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
             entries = [entry for entry in entries if entry.filename.startswith(prefixes)]
             total = sum(entry.file_size for entry in entries)
@@ -50,8 +50,6 @@ def read_npz(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, NDArray
                 name = entry.filename.removesuffix(".npy")
                 found[name] = _array(io.BytesIO(data), len(data), where=f"{path}, {name}")
             return found
-    except FileNotFoundError:
-        raise UsageError("no such file", where=path, remedy="check the path") from None
     except _BROKEN as error:
         raise _refusal(path, error) from None
 

@@ -1,13 +1,15 @@
-"""Atomic writing, and reading that stays inside a folder.
+"""Atomic and durable writing, and reading that stays inside a folder.
 
-Every file is written to a temporary name in its own folder, flushed to the disk and renamed: readers
-never see half a file, even after a full disk or a killed process.
+Every file is written to a temporary name in its own folder, flushed to the disk and renamed; then the folder is flushed. Readers
+never see half a file, even after a full disk, a killed process or a power cut.
 """
 
+import errno
 import hashlib
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,16 +35,16 @@ def atomic_path(path: Path) -> Iterator[Path]:
     On any exception, Ctrl-C and a full disk included, the temporary file is removed and `path` is untouched.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
+        flush(temporary)
         os.replace(temporary, path)
+        flush(path.parent)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -50,24 +52,50 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield an empty temporary folder beside `path`; on success rename it to `path`, else remove it.
+    """Yield an empty temporary folder beside `path`; on success flush everything in it and rename it to `path`, else remove it.
 
     Raises:
         UsageError: `path` exists and is not an empty folder: nothing is ever overwritten.
     """
     path = Path(path)
     refuse_existing(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
         yield temporary
         os.chmod(temporary, 0o755)
+        for folder, _, names in os.walk(temporary, topdown=False):
+            for found in (*(Path(folder, name) for name in names), Path(folder)):
+                if not found.is_symlink():
+                    flush(found)
         if path.exists():
             path.rmdir()
         os.replace(temporary, path)
+        flush(path.parent)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
+
+
+def flush(path: Path) -> None:
+    """Return once the content of a file, or the names in a folder, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # some network file systems cannot flush folders
+            raise
+    finally:
+        os.close(handle)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and its parents where they are missing; their names are on the disk when this returns."""
+    path = Path(path)
+    new = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    for folder in reversed(new):
+        flush(folder.parent)
 
 
 def refuse_existing(path: Path) -> None:
@@ -112,15 +140,7 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise DatasetError("is too large for a JSON file", where=path, why=f"{path.stat().st_size} bytes")
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UsageError("no such file", where=path, remedy=neighbour(path, ".json")) from None
-    except (IsADirectoryError, NotADirectoryError):
-        raise UsageError("is not a file", where=path, remedy="check the path") from None
-    except OSError as error:
-        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error), remedy="copy it again") from None
+        content = json.loads(read_regular(path, MAX_JSON_BYTES, suffixes=(".json",)).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise DatasetError("is not valid JSON", where=path, why=str(error), remedy="write it again") from None
     if kind is not None:
@@ -131,6 +151,36 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
             what, why = f"{kind} version {content.get('version')} cannot be read", f"this Koala reads version {version}"
             raise DatasetError(what, where=path, why=why, remedy="use the Koala version that wrote it")
     return content
+
+
+def read_regular(path: Path, limit: int, *, suffixes: tuple[str, ...] = ()) -> bytes:
+    """The bytes of a regular file. Pipes, devices and files of more than `limit` bytes are refused before anything is read.
+
+    Raises:
+        UsageError: it is missing (the advice names neighbours with one of the `suffixes`), no regular file, or too large.
+        DatasetError: it cannot be read.
+    """
+    path = Path(path)
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # opening a pipe would wait for its writer
+        try:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise UsageError("is not a file", where=path, why="it is a folder, a pipe or a device", remedy="check the path")
+            data = bytearray()
+            while len(data) <= limit and (block := os.read(handle, min(limit + 1 - len(data), 2**24))):
+                data += block
+        finally:
+            os.close(handle)
+    except FileNotFoundError:
+        raise UsageError("no such file", where=path, remedy=neighbour(path, *suffixes)) from None
+    except NotADirectoryError:
+        raise UsageError("is not a file", where=path, remedy="check the path") from None
+    except (OSError, ValueError) as error:  # ValueError: the name cannot be a file's
+        why = getattr(error, "strerror", None) or str(error)
+        raise DatasetError("cannot be read", where=path, why=why, remedy="copy it again") from None
+    if len(data) > limit:
+        raise UsageError("is too large", where=path, why=f"the limit for such a file is {limit} bytes", remedy="check the path")
+    return bytes(data)
 
 
 def neighbour(path: Path, *suffixes: str) -> str:

@@ -15,10 +15,9 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from datasets.core import plain_yaml
 from datasets.core.errors import UsageError, nearest
-from datasets.core.files import neighbour
 
-MAX_DEPTH = 50
 Place = tuple[str | int, ...]
 
 
@@ -48,38 +47,17 @@ def load_yaml(path: Path | str, model: type[Model], *, overrides: Sequence[str] 
 
 def read_yaml(path: Path | str) -> tuple[dict[str, Any], dict[Place, int]]:
     """Contents of a YAML file, and the line number of each key; raises UsageError where it is missing or no mapping."""
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UsageError("no such file", where=path, remedy=neighbour(path, ".yaml", ".yml")) from None
-    except (IsADirectoryError, NotADirectoryError):
-        raise UsageError("is not a file", where=path, remedy="give a YAML file") from None
-    except UnicodeDecodeError as error:
-        raise UsageError("is not text", where=path, why=str(error), remedy="give a YAML file") from None
-    return parse_yaml(text, where=path)
+    return parse_yaml(plain_yaml.read_text(Path(path)), where=path)
 
 
 def parse_yaml(text: str, *, where: object) -> tuple[dict[str, Any], dict[Place, int]]:
     """`read_yaml` of a text; `where` names it in errors."""
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise UsageError("is not valid YAML", where=f"{where}{line}", why=error.problem or "") from None
-    except (yaml.YAMLError, RecursionError) as error:
-        raise UsageError("is not valid YAML", where=where, why=str(error)) from None
+    root = plain_yaml.compose(text, where=where)
     if not isinstance(root, yaml.MappingNode):
         raise UsageError("holds no keys", where=where, remedy="write 'key: value' lines")
     lines: dict[Place, int] = {}
     _note_lines(root, (), lines, where)
-    constructor = yaml.SafeLoader("")
-    try:
-        return constructor.construct_document(root), lines
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
-        raise UsageError("is not valid YAML", where=where, why=str(error)) from None
-    finally:
-        constructor.dispose()
+    return plain_yaml.construct(root, where=where), lines
 
 
 def validate(
@@ -100,8 +78,6 @@ def validate(
 
 def _note_lines(node: yaml.Node, place: Place, lines: dict[Place, int], where: object) -> None:
     lines.setdefault(place, node.start_mark.line + 1)
-    if len(place) > MAX_DEPTH:
-        raise UsageError("is nested too deeply", where=f"{where}, line {node.start_mark.line + 1}")
     if isinstance(node, yaml.SequenceNode):
         for index, item in enumerate(node.value):
             _note_lines(item, (*place, index), lines, where)
@@ -124,10 +100,7 @@ def _with_overrides(content: dict[str, Any], overrides: Iterable[str]) -> dict[s
         key, equals, text = override.partition("=")
         if not equals or not key.strip():
             raise UsageError("is not an override", where=override, remedy="write it as --set key=value")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError:
-            raise UsageError("value is not valid YAML", where=f"--set {override}") from None
+        value = plain_yaml.parse(text, where=f"--set {override}")
         content = _set(content, key.strip().split("."), value, override)
     return content
 

@@ -34,23 +34,18 @@ def flushes(monkeypatch: pytest.MonkeyPatch) -> Flushes:
     return Flushes(monkeypatch)
 
 
-@pytest.mark.xfail(strict=True, reason="files.atomic_path never flushes the folder: a power cut can take the renamed file's name")
 def test_a_folder_is_flushed_after_a_file_was_renamed_into_it(flushes: Flushes, tmp_path: Path) -> None:
     files.write_json(tmp_path / "a.json", {})
     renamed = flushes.calls.index(("replace", tmp_path / "a.json"))
     assert ("fsync", tmp_path) in flushes.calls[renamed:]
 
 
-@pytest.mark.xfail(strict=True, reason="files.atomic_path makes parent folders and flushes none of them")
 def test_new_parent_folders_are_flushed(flushes: Flushes, tmp_path: Path) -> None:
     files.write_json(tmp_path / "b" / "c" / "a.json", {})
     flushed = {path for call, path in flushes.calls if call == "fsync"}
     assert {tmp_path, tmp_path / "b", tmp_path / "b" / "c"} <= flushed
 
 
-@pytest.mark.xfail(
-    strict=True, reason="files.atomic_folder flushes nothing: after a power cut the whole folder may be empty files"
-)
 def test_a_folder_that_is_renamed_as_a_whole_is_flushed_with_everything_in_it(flushes: Flushes, tmp_path: Path) -> None:
     with files.atomic_folder(tmp_path / "scene") as folder:
         (folder / "sub").mkdir()
