@@ -204,17 +204,18 @@ State = namedtuple("State", ["step", "weights"])
 def _run_of(folder: Path) -> Any:
     from reconstruct.config import Config
     from reconstruct.run import Run
+    from reconstruct.scene.facts import SceneFacts
     from reconstruct.scene.rays import Normalisation
 
     if (folder / "run" / "run.json").exists():
         return Run.open(folder / "run")
     shutil.rmtree(folder / "run", ignore_errors=True)
-    return Run.create(folder / "run", Config(), folder, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0), {})
+    return Run.create(folder / "run", Config(), folder, SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)), {})
 
 
 def _train(sources: Path, folder: Path, report: Report = lambda name: None) -> None:
     """As `reconstruct.training.loop` does it, with steps that cost nothing; `--resume` where there is a checkpoint."""
-    from reconstruct.training import checkpoint
+    from reconstruct import checkpoint
 
     run = _run_of(folder)
     state = State(np.int32(0), np.arange(300, dtype=np.float32))
@@ -230,8 +231,8 @@ def _train(sources: Path, folder: Path, report: Report = lambda name: None) -> N
 
 
 def _trained(folder: Path) -> Any:
+    from reconstruct import checkpoint
     from reconstruct.run import Run
-    from reconstruct.training import checkpoint
 
     run = Run.open(folder / "run")
     state, clock = checkpoint.load(run.path / "checkpoints", State(np.int32(0), np.zeros(300, np.float32)))
@@ -240,7 +241,7 @@ def _trained(folder: Path) -> Any:
 
 
 def _checkpoints_kept(folder: Path) -> set[str]:
-    from reconstruct.training import checkpoint
+    from reconstruct import checkpoint
 
     if not checkpoint.steps(folder / "run" / "checkpoints"):
         return set()

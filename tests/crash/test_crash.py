@@ -18,17 +18,14 @@ MOST = 100
 SHARE = 10
 FOLDERS = "files.atomic_path and Recording.append never flush the folder: the name is lost, or comes later than what refers to it"
 WHOLE = "files.atomic_folder renames a folder of which nothing is flushed: it is there, and files in it are not, or are empty"
-LOG = "Run._append does not flush, and Run.log raises at zeros or half a line; checkpoint.save leaves flushing to orbax"
 OPEN = {
     ("power cut", "recording"): FOLDERS,
     ("power cut", "scene"): WHOLE,
     ("power cut", "copied scene"): WHOLE,
-    ("power cut", "checkpoints"): LOG,
     ("reported", "recording"): FOLDERS,
     ("reported", "calibration"): FOLDERS,
     ("reported", "scene"): WHOLE,
     ("reported", "copied scene"): WHOLE,
-    ("reported", "checkpoints"): LOG,
 }
 """Faults that are known and not mended yet, by test and artefact."""
 REASON = strace.available()
