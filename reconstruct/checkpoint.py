@@ -47,7 +47,8 @@ def save(folder: Path, state: Any, clock: dict[str, float]) -> None:
     content = {"state": leaves, "clock": {name: np.asarray(value) for name, value in clock.items()}}
     try:
         with files.atomic_folder(path) as temporary:
-            _checkpointer().save(temporary, content, force=True)
+            temporary.rmdir()  # orbax makes it by renaming its own
+            _checkpointer().save(temporary, content)
             files.write_json(temporary / CHECKSUMS, _checksums(temporary))
     except (OSError, ValueError) as error:  # tensorstore reports a full disk as a ValueError
         _discard(_unfinished(folder))
