@@ -26,12 +26,12 @@ from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
 from reconstruct.scene.rays import Pixels
-from reconstruct.surface.schedule import second_pass_period
 from reconstruct.training import distributed
 from reconstruct.training.event_log import EventLog, event_log, require_writer
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pause import give_way
 from reconstruct.training.preparation import Prepared, prepare
+from reconstruct.training.schedules import second_pass_period
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.plan import normalisation_of
 from reconstruct.training.step import Step, TrainState

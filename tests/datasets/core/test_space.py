@@ -17,7 +17,7 @@ def test_room_is_asked_of_the_disk_that_will_hold_the_folder(tmp_path: Path) -> 
 
 def test_a_path_relative_to_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(KoalaError, match="^run: "):
+    with pytest.raises(KoalaError, match=r"^run: "):
         require_room(Path("run"), 1e18, "it")
 
 
