@@ -8,20 +8,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty, verify
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
+from calib.solver.geometry import rms_difference
 from calib.targets import screening
-from datasets import pose
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
-Array = NDArray[np.float64]
 MIN_CORNERS_GIVEN = 20
 """Fewest corners of a session whose camera is known: one tag in five views."""
 MAX_DISTANCE_M = 1e7
@@ -35,16 +34,20 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
     residuals = {
         "rms_px": found.rms_px,
         "held_out_px": found.held_out_px,
-        "views_used": len(found.observations),
-        "views_unseen": list(session.unseen),
-        "views_left_out": list(found.left_out),
-        "why_left_out": found.left_out,
+        **_views(session, len(found.observations), found.left_out),
         "corners": sum(len(o.ids) for o in found.observations),
         "coverage": found.coverage,
         "view_rms_px": found.view_rms_px,
         "camera_correlation": correlation(found.lens.free, found.covariance),
     }
-    return Calibration(found.camera, found.std, residuals=residuals, provenance={**session.provenance, "method": "intrinsics"})
+    provenance = {**session.provenance, "method": "intrinsics"}
+    return Calibration(found.camera, found.std, region=session.region, residuals=residuals, provenance=provenance)
+
+
+def _views(session: TargetSession, used: int, left_out: dict[str, str]) -> dict[str, Any]:
+    """Views used, without a target and left out, for the calibration file."""
+    names = {"views_unseen": list(session.unseen), "views_left_out": list(left_out)}
+    return {"views_used": used, **names, "why_left_out": left_out}
 
 
 def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
@@ -56,15 +59,11 @@ def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
 def calibrate_handeye(
     session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
 ) -> Calibration:
-    """Hand-eye pose, board pose and intrinsics together.
+    """Hand-eye pose, board pose and intrinsics together; `lens` is a key of `estimate.LENSES`.
 
-    With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange.
-
-    Args:
-        given: intrinsics from another session; they count with their covariance. From the same session they are
-            only the start, because corners must not count twice.
-        accuracy: of the arm, as stated.
-        lens: a key of `estimate.LENSES`.
+    With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange. Intrinsics
+    `given` by another session count with their covariance. From the same session they are only the start, because corners must
+    not count twice.
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
@@ -80,7 +79,6 @@ class First:
     session: TargetSession
     camera: Camera
     free: tuple[str, ...]
-    """Intrinsics to estimate."""
     known: Known | None
     sigma_px: float
     """Standard deviation of a corner per axis."""
@@ -95,7 +93,7 @@ class Solution:
     boards: Array
     """(views, 4, 4) camera_from_board of the views of `first`."""
     closed: closed_forms.HandEye
-    keep: NDArray[np.bool_]
+    keep: Mask
     """(views,) which views of `first` the closed form agrees with."""
     fit: outliers.Fit
 
@@ -134,7 +132,7 @@ def _check_poses(session: TargetSession) -> None:
             raise CalibrationError("arm's pose is not credible", where=where, why=why, remedy="leave this view out")
 
 
-def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, NDArray[np.bool_]]:
+def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, Mask]:
     """A start and the views that agree with it. Raises CalibrationError for weak motion and for mistakes in the arm's poses."""
     try:
         uncertainty.check_motion(session.base_from_flange)
@@ -190,10 +188,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
         "sigma_px": refined.sigmas.pixel,
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m,
         "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
-        "views_used": len(session.observations),
-        "views_unseen": list(session.unseen),
-        "views_left_out": list(left_out),
-        "why_left_out": left_out,
+        **_views(session, len(session.observations), left_out),
         "corners": int(refined.inliers.sum()),
         "corners_left_out": int((~refined.inliers).sum()),
         "coverage": estimate.coverage(session.observations, session.width, session.height),
@@ -224,6 +219,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
         residuals=residuals,
         provenance=provenance,
         joint_offsets=offsets,
+        region=session.region,
         **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
     )
 
@@ -239,11 +235,11 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
     """The closed form's residuals, and how far the refinement moved from it."""
-    distance, angle = pose.difference(closed.mount_from_camera, refined.state.mount_from_camera)
+    moved_mm, moved_deg = rms_difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),
         "rotation_residual_deg": float(np.rad2deg(np.sqrt(np.mean(closed.rotation_residual_rad**2)))),
-        "moved_mm": 1e3 * float(distance),
-        "moved_deg": float(np.rad2deg(angle)),
+        "moved_mm": moved_mm,
+        "moved_deg": moved_deg,
     }

@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from calib.options import Arm, Import, JointDeg, Lens, Pictures, Rig, check_lens, spread
 from datasets.core import console
 from datasets.core.console import Json
+from datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
     from datasets.calibration import Calibration
@@ -15,13 +16,11 @@ if TYPE_CHECKING:
 app = console.make_app("calib", "Calibrate the camera and its pose on the arm from a recording of a target.")
 
 CalibrationFile = Annotated[
-    Path, typer.Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")
+    Path, Argument(metavar="CALIBRATION.json", help="File made by 'calib handeye' or 'calib intrinsics'.")
 ]
-RecordingMoved = Annotated[
-    Path | None, typer.Option("--recording", help="Folder that the calibration was made from; needed only if it was moved.")
-]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the noise.")]
-Out = Annotated[Path, typer.Option("--out", help="Calibration file to write (JSON).")]
+RecordingMoved = Annotated[Path | None, Option("--recording", help="Folder that the calibration was made from, if it was moved.")]
+Seed = Annotated[int, Option("--seed", min=0, help="Seed of the noise.")]
+Out = Annotated[Path, Option("--out", help="Calibration file to write (JSON).")]
 
 
 @app.command("intrinsics")
@@ -68,7 +67,7 @@ def compare_command(rig: Rig, json: Json = False) -> None:
 @spread
 def verify_command(
     pictures: Pictures,
-    calibration: Annotated[Path, typer.Option("--calibration", help="Calibration file made by 'calib handeye'.")],
+    calibration: Annotated[Path, Option("--calibration", help="Calibration file made by 'calib handeye'.")],
     json: Json = False,
 ) -> None:
     """Test how well a calibration predicts a recording.
@@ -86,7 +85,7 @@ def verify_command(
 @app.command("report")
 def report_command(
     path: CalibrationFile,
-    out: Annotated[Path, typer.Option("--out", help="HTML page to write.")],
+    out: Annotated[Path, Option("--out", help="HTML page to write.")],
     recording: RecordingMoved = None,
     description: Import = None,
     json: Json = False,
@@ -103,12 +102,18 @@ def report_command(
     _check_out(out)
     calibration = Calibration.load(path)
     session, _ = Pictures(recording=recording_of(calibration, recording), description=description).observe()
-    report.write(out, gather(calibration, session), made_by=console.command_line())
+    report.page(gather(calibration, session), made_by=console.command_line()).write(out)
     console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
 
 
 @app.command("view")
-def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: console.Port = 8080, json: Json = False) -> None:
+def view_command(
+    path: CalibrationFile,
+    recording: RecordingMoved = None,
+    description: Import = None,
+    port: console.Port = 8080,
+    json: Json = False,
+) -> None:
     """Show a calibration in the browser.
 
     The page shows the target and the cameras, residuals over the image, coverage and error ellipses.
@@ -119,7 +124,7 @@ def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: 
 
     calibration = Calibration.load(path)
     with open_page(path.stem, port) as page:
-        show(page, calibration, recording=recording)
+        show(page, calibration, recording=recording, description=description)
         rms = calibration.residuals.get("rms_px")
         result = {"url": page.url, "calibration": str(path), "rms_px": rms}
         console.report(result, as_json=json, text=f"{page.url} shows {path}; Ctrl-C ends it")
@@ -130,9 +135,9 @@ def view_command(path: CalibrationFile, recording: RecordingMoved = None, port: 
 @spread
 def plan_command(
     rig: Rig,
-    out: Annotated[Path, typer.Option("--out", help="Trajectory file to write (YAML), for 'capture plan' and 'capture run'.")],
-    count: Annotated[int, typer.Option("--count", min=1, max=100, help="Number of views.")] = 5,
-    grow_mm: Annotated[float, typer.Option("--grow-mm", min=0, help="Margin around the recorded camera positions [mm].")] = 50.0,
+    out: Annotated[Path, Option("--out", help="Trajectory file to write (YAML), for 'capture plan' and 'capture run'.")],
+    count: Annotated[int, Option("--count", min=1, max=100, help="Number of views.")] = 5,
+    grow_mm: Annotated[float, Option("--grow-mm", min=0, help="Margin around the recorded camera positions [mm].")] = 50.0,
     json: Json = False,
 ) -> None:
     """Plan the most informative next views.
@@ -161,14 +166,10 @@ def plan_command(
 @app.command("refine")
 @spread
 def refine_command(
-    scene: Annotated[
-        Path, typer.Argument(metavar="SCENE", help="Scene made by 'datasets build', or any other that Koala reads.")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Scene to write if the poses improve.")],
+    scene: Annotated[Path, Argument(metavar="SCENE", help="Scene made by 'datasets build', or any other that Koala reads.")],
+    out: Annotated[Path, Option("--out", help="Scene to write if the poses improve.")],
     arm: Arm,
-    enough_px: Annotated[
-        float, typer.Option("--enough-px", min=0, help="Keep poses whose median error is below this [px].")
-    ] = 0.5,
+    enough_px: Annotated[float, Option("--enough-px", min=0, help="Keep poses whose median error is below this [px].")] = 0.5,
     json: Json = False,
 ) -> None:
     """Refine the camera poses of a scene by bundle adjustment.
@@ -191,21 +192,18 @@ def refine_command(
 
 @app.command("board")
 def board_command(
-    out: Annotated[Path, typer.Option("--out", help="File to write: .pdf or .svg.")],
-    kind: Annotated[str, typer.Option("--kind", help="charuco, chessboard or tags.")] = "charuco",
-    squares: Annotated[str, typer.Option("--squares", help="Squares along x and y.")] = "9x7",
-    square_mm: Annotated[float, typer.Option("--square-mm", help="Side of a square [mm].")] = 30.0,
-    marker_mm: Annotated[
-        float | None, typer.Option("--marker-mm", help="Side of a marker [mm]. Default: 73 % of a square.")
-    ] = None,
-    dictionary: Annotated[str, typer.Option("--dictionary", help="Marker dictionary, by its name in OpenCV.")] = "DICT_5X5_100",
-    first_id: Annotated[int, typer.Option("--first-id", help="Number of the first tag.")] = 0,
+    out: Annotated[Path, Option("--out", help="File to write: .pdf or .svg.")],
+    kind: Annotated[str, Option("--kind", help="charuco, chessboard or tags.")] = "charuco",
+    squares: Annotated[str, Option("--squares", help="Squares along x and y.")] = "9x7",
+    square_mm: Annotated[float, Option("--square-mm", help="Side of a square [mm].")] = 30.0,
+    marker_mm: Annotated[float | None, Option("--marker-mm", help="Side of a marker [mm]. Default: 73 % of a square.")] = None,
+    dictionary: Annotated[str, Option("--dictionary", help="Marker dictionary, by its name in OpenCV.")] = "DICT_5X5_100",
+    first_id: Annotated[int, Option("--first-id", help="Number of the first tag.")] = 0,
     json: Json = False,
 ) -> None:
     """Make a target to print, in true size."""
     from calib.targets import printing
     from calib.targets.detection import read_board
-    from datasets.core.errors import UsageError
 
     numbers = squares.lower().split("x")
     if len(numbers) != 2 or not all(n.isdigit() for n in numbers):
@@ -222,13 +220,9 @@ def board_command(
 
 @app.command("bench")
 def bench_command(
-    out: Annotated[Path, typer.Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Measure a few points in one minute instead of all in 45 minutes.")
-    ] = False,
-    trials: Annotated[
-        int | None, typer.Option("--trials", min=2, help="Sessions per point. Default: 200, with --quick 40.")
-    ] = None,
+    out: Annotated[Path, Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
+    quick: Annotated[bool, Option("--quick", help="Measure a few points in one minute instead of all in 45 minutes.")] = False,
+    trials: Annotated[int | None, Option("--trials", min=2, help="Sessions per point. Default: 200, with --quick 40.")] = None,
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
@@ -250,7 +244,7 @@ def bench_command(
 
 @app.command("study")
 def study_command(
-    sessions: Annotated[int, typer.Option("--sessions", min=2, help="Simulated sessions of each kind.")] = 60,
+    sessions: Annotated[int, Option("--sessions", min=2, help="Simulated sessions of each kind.")] = 60,
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
@@ -271,7 +265,6 @@ def study_command(
 
 def _check_out(out: Path) -> None:
     """Raise UsageError before the work begins if `out` cannot be written after it."""
-    from datasets.core.errors import UsageError
     from datasets.core.files import refuse_existing
 
     if out.is_dir():
@@ -281,15 +274,14 @@ def _check_out(out: Path) -> None:
 
 def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
     """Write a calibration and print it."""
-    from calib.page.summary import POSES, describe_calibration, notes
+    from calib.page.summary import describe_calibration, notes
 
     calibration.save(out)
     facts = {name: getattr(calibration, name) for name in ("camera_std", "residuals")}
     result: dict[str, Any] = {"out": str(out), "camera": calibration.camera.to_json(), **facts, "notes": notes(calibration)}
-    for name in POSES:
-        if (value := getattr(calibration, name)) is not None:
-            std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
-            result[name] = {**value.to_json(), **std}
+    for name, value in calibration.poses.items():
+        std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
+        result[name] = {**value.to_json(), **std}
     if calibration.joint_offsets is not None:
         result["joint_offsets"] = calibration.joint_offsets.to_json()
     console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")

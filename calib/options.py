@@ -8,7 +8,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-import typer
+from typer import Argument, Option
 
 from datasets.core import console
 from datasets.core.errors import UsageError, nearest
@@ -19,24 +19,19 @@ if TYPE_CHECKING:
     from datasets.calibration import Calibration
 
 RecordingPath = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
+    Path, Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
 ]
 Import = Annotated[
-    Path | None,
-    typer.Option(
-        "--import",
-        help="Description of a folder of images and poses: a shipped name or a YAML file. Default: import.yaml in it.",
-    ),
+    Path | None, Option("--import", help="How to read a folder of images and poses: a shipped name or a YAML file.")
 ]
-Lens = Annotated[str, typer.Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
+Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
 Intrinsics = Annotated[
-    Path | None, typer.Option("--intrinsics", help="Calibration file with the camera. Default: estimate the camera as well.")
+    Path | None, Option("--intrinsics", help="Calibration file with the camera. Default: estimate it as well.")
 ]
-ArmMm = Annotated[float, typer.Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
-ArmDeg = Annotated[float, typer.Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
+ArmMm = Annotated[float, Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
+ArmDeg = Annotated[float, Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
 JointDeg = Annotated[
-    float,
-    typer.Option("--joint-deg", help="Stated accuracy of the joint angles' zeros [deg]. Above 0, joint offsets are estimated."),
+    float, Option("--joint-deg", help="Accuracy of the joints' zeros [deg]. Above 0, joint offsets are estimated.")
 ]
 
 
@@ -51,12 +46,8 @@ class Arm:
         """The arm's accuracy as given on the command line. Raises UsageError where it is impossible."""
         from calib.handeye.model import Accuracy
 
-        for name, value, least in (
-            ("--arm-mm", self.arm_mm, 1e-9),
-            ("--arm-deg", self.arm_deg, 1e-9),
-            ("--joint-deg", joint_deg, 0),
-        ):
-            if not (math.isfinite(value) and value >= least):
+        for name, value in {"--arm-mm": self.arm_mm, "--arm-deg": self.arm_deg, "--joint-deg": joint_deg}.items():
+            if not (math.isfinite(value) and value >= (0 if name == "--joint-deg" else 1e-9)):
                 raise UsageError("accuracy must be a positive number", where=name, why=f"{value:g} given")
         return Accuracy(1e-3 * self.arm_mm, math.radians(self.arm_deg), math.radians(joint_deg))
 
@@ -112,10 +103,9 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
     """`command` with each parameter that is one of these classes spread out into its fields, as typer reads them."""
     hints = get_type_hints(command)
     grouped: dict[str, type] = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
-    parameters: dict[str, inspect.Parameter] = {}
+    parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        for option in _options(grouped[name]) if name in grouped else [parameter]:
-            parameters[option.name] = option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        parameters += _options(grouped[name]) if name in grouped else [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
 
     @wraps(command)
     def outer(**values: Any) -> None:
@@ -123,19 +113,13 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
         command(**values)
 
-    outer.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined]
-    outer.__annotations__ = {name: parameter.annotation for name, parameter in parameters.items()}
+    outer.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    outer.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return outer
 
 
 def _options(kind: type) -> list[inspect.Parameter]:
     """The fields of a class as parameters."""
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            annotation=field.type,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-        )
-        for field in fields(kind)
-    ]
+    empty, keyword = inspect.Parameter.empty, inspect.Parameter.KEYWORD_ONLY
+    found = [(field.name, empty if field.default is MISSING else field.default, field.type) for field in fields(kind)]
+    return [inspect.Parameter(name, keyword, default=default, annotation=option) for name, default, option in found]

@@ -11,17 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.handeye.model import Accuracy
-from calib.solver.geometry import cross
+from calib.solver.geometry import cross, rms_difference
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.scene import Scene, View
 
-Array = NDArray[np.float64]
 ENOUGH_PX = 0.5
 """Median error of held-out points below which the arm's poses explain the pictures: features are no better [px]."""
 MIN_GAIN = 0.02
@@ -37,9 +36,9 @@ LIMIT_PX = 10.0
 class Tracks:
     """n observations of points 0..m-1 in views."""
 
-    point: NDArray[np.int64]
+    point: Indices
     """(n,) ascending."""
-    view: NDArray[np.int64]
+    view: Indices
     """(n,) index in the scene."""
     pixels: Array
     """(n, 2) [px]."""
@@ -52,9 +51,7 @@ class Refinement:
     scene: Scene
     """With the poses to use, refined or unchanged."""
     used: bool
-    """Whether the refined poses are used."""
     reason: str
-    """Why or why not."""
     before_px: float
     """Median error of the held-out points with the arm's poses [px]."""
     after_px: float | None
@@ -72,10 +69,12 @@ class Refinement:
 def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refinement:
     """Refine the poses of `scene` by its pictures, within the arm's accuracy `prior`.
 
-    Raises:
-        CalibrationError: views of several cameras, or too few points found in the pictures.
+    Raises CalibrationError for views of several cameras, and for too few points found in the pictures.
     """
-    camera = _one_camera(scene)
+    camera, *others = {view.camera for view in scene.views}
+    if others:
+        why, remedy = f"{1 + len(others)} of them", "refine scenes of one camera"
+        raise CalibrationError("views have different cameras", where=scene.name, why=why, remedy=remedy)
     with tempfile.TemporaryDirectory() as folder:
         model = _triangulated(scene, camera, Path(folder))
         tracks = _tracks(model)
@@ -93,39 +92,18 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
             return Refinement(scene, False, reason, float(np.median(before)), None, None, None, points)
         moved = aligned(_adjusted(model, scene, set(aside.tolist()), prior.translation_m), given, prior)
     after = reprojection(tracks, judged, moved, camera)
-    distance, angle = pose.difference(given, moved)
     better = _score(after) < (1 - MIN_GAIN) * _score(before)
     verdict = "fit better" if better else "do not fit better"
     reason = f"held-out points {verdict}: {np.median(before):.2f} px before, {np.median(after):.2f} px after"
-    result = (
-        scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
-        if better
-        else scene
-    )
-    return Refinement(
-        result,
-        better,
-        reason,
-        float(np.median(before)),
-        float(np.median(after)),
-        1e3 * float(np.sqrt(np.mean(distance**2))),
-        float(np.rad2deg(np.sqrt(np.mean(angle**2)))),
-        points,
-    )
+    if better:
+        scene = scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
+    medians = float(np.median(before)), float(np.median(after))
+    return Refinement(scene, better, reason, *medians, *rms_difference(given, moved), points)
 
 
 def _score(errors: Array) -> float:
     """Mean error with each error limited to `LIMIT_PX` [px]."""
     return float(np.mean(np.minimum(errors, LIMIT_PX)))
-
-
-def _one_camera(scene: Scene) -> Camera:
-    cameras = {view.camera for view in scene.views}
-    if len(cameras) != 1:
-        raise CalibrationError(
-            "views have different cameras", where=scene.name, why=f"{len(cameras)} of them", remedy="refine scenes of one camera"
-        )
-    return cameras.pop()
 
 
 def _parameters(camera: Camera) -> tuple[str, list[float]]:
@@ -149,23 +127,14 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
     if any((folder / "masks").glob("*")):
         options.mask_path = folder / "masks"
     database = folder / "features.db"
-    cpu = pycolmap.Device.cpu
-    pycolmap.extract_features(
-        database,
-        folder / "images",
-        image_names=names,
-        camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=options,
-        extraction_options=pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False),
-        device=cpu,
-    )
-    pycolmap.match_exhaustive(
-        database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False), device=cpu
-    )
+    cpu, single = pycolmap.Device.cpu, pycolmap.CameraMode.SINGLE
+    extraction = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
+    matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False)
+    pycolmap.extract_features(database, folder / "images", names, single, options, extraction, cpu)
+    pycolmap.match_exhaustive(database, matching_options=matching, device=cpu)
     model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(camera_id=1, model=kind, width=camera.width, height=camera.height, params=numbers)
-    )
+    theirs = pycolmap.Camera(camera_id=1, model=kind, width=camera.width, height=camera.height, params=numbers)
+    model.add_camera_with_trivial_rig(theirs)
     with pycolmap.Database.open(database) as stored:
         for index, name in enumerate(names):
             found = stored.read_image_with_name(name)
@@ -206,7 +175,7 @@ def _tracks(model: Any) -> Tracks:
     return Tracks(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:])
 
 
-def reprojection(tracks: Tracks, chosen: NDArray[np.bool_], world_from_camera: Array, camera: Camera) -> Array:
+def reprojection(tracks: Tracks, chosen: Mask, world_from_camera: Array, camera: Camera) -> Array:
     """(k,) distances [px] between the `chosen` (n,) observations and their points, triangulated with given (views, 4, 4) poses.
 
     A point is where its rays come closest, then where the squared distances in the pictures are least (Gauss-Newton).
@@ -233,7 +202,7 @@ def reprojection(tracks: Tracks, chosen: NDArray[np.bool_], world_from_camera: A
     return np.linalg.norm(tracks.pixels[chosen] - camera.project(in_camera), axis=1)
 
 
-def _solved(point: NDArray[np.int64], matrices: Array, sides: Array) -> Array:
+def _solved(point: Indices, matrices: Array, sides: Array) -> Array:
     """(m, 3) solutions of the normal equations that each point's (n, 3, 3) and (n, 3) observations add up to."""
     count = int(point.max()) + 1
     total, side = np.zeros((count, 3, 3)), np.zeros((count, 3))
@@ -253,29 +222,20 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
         if not long or number in aside:
             model.delete_point3D(key)
         number += long
-    config, priors = pycolmap.BundleAdjustmentConfig(), []
+    config, priors, cartesian = pycolmap.BundleAdjustmentConfig(), [], pycolmap.PosePriorCoordinateSystem.CARTESIAN
     for image_id, image in model.images.items():
         config.add_image(image_id)
         if image.num_points3D < MIN_SEEN:
             config.set_constant_rig_from_world_pose(image.frame_id)
         centre = scene.views[_index(image.name)].world_from_camera[:3, 3]
-        priors.append(
-            pycolmap.PosePrior(
-                corr_data_id=image.data_id,
-                position=centre,
-                position_covariance=prior_m**2 * np.eye(3),
-                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
-            )
-        )
-    options = pycolmap.BundleAdjustmentOptions(
-        refine_focal_length=False, refine_principal_point=False, refine_extra_params=False, print_summary=False
-    )
+        known = {"position": centre, "position_covariance": prior_m**2 * np.eye(3), "coordinate_system": cartesian}
+        priors.append(pycolmap.PosePrior(corr_data_id=image.data_id, **known))
+    names = ("refine_focal_length", "refine_principal_point", "refine_extra_params", "print_summary")
+    options = pycolmap.BundleAdjustmentOptions(**dict.fromkeys(names, False))
     options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, 1.0
     options.ceres.solver_options.num_threads = 1
-    adjuster = pycolmap.create_pose_prior_bundle_adjuster(
-        options, pycolmap.PosePriorBundleAdjustmentOptions(), config, priors, model
-    )
-    adjuster.solve()
+    of_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+    pycolmap.create_pose_prior_bundle_adjuster(options, of_priors, config, priors, model).solve()
     moved = np.stack([view.world_from_camera for view in scene.views])
     for image in model.images.values():
         matrix = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])

@@ -1,10 +1,10 @@
 """Calibration targets as trajectories, recordings and calibrations describe them.
 
-Board frame: origin in the outer corner of the first square, x along the rows of squares, y along the columns, z into the board (OpenCV's).
-Corners are numbered row by row; corner (i, j) lies at ((i + 1), (j + 1), 0) square lengths.
+Board frame (OpenCV's): origin in the outer corner of the first square, x along the rows of squares, y along the columns, z into
+the board. Corners are numbered row by row; corner (i, j) lies at ((i + 1), (j + 1), 0) square lengths.
 
-A grid of tags (AprilTag or ArUco) has one tag in the middle of each square, numbered row by row from `first_id`. Its tag n has the
-corners 4 n to 4 n + 3, clockwise from the upper left one.
+A grid of tags (AprilTag or ArUco) has one tag in the middle of each square, numbered row by row from `first_id`. Its tag n has
+the corners 4 n to 4 n + 3, clockwise from the upper left one.
 """
 
 from functools import cached_property

@@ -6,7 +6,6 @@ world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint 
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,8 @@ from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.imaging import images
 from datasets.imaging.region import Region
-from datasets.recording import MANIFEST, TRUTH, Frame, Recording
-from datasets.scene import SPLITS, STATED, Scene, View
+from datasets.recording import FORMAT, MANIFEST, TRUTH, Frame, Recording
+from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from datasets.structure import bounds
 from datasets.structure.measure import measured
 
@@ -51,9 +50,10 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
         remedy = "record a trajectory with an object"
         raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
     camera, notes = camera_for(recording, calibration)
-    views = []
+    views, maps = [], truth_maps(recording.path)
     for frame in frames:
-        views.append(_view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints)))
+        view = _view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints))
+        views.append(replace(view, truth={channel: found[frame.name] for channel, found in maps.items() if frame.name in found}))
         done()
     box, evidence = object_box(recording, tuple(views))
     provenance = {
@@ -91,17 +91,22 @@ def with_measured_near(scene: Scene) -> Scene:
 def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, list[str]]:
     """The calibrated camera for this recording's images, and a note where it had to be converted.
 
-    The two sessions may differ in sensor region or binning. Where both record their region, the conversion is exact.
+    The two sessions may differ in sensor region or binning. Where both record their region, the conversion is exact. Where one of
+    them does not, the camera is used as it is, and the note says so.
 
     Raises:
         DatasetError: the sizes differ and one session does not record its region, or the images have another size.
     """
     actual = images.size(recording.image_path(recording.frames[0]))
     calibrated, notes = calibration.camera, []
-    ours, theirs = _region(recording.manifest, where=recording.path / MANIFEST), _calibrated_region(calibration)
-    if ours is not None and theirs is not None and ours != theirs:
-        calibrated = theirs.converted(calibrated, ours)
-        notes.append(f"intrinsics converted from {_words(theirs)} to {_words(ours)}")
+    ours, theirs = Region.of_recording(recording.manifest, where=recording.path / MANIFEST), _calibrated_region(calibration)
+    if ours is not None and theirs is not None:
+        if ours != theirs:
+            calibrated = theirs.converted(calibrated, ours)
+            notes.append(f"intrinsics converted from {_words(theirs)} to {_words(ours)}")
+    elif known := ours or theirs:
+        silent = "recording" if ours is None else "calibration"
+        notes.append(f"{silent} does not state its sensor region; intrinsics are right only if it is {_words(known)}")
     if (calibrated.width, calibrated.height) != actual:
         why = f"images are {actual[0]}x{actual[1]}, the calibrated camera is {calibrated.width}x{calibrated.height}"
         remedy = "calibrate with the same region of interest and binning"
@@ -110,18 +115,14 @@ def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, 
 
 
 def _calibrated_region(calibration: Calibration) -> Region | None:
-    """Sensor region of the calibration's images: its own record, else that of its recording."""
-    provenance = calibration.provenance
-    if provenance.get("region") is not None:
-        return Region.from_json(provenance["region"], where="calibration, provenance, region")
-    manifest = Path(provenance.get("recording", "")) / MANIFEST
-    return _region(files.read_json(manifest), where=manifest) if manifest.is_file() else None
-
-
-def _region(manifest: dict[str, Any], *, where: object) -> Region | None:
-    camera = manifest.get("camera")
-    content = camera.get("region") if isinstance(camera, dict) else None
-    return None if content is None else Region.from_json(content, where=f"{where}, camera, region")
+    """Sensor region of the calibration's images: its own record; in older files, which lack it, that of its recording."""
+    folder = calibration.provenance.get("recording")
+    if calibration.region is not None or not isinstance(folder, str):
+        return calibration.region
+    manifest = Path(folder) / MANIFEST
+    if not manifest.is_file():
+        return None
+    return Region.of_recording(files.read_json(manifest, kind=FORMAT), where=manifest)
 
 
 def _words(region: Region) -> str:
@@ -138,19 +139,23 @@ def _view(recording: Recording, frame: Frame, camera: Camera, world_from_camera:
     if frame.sha256 and files.sha256(path) != frame.sha256:
         why, remedy = "its SHA-256 differs from frames.jsonl", "restore it, or record the frame again"
         raise DatasetError("image is not the one that was recorded", where=path, why=why, remedy=remedy)
-    return View(frame.name, camera, world_from_camera, frame.split, path, truth=_truth(recording.path, frame.name))
+    return View(frame.name, camera, world_from_camera, frame.split, path)
 
 
-def _truth(recording: Path, name: str) -> dict[str, Path]:
-    """Truth maps of one frame by channel."""
-    channels = sorted(path for path in (recording / TRUTH).glob("*") if path.is_dir())
-    found = {channel.name: sorted(channel.glob(f"{name}.*")) for channel in channels}
-    return {channel: paths[0] for channel, paths in found.items() if paths}
+def truth_maps(recording: Path) -> dict[str, dict[str, Path]]:
+    """Truth maps of a recording by channel and frame. Links inside the truth folder are not followed."""
+    homes = [recording / TRUTH / channel for channel in CHANNELS]
+    return {home.name: {path.stem: path for path in regular_files(home, "*")} for home in homes if not home.is_symlink()}
 
 
 def extra_truth(folder: Path) -> dict[str, Path]:
-    """Ground-truth meshes of a recording or scene, by their relative path in a scene."""
-    return {f"{TRUTH}/{path.name}": path for path in sorted((folder / TRUTH).glob("*.ply"))}
+    """Ground-truth meshes of a recording or scene, by their relative path in a scene; links are left out."""
+    return {f"{TRUTH}/{path.name}": path for path in regular_files(folder / TRUTH, "*.ply")}
+
+
+def regular_files(folder: Path, pattern: str) -> list[Path]:
+    """Sorted files of a folder whose names match, without links."""
+    return sorted(path for path in folder.glob(pattern) if path.is_file() and not path.is_symlink())
 
 
 def object_box(recording: Recording, views: tuple[View, ...]) -> tuple[NDArray[np.float64], str]:

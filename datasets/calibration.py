@@ -17,6 +17,7 @@ from datasets import kinematics, pose
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError
+from datasets.imaging.region import Region
 
 FORMAT, VERSION = "koala-calibration", 1
 _POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
@@ -46,6 +47,11 @@ class UncertainPose:
         """(3,) standard deviations of the rotation [deg]."""
         return np.rad2deg(np.sqrt(np.diag(self.covariance)[3:]))
 
+    @property
+    def total_std(self) -> tuple[float, float]:
+        """Standard deviations over all axes: translation [mm], rotation [deg]."""
+        return float(np.linalg.norm(self.translation_std_mm)), float(np.linalg.norm(self.rotation_std_deg))
+
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary: translation [m], quaternion `wxyz`, covariance."""
         return {
@@ -62,6 +68,8 @@ class UncertainPose:
             covariance = np.asarray(content["covariance"], np.float64).reshape(6, 6)
         except (TypeError, KeyError, ValueError) as error:
             raise DatasetError("pose is not complete", where=where, why=str(error)) from None
+        if not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
+            raise DatasetError("covariance is impossible", where=where, why="it is not finite, or a variance is negative")
         return cls(pose.checked(matrix, where=where), covariance)
 
 
@@ -89,7 +97,7 @@ class JointOffsets:
             offsets, std = (np.asarray(content[key], np.float64).reshape(6) for key in ("offsets_rad", "std_rad"))
         except (TypeError, KeyError, ValueError) as error:
             raise DatasetError("joint offsets are not complete", where=where, why=str(error)) from None
-        if not (np.isfinite(offsets).all() and np.abs(offsets).max() < 1):
+        if not (np.isfinite([offsets, std]).all() and np.abs(offsets).max() < 1):
             raise DatasetError("joint offsets are not credible", where=where, why=f"{offsets.tolist()} rad")
         return cls(offsets, std)
 
@@ -112,10 +120,17 @@ class Calibration:
     """Pose of the target on the flange, where the camera stands beside the arm."""
     joint_offsets: JointOffsets | None = None
     """Joint offsets of the arm, where they were estimated."""
+    region: Region | None = None
+    """Region of the sensor that the recorded images show; None where it is not known, as in files of older versions."""
     residuals: dict[str, Any] = field(default_factory=dict)
     """Residuals of the fit: `rms_px`, per-view errors, held-out error, counts."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Recording path and hash, target, method, software versions."""
+
+    @property
+    def poses(self) -> dict[str, UncertainPose]:
+        """The poses that were calibrated, by name."""
+        return {name: value for name in _POSES if (value := getattr(self, name)) is not None}
 
     def camera_pose(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
         """(..., 4, 4) `base_from_camera` of a camera on the flange, from what the arm reported.
@@ -134,10 +149,10 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""
-        poses = {name: getattr(self, name) for name in _POSES if name in _POSES[:2] or getattr(self, name)}
         content = {"format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std}
-        content |= {name: value.to_json() if value else None for name, value in poses.items()}
-        content |= {"joint_offsets": self.joint_offsets.to_json()} if self.joint_offsets else {}
+        content |= dict.fromkeys(_POSES[:2]) | {name: value.to_json() for name, value in self.poses.items()}
+        optional = {"joint_offsets": self.joint_offsets, "region": self.region}
+        content |= {name: value.to_json() for name, value in optional.items() if value}
         files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})
 
     @classmethod
@@ -147,13 +162,25 @@ class Calibration:
         if "camera" not in content:
             raise DatasetError("calibration holds no camera", where=path)
         camera = Camera.from_json(content["camera"], where=f"{path}, camera")
-        stored = {name: UncertainPose.from_json(content[name], where=f"{path}, {name}") for name in _POSES if content.get(name)}
-        offsets = content.get("joint_offsets")
-        return cls(
-            camera,
-            content.get("camera_std", {}),
-            **stored,
-            joint_offsets=JointOffsets.from_json(offsets, where=f"{path}, joint_offsets") if offsets else None,
-            residuals=content.get("residuals", {}),
-            provenance=content.get("provenance", {}),
-        )
+        stored: dict[str, Any] = {}
+        for name in _POSES:
+            if content.get(name):
+                stored[name] = UncertainPose.from_json(content[name], where=f"{path}, {name}")
+        if content.get("joint_offsets"):
+            stored["joint_offsets"] = JointOffsets.from_json(content["joint_offsets"], where=f"{path}, joint_offsets")
+        if content.get("region"):
+            stored["region"] = Region.from_json(content["region"], where=f"{path}, region")
+        for name in ("camera_std", "residuals", "provenance"):
+            stored[name] = content.get(name, {})
+            if not isinstance(stored[name], dict):
+                raise DatasetError("is not made of names and values", where=f"{path}, {name}", why=str(stored[name])[:80])
+            _check_finite(stored[name], f"{path}, {name}")
+        return cls(camera, **stored)
+
+
+def _check_finite(content: Any, where: str) -> None:
+    """Raise DatasetError where a number is NaN or infinite: it could not be written again."""
+    if isinstance(content, float) and not np.isfinite(content):
+        raise DatasetError("number is not finite", where=where, why=str(content), remedy="calibrate again")
+    for key, value in content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ():
+        _check_finite(value, f"{where}, {key}")

@@ -20,8 +20,16 @@ from numpy.typing import NDArray
 from datasets import pose
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
+from datasets.scene import checked_name
 
 FORMAT, VERSION = "koala-recording", 1
+MAX_BYTES = 2**28
+"""Larger lists of frames are refused; one of ten thousand frames has a twentieth of this size."""
+_KINDS: dict[str, tuple[type, ...]] = {
+    **dict.fromkeys(("index", "host_time_ns", "device_ticks"), (int,)),
+    **dict.fromkeys(("robot_time_s", "exposure_us", "settle_s"), (int, float)),
+    **dict.fromkeys(("name", "split", "image", "sha256"), (str,)),
+}
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 
 
@@ -65,8 +73,13 @@ class Frame:
             arrays = {"joints": np.asarray(content["joints"], np.float64)}
             arrays["base_from_flange"] = pose.checked(content["base_from_flange"], where=where)
             frame = cls(**{**content, **arrays})
-        except (TypeError, KeyError, ValueError) as error:
+            for key, kinds in _KINDS.items():
+                value = getattr(frame, key)
+                if not isinstance(value, kinds) or (float in kinds and not np.isfinite(value)):
+                    raise ValueError(f"{key} is {str(value)[:40]!r}")
+        except (TypeError, KeyError, ValueError, OverflowError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
+        checked_name(frame.name, where=where)
         if frame.joints.shape != (6,) or not np.isfinite(frame.joints).all():
             raise DatasetError("joint angles are not six finite numbers", where=where)
         return frame
@@ -85,7 +98,7 @@ class Recording:
         """Start a new recording in a folder that is missing or empty. Raises UsageError where it is not empty."""
         path = Path(path)
         files.refuse_existing(path)
-        (path / IMAGES).mkdir(parents=True, exist_ok=True)
+        files.make_folder(path / IMAGES)
         manifest = {"format": FORMAT, "version": VERSION, **manifest}
         files.write_json(path / MANIFEST, manifest)
         return cls(path, manifest)
@@ -114,8 +127,9 @@ class Recording:
     def append(self, frame: Frame) -> None:
         """Add a frame; returns once it is on the disk. Its image must exist already."""
         path = self.path / FRAMES
+        begun = path.exists()
         line = json.dumps(frame.to_json(), allow_nan=False) + "\n"
-        with open(path, "r+b" if path.exists() else "w+b") as file:
+        with open(path, "r+b" if begun else "w+b") as file:
             for _ in self.frames:
                 file.readline()
             file.seek(file.tell())
@@ -123,6 +137,8 @@ class Recording:
             file.write(line.encode())
             file.flush()
             os.fsync(file.fileno())
+        if not begun:
+            files.flush(self.path)
         self.frames.append(frame)
 
     @property
@@ -138,8 +154,6 @@ class Recording:
 def _lines(path: Path) -> list[str]:
     """Text of a file split at each newline; none where the file is not there yet."""
     try:
-        return path.read_text(encoding="utf-8").split("\n") if path.exists() else []
+        return files.read_regular(path, MAX_BYTES).decode("utf-8").split("\n") if os.path.lexists(path) else []
     except UnicodeDecodeError as error:
         raise DatasetError("is not a text file", where=path, why=str(error)) from None
-    except OSError as error:
-        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error)) from None

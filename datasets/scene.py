@@ -4,6 +4,7 @@ The world frame is that of the source (the robot's base for a capture), z up whe
 where the source is metric.
 """
 
+import unicodedata
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -16,10 +17,23 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging import images
 
 SPLITS = ("train", "val", "test")
+CHANNELS = ("normals", "depth", "alpha", "diffuse", "specular")
+"""What there can be ground truth of."""
+LONGEST_NAME = 200
+"""Longest name of a view [bytes]; as a file it gets a prefix and a suffix."""
 STATED = "stated"
 """`Scene.bounds_from` where the source says where the object is."""
 DISPARITY = "_disp"
 """Name suffix of depth files that hold Shiny Blender's 1 / (1 + distance along the ray)."""
+
+
+def checked_name(name: object, *, where: object) -> str:
+    """`name`, if it can name a view and its files; else a DatasetError."""
+    usable = isinstance(name, str) and name.strip(".") and not any(unicodedata.category(c) in ("Cc", "Cs") for c in name)
+    if not usable or len(str(name).encode()) > LONGEST_NAME:
+        why = f"{str(name)[:40]!r} is empty, too long, or holds control characters"
+        raise DatasetError("name of a view cannot name a file", where=where, why=why, remedy="rename the view")
+    return str(name)
 
 
 @dataclass(frozen=True)
@@ -38,7 +52,7 @@ class View:
     mask: Path | None = None
     """8-bit grey picture of the image's size: white is the object, black is ignored."""
     truth: dict[str, Path] = field(default_factory=dict)
-    """Ground truth, used by evaluation only, keyed "normals", "depth", "alpha", "diffuse", "specular"."""
+    """Ground truth, used by evaluation only, by channel."""
     depth_unit: float = 1e-3
     """World units per step of a depth file of integers; files of floats hold world units."""
 

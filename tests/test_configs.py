@@ -27,7 +27,7 @@ def loader(folder: str) -> Callable[[Path], Any]:
     if folder == "imports":
         from calib.sessions.importer import load_description
 
-        return lambda path: load_description(path.parent, path)
+        return load_description
     if folder == "models":
         from reconstruct.models import PRESETS, load_config
 

@@ -15,19 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from datasets import pose
 from datasets.core.errors import KoalaError, nearest
 
-Array = NDArray[np.float64]
-_RELATIVE = {
-    "tsai": cv2.CALIB_HAND_EYE_TSAI,
-    "park": cv2.CALIB_HAND_EYE_PARK,
-    "horaud": cv2.CALIB_HAND_EYE_HORAUD,
-    "andreff": cv2.CALIB_HAND_EYE_ANDREFF,
-    "daniilidis": cv2.CALIB_HAND_EYE_DANIILIDIS,
-}
-_ABSOLUTE = {"shah": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, "li": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI}
+_RELATIVE = {n: getattr(cv2, f"CALIB_HAND_EYE_{n.upper()}") for n in ("tsai", "park", "horaud", "andreff", "daniilidis")}
+_ABSOLUTE = {n: getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{n.upper()}") for n in ("shah", "li")}
 METHODS = (*_RELATIVE, *_ABSOLUTE)
 SUBSETS = 40
 """Groups of views tried for a start: with two fifths of the views wrong, one group of five in thirteen is right."""
@@ -47,17 +41,18 @@ class HandEye:
     rotation_residual_rad: Array
     """(views,) the same for its orientation [rad]."""
 
-    def score(self, keep: NDArray[np.bool_]) -> float:
-        """Rms disagreement of the views of `keep` (views,) [m], rotations at a lever of half a metre; lower is better."""
-        return float(np.sqrt(np.mean(_distance(self)[keep] ** 2)))
+    @property
+    def distance(self) -> Array:
+        """(views,) both together [m], rotations at a lever of half a metre."""
+        return np.hypot(self.translation_residual_m, 0.5 * self.rotation_residual_rad)
+
+    def score(self, keep: Mask) -> float:
+        """Rms `distance` of the views of `keep` (views,) [m]; lower is better."""
+        return float(np.sqrt(np.mean(self.distance[keep] ** 2)))
 
 
 def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park") -> HandEye:
-    """Solve with one of `METHODS`.
-
-    Args:
-        stand_from_mount: (views, 4, 4) as the arm reported them.
-        camera_from_board: (views, 4, 4) as seen.
+    """Solve with one of `METHODS`, from (views, 4, 4) poses as the arm reported them and as seen.
 
     Raises:
         CalibrationError: fewer than 3 views, an unknown method, or OpenCV found no answer.
@@ -67,33 +62,26 @@ def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park
         raise CalibrationError(f"no hand-eye method {method!r}", remedy=nearest(method, METHODS))
     if len(stand_from_mount) < 3:
         raise CalibrationError("hand-eye calibration needs at least 3 views", why=f"{len(stand_from_mount)} given")
-    board_rotation, board_translation = camera_from_board[:, :3, :3], camera_from_board[:, :3, 3]
     if not (np.isfinite(stand_from_mount).all() and np.isfinite(camera_from_board).all()):
         raise CalibrationError("poses are not finite", remedy="leave out the views without a pose")
     try:
         if method in _RELATIVE:  # OpenCV's gripper2base is stand_from_mount, target2cam camera_from_board
-            rotation, translation = cv2.calibrateHandEye(
-                list(stand_from_mount[:, :3, :3]),
-                list(stand_from_mount[:, :3, 3]),
-                list(board_rotation),
-                list(board_translation),
-                method=_RELATIVE[method],
-            )
+            parts = (*_parts(stand_from_mount), *_parts(camera_from_board))
+            rotation, translation = cv2.calibrateHandEye(*parts, method=_RELATIVE[method])
             mount_from_camera = pose.rigid(rotation, translation.ravel())
         else:
-            mount_from_stand = pose.inverse(stand_from_mount)
-            _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(
-                list(board_rotation),
-                list(board_translation),
-                list(mount_from_stand[:, :3, :3]),
-                list(mount_from_stand[:, :3, 3]),
-                method=_ABSOLUTE[method],
-            )
+            parts = (*_parts(camera_from_board), *_parts(pose.inverse(stand_from_mount)))
+            _, _, rotation, translation = cv2.calibrateRobotWorldHandEye(*parts, method=_ABSOLUTE[method])
             mount_from_camera = pose.inverse(pose.rigid(rotation, translation.ravel()))
     except cv2.error as error:
         raise CalibrationError(f"hand-eye method {method} failed", why=str(error.err)) from None
     mount_from_camera = pose.checked(mount_from_camera, where=f"hand-eye method {method}", tolerance=0.1)
     return assess(stand_from_mount, camera_from_board, mount_from_camera, method)
+
+
+def _parts(poses: Array) -> tuple[list[Array], list[Array]]:
+    """Rotations and translations as OpenCV takes them."""
+    return list(poses[:, :3, :3]), list(poses[:, :3, 3])
 
 
 def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera: Array, method: str) -> HandEye:
@@ -111,23 +99,20 @@ def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera:
     return HandEye(method, mount_from_camera, stand_from_board, distances, angles)
 
 
-def _near_the_middle(quaternions: Array) -> NDArray[np.bool_]:
+def _near_the_middle(quaternions: Array) -> Mask:
     """(views,) the half of the rotations nearest to their medoid, which outliers cannot spoil as they spoil a mean."""
     likeness = np.abs(quaternions @ quaternions.T)
     middle = np.median(likeness, axis=1).argmax()
     return likeness[middle] >= np.median(likeness[middle])
 
 
-def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, NDArray[np.bool_]]:
+def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, Mask]:
     """The best closed-form answer by `score`, and which views agree with it, (views,).
 
     A start comes from few views, chosen so that most of the others agree with it (least median of squares; Rousseeuw 1984):
     up to two fifths of the views may be wrong. A view disagrees if it is further than 5 medians (and 2 mm or 0.5 degrees)
     from the others, for instance because the arm or the board was moving. Such views are left out, and the answer is computed
-    again.
-
-    Raises:
-        CalibrationError: no method found an answer.
+    again. Raises CalibrationError where no method finds an answer.
     """
     best = _consensus(stand_from_mount, camera_from_board)
     keep = _agreeing(best)
@@ -144,11 +129,7 @@ def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[H
 def _answers(
     stand_from_mount: Array, camera_from_board: Array, groups: Sequence[NDArray[Any]], methods: Sequence[str]
 ) -> list[HandEye]:
-    """The answers of all methods from each group of views, assessed on all views; methods that fail are left out.
-
-    Raises:
-        CalibrationError: all of them fail.
-    """
+    """The answers of all methods from each group of views, assessed on all views. Raises CalibrationError where all fail."""
     answers = []
     for group in groups:
         for method in methods:
@@ -166,22 +147,13 @@ def _consensus(stand_from_mount: Array, camera_from_board: Array) -> HandEye:
     """The answer with which the majority of the views agrees best, among those from all views and from groups of five."""
     views = len(stand_from_mount)
     rng = np.random.default_rng(0)
-    groups = [np.arange(views)]
+    groups, majority = [np.arange(views)], max(3, int(np.ceil(0.6 * views)))
     groups += [np.sort(rng.permutation(views)[:5]) for _ in range(SUBSETS if views > 5 else 0)]
     found = _answers(stand_from_mount, camera_from_board, groups, ("park", "shah"))
-    return min(found, key=lambda answer: np.sort(_distance(answer))[_majority(views) - 1])
+    return min(found, key=lambda answer: np.sort(answer.distance)[majority - 1])
 
 
-def _majority(views: int) -> int:
-    return max(3, int(np.ceil(0.6 * views)))
-
-
-def _distance(answer: HandEye) -> Array:
-    """(views,) disagreement [m], rotations at a lever of half a metre."""
-    return np.hypot(answer.translation_residual_m, 0.5 * answer.rotation_residual_rad)
-
-
-def _agreeing(answer: HandEye) -> NDArray[np.bool_]:
+def _agreeing(answer: HandEye) -> Mask:
     """(views,) whose disagreement is not far above the median of all views."""
     distances, angles = answer.translation_residual_m, answer.rotation_residual_rad
     return (distances <= max(5 * np.median(distances), 2e-3)) & (angles <= max(5 * np.median(angles), np.deg2rad(0.5)))

@@ -7,22 +7,19 @@ turn by the same angle between two views, and all views must put the board in th
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.core.errors import KoalaError
 
-Array = NDArray[np.float64]
-
 
 def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
-    """The session with all views read the same way round, and their (views, 4, 4) poses. Other boards are returned as given.
+    """The session with all views read the same way round, and their (views, 4, 4) poses; other boards as given.
 
-    Raises:
-        CalibrationError: no reading of the views fits the arm.
+    Raises CalibrationError where no reading of the views fits the arm.
     """
     if not session.board.is_ambiguous:
         return session, camera_from_board
@@ -44,10 +41,8 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
                 break
             turned = following
     if best is None:
-        raise CalibrationError(
-            "chessboard cannot be read the same way round in all views",
-            remedy="use a board with an odd number of squares one way and an even number the other",
-        )
+        remedy = "use a board with an odd number of squares one way and an even number the other"
+        raise CalibrationError("chessboard cannot be read the same way round in all views", remedy=remedy)
     return _turned(session, best), both[best, views]
 
 
@@ -62,13 +57,11 @@ def as_placed(
     return _turned(session, chosen), both[chosen, np.arange(len(camera_from_board))]
 
 
-def _turned(session: TargetSession, turned: NDArray[np.int64]) -> TargetSession:
+def _turned(session: TargetSession, turned: Indices) -> TargetSession:
     """The session with the views of which `turned` (views,) is 1 read the other way round."""
     points, last = session.board.points, len(session.board.points) - 1
-    observations = [
-        replace(o, ids=last - o.ids, points=points[last - o.ids]) if other else o
-        for o, other in zip(session.observations, turned, strict=True)
-    ]
+    pairs = zip(session.observations, turned, strict=True)
+    observations = (replace(o, ids=last - o.ids, points=points[last - o.ids]) if other else o for o, other in pairs)
     return replace(session, observations=tuple(observations))
 
 
@@ -78,14 +71,14 @@ def half_turn(session: TargetSession) -> Array:
     return pose.from_rotation_vector([0, 0, np.pi], [x, y, 0])
 
 
-def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> NDArray[np.int64]:
+def _by_angle(stand_from_mount: Array, both: Array, reference: int) -> Indices:
     """(views,) 1 where the other reading turns by the angle that the arm turned by since the reference view."""
     arm = pose.rotation_angle(pose.inverse(stand_from_mount[reference]) @ stand_from_mount)
     seen = pose.rotation_angle(both @ pose.inverse(both[0, reference]))
     return np.abs(seen - arm).argmin(0)
 
 
-def _by_place(stand_from_mount: Array, both: Array, mount_from_camera: Array, stand_from_board: Array) -> NDArray[np.int64]:
+def _by_place(stand_from_mount: Array, both: Array, mount_from_camera: Array, stand_from_board: Array) -> Indices:
     """(views,) 1 where the other reading puts the board nearer to where the answer has it."""
     distance, angle = pose.difference(stand_from_mount @ mount_from_camera @ both, stand_from_board)
     return np.hypot(distance, 0.5 * angle).argmin(0)

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import refine, verify
 from calib.handeye.model import OFFSET_JOINTS, Accuracy, Session
@@ -30,22 +30,16 @@ def check(session: TargetSession, accuracy: Accuracy) -> None:
     if accuracy.joint_rad == 0:
         return
     if session.joints is None:
-        raise CalibrationError(
-            "joint offsets cannot be estimated",
-            why="the session holds no joint angles",
-            remedy="leave --joint-deg away, or record with 'capture run'",
-        )
-    distance, angle = pose.difference(kinematics.forward(session.joints), session.base_from_flange)
-    if np.median(distance) > MAX_BUILT_M or np.median(angle) > MAX_BUILT_RAD:
-        raise CalibrationError(
-            "joint angles are not those of the poses",
-            why=f"by a UR5e's kinematics the flange is {1e3 * np.median(distance):.0f} mm and "
-            f"{np.rad2deg(np.median(angle)):.1f} deg elsewhere",
-            remedy="leave --joint-deg away: another arm has other kinematics",
-        )
+        remedy = "leave --joint-deg away, or record with 'capture run'"
+        raise CalibrationError("joint offsets cannot be estimated", why="the session holds no joint angles", remedy=remedy)
+    distance, angle = map(np.median, pose.difference(kinematics.forward(session.joints), session.base_from_flange))
+    if distance > MAX_BUILT_M or angle > MAX_BUILT_RAD:
+        why = f"by a UR5e's kinematics the flange is {1e3 * distance:.0f} mm and {np.rad2deg(angle):.1f} deg elsewhere"
+        remedy = "leave --joint-deg away: another arm has other kinematics"
+        raise CalibrationError("joint angles are not those of the poses", why=why, remedy=remedy)
 
 
-def found(session: Session, refined: Refined, covariance: NDArray[np.float64]) -> JointOffsets | None:
+def found(session: Session, refined: Refined, covariance: Array) -> JointOffsets | None:
     """The offsets out of a refinement and the (p, p) covariance of its global parameters; None where none were asked for."""
     if not session.turning:
         return None
@@ -60,7 +54,5 @@ def facts(session: Session, refined: Refined, offsets: JointOffsets) -> dict[str
     plain = replace(session, joints=None)
     start = replace(refined.state, offsets=np.zeros(6), corrections=0 * refined.state.corrections)
     without = verify.held_out(plain, refine.refine(plain, start, sigma_px=refined.sigmas.pixel))
-    return {
-        "joints_not_shown": [joint + 1 for joint in OFFSET_JOINTS if offsets.std[joint] > SHOWN * stated],
-        **{f"{name}_without_joint_offsets": value for name, value in without.items()},
-    }
+    not_shown = [joint + 1 for joint in OFFSET_JOINTS if offsets.std[joint] > SHOWN * stated]
+    return {"joints_not_shown": not_shown, **{f"{name}_without_joint_offsets": value for name, value in without.items()}}

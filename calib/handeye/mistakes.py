@@ -6,14 +6,13 @@ Each mistake is undone in turn. If the poses then fit the pictures many times be
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from datasets import pose
 from datasets.core.errors import KoalaError
 
-Array = NDArray[np.float64]
 BETTER = 5.0
 """Factor by which undoing a mistake must improve the agreement of the views."""
 POOR = 0.02
@@ -30,12 +29,11 @@ def _turned(stand_from_mount: Array, wxyz: Array) -> Array:
 def _orientations(given: Array) -> dict[str, Array]:
     """The poses, by the mistake in orientation that was undone."""
     quaternions, vectors = pose.quaternion(given), pose.rotation_vector(given)
+    transposed = pose.rigid(np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3])
     found = {
         "": given,
         "the arm's poses are inverse (flange_from_base instead of stand_from_mount)": pose.inverse(given),
-        "the arm's rotations are transposed (columns read as rows)": pose.rigid(
-            np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3]
-        ),
+        "the arm's rotations are transposed (columns read as rows)": transposed,
         "quaternions are x y z w, but were read as w x y z": _turned(given, np.roll(quaternions, 1, -1)),
         "quaternions are w x y z, but were read as x y z w": _turned(given, np.roll(quaternions, -1, -1)),
         "the arm's axes are left-handed": _MIRROR @ given @ _MIRROR,
@@ -56,18 +54,12 @@ def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
     """Raise a CalibrationError that names the mistake, if one explains why arm and pictures disagree."""
     found = recognise(stand_from_mount, camera_from_board)
     if found:
-        raise CalibrationError(
-            "pictures and arm poses do not fit together", why=f"it looks as if {found}", remedy="correct the poses and run again"
-        )
+        why, remedy = f"it looks as if {found}", "correct the poses and run again"
+        raise CalibrationError("pictures and arm poses do not fit together", why=why, remedy=remedy)
 
 
 def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
-    """The mistake that explains the disagreement best, in words; empty if there is none.
-
-    Args:
-        stand_from_mount: (views, 4, 4) as given.
-        camera_from_board: (views, 4, 4) as seen.
-    """
+    """The mistake that explains best why (views, 4, 4) poses as given and as seen disagree, in words; empty if there is none."""
     given = _disagreement(stand_from_mount, camera_from_board)
     if given < POOR:
         return ""
@@ -83,11 +75,7 @@ def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
 
 def _disagreement(stand_from_mount: Array, camera_from_board: Array) -> float:
     """Median disagreement of the views about the board's place, the arm's travel being 1 (and half a radian of rotation)."""
-    scale = max(
-        np.linalg.norm(np.ptp(stand_from_mount[:, :3, 3], axis=0)),
-        np.linalg.norm(np.ptp(camera_from_board[:, :3, 3], axis=0)),
-        1e-9,
-    )
+    scale = max(1e-9, *(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) for poses in (stand_from_mount, camera_from_board)))
     best = np.inf
     for method in ("park", "shah"):
         try:

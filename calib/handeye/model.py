@@ -23,15 +23,14 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
-from calib.intrinsics import projection
+from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
 
-Array = NDArray[np.float64]
 OFFSET_JOINTS = [1, 2, 3, 4]
 """Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last
 rotates the flange: the two unknown poses absorb them exactly, so they are zero by convention."""
@@ -75,20 +74,18 @@ class Session:
 
     base_from_flange: Array
     """(views, 4, 4) as reported."""
-    view: NDArray[np.int64]
+    view: Indices
     """(n,) view of each corner, ascending."""
     pixels: Array
     """(n, 2) [px]."""
     points: Array
     """(n, 3) on the board [m]."""
     free: tuple[str, ...] = ("fx", "fy", "cx", "cy")
-    """Intrinsics that are estimated; the others stay."""
     known: Known | None = None
     """Of `free` intrinsics, from elsewhere."""
     accuracy: Accuracy = Accuracy()
     """The arm's, as stated."""
     fisheye: bool = False
-    """Whether the lens is a fisheye."""
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the board is on the flange."""
     joints: Array | None = None
@@ -109,7 +106,7 @@ class Session:
         """Indices of `free` in the intrinsics vector."""
         return [projection.NAMES.index(name) for name in self.free]
 
-    def some(self, chosen: NDArray[np.bool_]) -> "Session":
+    def some(self, chosen: Mask) -> "Session":
         """The same with the corners of `chosen` (n,) alone; views keep their numbers."""
         return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
 
@@ -118,11 +115,8 @@ def measured(
     session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
 ) -> Session:
     """All corners of a target session in one list."""
-    counts = [len(o.ids) for o in session.observations]
-    view = np.repeat(np.arange(len(counts)), counts)
-    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in session.observations), strict=True))
     options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints)
-    return Session(session.base_from_flange, view, pixels, points, *options)
+    return Session(session.base_from_flange, *estimate.flat(session.observations), *options)
 
 
 @dataclass(frozen=True)
@@ -145,14 +139,8 @@ class State:
         intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
         intrinsics[columns] += step[: len(columns)]
         offsets[OFFSET_JOINTS[: len(turns)]] += turns
-        return replace(
-            self,
-            intrinsics=intrinsics,
-            mount_from_camera=perturbed(self.mount_from_camera, step[-12:-6]),
-            stand_from_board=perturbed(self.stand_from_board, step[-6:]),
-            corrections=self.corrections + view_steps,
-            offsets=offsets,
-        )
+        mount, board = perturbed(self.mount_from_camera, step[-12:-6]), perturbed(self.stand_from_board, step[-6:])
+        return type(self)(intrinsics, mount, board, self.corrections + view_steps, offsets)
 
 
 def perturbed(a_from_b: Array, twist: Array) -> Array:

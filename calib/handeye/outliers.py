@@ -7,8 +7,8 @@ taken before the arm had settled, or after somebody touched the board, needs one
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Mask
 from calib.handeye import model, refine, uncertainty
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
@@ -31,7 +31,6 @@ class Fit:
     measured: Session
     refined: Refined
     left_out: dict[str, str]
-    """Views left out, and why."""
 
 
 def refine_without(
@@ -46,8 +45,7 @@ def refine_without(
 ) -> Fit:
     """Refine from `start`, leaving out views that disagree, one round after another.
 
-    Raises:
-        TargetError, Unobservable, CalibrationError: too little is left, or nothing fits.
+    Raises TargetError, Unobservable or CalibrationError where too little is left, or nothing fits.
     """
     allowed, left_out = int(MAX_SHARE * len(session.observations)), {}
     while True:
@@ -60,14 +58,13 @@ def refine_without(
             return Fit(session, measured, refined, left_out)
         sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)
         for i in np.flatnonzero(bad):
-            left_out[session.observations[i].name] = (
-                f"arm and picture disagree by {1e3 * sizes[i, 0]:.2g} mm and {np.rad2deg(sizes[i, 1]):.2g} deg"
-            )
+            why = f"arm and picture disagree by {1e3 * sizes[i, 0]:.2g} mm and {np.rad2deg(sizes[i, 1]):.2g} deg"
+            left_out[session.observations[i].name] = why
         session = session.chosen(~bad)
         start = replace(refined.state, corrections=np.zeros((len(session.observations), 6)))
 
 
-def disagreeing(refined: Refined, accuracy: Accuracy) -> NDArray[np.bool_]:
+def disagreeing(refined: Refined, accuracy: Accuracy) -> Mask:
     """(views,) whose correction is larger than `LIMIT` times the usual one, and than what the arm is stated to do."""
     sizes = np.linalg.norm(refined.state.corrections.reshape(-1, 2, 3), axis=2)  # (views, 2): translation, rotation
     usual = np.maximum(np.median(sizes, axis=0) / MEDIAN_LENGTH, 0.5 * np.array([accuracy.translation_m, accuracy.rotation_rad]))

@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from calib.handeye.model import Session, State, perturbed, predict
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.levenberg_marquardt import Limits, minimise
 
-Array = NDArray[np.float64]
 HUBER = 3.0
 """Width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times."""
 CHANCE = 0.01
@@ -63,10 +62,9 @@ class Refined:
     """(p, p) of the global parameters, the corrections eliminated: its inverse is their covariance."""
     residuals: Array
     """(n, 2) seen minus predicted, outliers too [px]."""
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     """(n,) corners that were used."""
     steps: int
-    """Accepted steps in all."""
     settled: bool
     """Whether sigmas and outliers stopped changing; if not, the solution may still move."""
 
@@ -79,8 +77,7 @@ class Refined:
 def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12) -> Refined:
     """Minimise from `start`; `sigma_px` is a first guess of a corner's standard deviation per axis [px].
 
-    Raises:
-        CalibrationError: the start is too far off, or nearly all corners are outliers.
+    Raises CalibrationError where the start is too far off, or nearly all corners are outliers.
     """
     sigmas = Sigmas(max(sigma_px, MIN_SIGMA_PX), session.accuracy.translation_m, session.accuracy.rotation_rad, HUBER)
     steps, settled, suspicious = 0, False, False
@@ -112,8 +109,7 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
 def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined:
     """What `state` says of a session: each view gets the most likely correction, and everything else stays as it is.
 
-    Raises:
-        CalibrationError: the target comes to lie behind the camera.
+    Raises CalibrationError where the target comes to lie behind the camera.
     """
     inliers, sigmas, settled = np.ones(len(session.view), bool), replace(sigmas, width=HUBER), False
     point = _Point(session, state, sigmas)
@@ -163,7 +159,7 @@ class _Point:
         self._prediction = self.residuals, self._by_global, self._by_view = prediction
         self.cost = self._cost()
 
-    def weighed(self, sigmas: Sigmas, chosen: NDArray[np.bool_]) -> "_Point":
+    def weighed(self, sigmas: Sigmas, chosen: Mask) -> "_Point":
         """The same state weighed by other sigmas, with the corners of `chosen` (n,) alone."""
         return _Point(self.session.some(chosen), self.state, sigmas, tuple(part[chosen] for part in self._prediction))
 

@@ -7,8 +7,8 @@ inverse of the information that corners, the arm's accuracy and known intrinsics
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import Unobservable
 from calib.handeye.model import Session
 from calib.handeye.refine import Refined
@@ -16,7 +16,6 @@ from calib.intrinsics import estimate, projection
 from datasets import pose
 from datasets.calibration import UncertainPose
 
-Array = NDArray[np.float64]
 MIN_TURN_RAD = float(np.deg2rad(3))
 """Rms angle about an axis below which the flange counts as not having turned about it."""
 MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
@@ -33,24 +32,19 @@ def check_motion(base_from_flange: Array) -> None:
     vector (Tsai 1989, section II-C; Park 1994, section III: two axes that are not parallel are needed).
     """
     if len(base_from_flange) < 3:
-        raise Unobservable(
-            "hand-eye pose is not observable", why=f"{len(base_from_flange)} views", remedy="record at least 10 views"
-        )
+        why = f"{len(base_from_flange)} views"
+        raise Unobservable("hand-eye pose is not observable", why=why, remedy="record at least 10 views")
     turns = [pose.rotation_vector(a[:3, :3] @ b[:3, :3].T) for a, b in combinations(base_from_flange, 2)]
     _, spread, axes = np.linalg.svd(np.array(turns) / np.sqrt(len(turns)))
     if spread[0] < MIN_TURN_RAD:
-        raise Unobservable(
-            "translation of the hand-eye pose is not observable",
-            why=f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only",
-            remedy="tilt the camera by 20 degrees and more about two different axes between views",
-        )
+        why = f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only"
+        remedy = "tilt the camera by 20 degrees and more about two different axes between views"
+        raise Unobservable("translation of the hand-eye pose is not observable", why=why, remedy=remedy)
     if spread[1] < MIN_TURN_RAD:
         axis = ", ".join(f"{x:.2f}" for x in axes[0] * np.sign(axes[0][np.abs(axes[0]).argmax()]))
-        raise Unobservable(
-            "translation of the hand-eye pose along the axis of rotation is not observable",
-            why=f"the flange turned about ({axis}) in the base, and by only {np.rad2deg(spread[1]):.2g} deg about other axes",
-            remedy="add views that are tilted about a second axis by 20 degrees and more",
-        )
+        what = "translation of the hand-eye pose along the axis of rotation is not observable"
+        why = f"the flange turned about ({axis}) in the base, and by only {np.rad2deg(spread[1]):.2g} deg about other axes"
+        raise Unobservable(what, why=why, remedy="add views that are tilted about a second axis by 20 degrees and more")
 
 
 def parameter_names(session: Session) -> list[str]:
@@ -61,11 +55,7 @@ def parameter_names(session: Session) -> list[str]:
 
 
 def covariance(session: Session, refined: Refined) -> Array:
-    """(p, p) covariance of the global parameters.
-
-    Raises:
-        Unobservable: a combination of them is left undetermined by the session; the message names the largest part.
-    """
+    """(p, p) covariance of the global parameters. Raises Unobservable, naming the worst one, where they are undetermined."""
     information = refined.information
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
@@ -107,8 +97,5 @@ def _check(session: Session, refined: Refined, joint: Array) -> None:
 
 
 def _refuse(session: Session, parameter: int, why: str) -> None:
-    raise Unobservable(
-        f"{parameter_names(session)[parameter]} is not observable",
-        why=why,
-        remedy="add views that are tilted by 20 degrees and more about two axes, at two distances",
-    )
+    remedy = "add views that are tilted by 20 degrees and more about two axes, at two distances"
+    raise Unobservable(f"{parameter_names(session)[parameter]} is not observable", why=why, remedy=remedy)

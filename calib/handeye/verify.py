@@ -4,20 +4,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms, model
 from calib.handeye.model import Accuracy, Session, State, camera_points, predict
 from calib.handeye.refine import Refined, fit_board, refine
 from calib.intrinsics import estimate, projection
+from calib.intrinsics.estimate import rms
 from calib.sessions.session import TargetSession
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 from datasets.splits import folds
 
-Array = NDArray[np.float64]
 FOLDS = 5
 """Parts into which a session is divided; each is predicted from the rest."""
 
@@ -33,7 +33,6 @@ class Verification:
     view_rms_px: dict[str, float]
     """By name of the view [px]."""
     corners: int
-    """Corners compared."""
     stand: str
     """What carries the board: "base" or "flange"."""
     stand_from_board: Array
@@ -46,11 +45,7 @@ class Verification:
 
 
 def verify(session: TargetSession, calibration: Calibration) -> Verification:
-    """Predict the corners of `session` with `calibration`.
-
-    Raises:
-        UsageError: the calibration has no hand-eye pose, or is for images of another size.
-    """
+    """Predict the corners of a session. Raises UsageError for calibrations without a hand-eye pose or for other image sizes."""
     mount = calibration.base_from_camera if session.eye_to_hand else calibration.flange_from_camera
     if mount is None:
         raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
@@ -76,46 +71,34 @@ def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> 
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
-    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`.
+    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`; None if a fold could not be fitted.
 
-    The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction. They
-    are None if a fold could not be fitted.
+    The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction.
     """
     views = len(session.base_from_flange)
     fold_of = folds(views, FOLDS)
-    pixels, millimetres = [], []
+    found = []
     for fold in range(min(FOLDS, views)):
         unseen = fold_of[session.view] == fold
         start = replace(refined.state, corrections=np.zeros((views, 6)))
         try:
             fitted = refine(session.some(~unseen), start, sigma_px=refined.sigmas.pixel, rounds=2)
         except CalibrationError:
-            return {"held_out_px": None, "held_out_mm": None}
+            found = []
+            break
         rest = session.some(unseen & refined.inliers)
-        if not len(rest.view):
-            continue
-        found = errors(rest, replace(fitted.state, corrections=np.zeros((views, 6))))
-        pixels.append(found[0])
-        millimetres.append(found[1])
-    if not pixels:
-        return {"held_out_px": None, "held_out_mm": None}
-    return {"held_out_px": rms(np.concatenate(pixels)), "held_out_mm": rms(np.concatenate(millimetres))}
+        if len(rest.view):
+            found.append(errors(rest, replace(fitted.state, corrections=np.zeros((views, 6)))))
+    pixels, millimetres = (rms(np.concatenate(parts)) for parts in zip(*found, strict=True)) if found else (None, None)
+    return {"held_out_px": pixels, "held_out_mm": millimetres}
 
 
 def check_size(session: TargetSession, camera: Camera) -> None:
     """Raise UsageError where `camera` is for images of another size than those of `session`."""
     if (camera.width, camera.height) != (session.width, session.height):
-        raise UsageError(
-            "calibration is for images of another size",
-            where=session.provenance.get("recording", ""),
-            why=f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}",
-            remedy="calibrate with the camera setting of the recording",
-        )
-
-
-def rms(vectors: Array) -> float:
-    """Root mean square length of (n, 2) vectors."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
+        where, remedy = session.provenance.get("recording", ""), "calibrate with the camera setting of the recording"
+        why = f"{camera.width}x{camera.height}, the recording has {session.width}x{session.height}"
+        raise UsageError("calibration is for images of another size", where=where, why=why, remedy=remedy)
 
 
 def errors(session: Session, state: State) -> tuple[Array, Array]:

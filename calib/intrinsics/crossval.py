@@ -8,15 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.intrinsics import estimate
 from calib.intrinsics.estimate import Lens
 from calib.targets.detection import Observation
 from datasets import pose
 from datasets.camera_model import Camera
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,9 @@ class Difference:
 
 
 def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Difference:
-    """Fit every other view, and the rest, with one lens, and compare.
+    """Fit every other view, and the rest, with one lens, and compare. Raises CalibrationError where a half cannot be fitted.
 
-    Args:
-        camera: to start from.
-        lens: what is estimated.
-        observations: the views.
-        camera_from_board: (views, 4, 4) to start from.
-
-    Raises:
-        CalibrationError: a half cannot be fitted.
+    The fits start from `camera` and the (views, 4, 4) poses `camera_from_board`.
     """
     halves = [estimate.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
     return difference(halves[0], halves[1])

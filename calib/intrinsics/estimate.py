@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.intrinsics import bundle, projection
 from calib.targets import screening
@@ -21,7 +21,6 @@ from datasets import conventions, pose
 from datasets.camera_model import Camera
 from datasets.splits import folds
 
-Array = NDArray[np.float64]
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
 GAIN = 0.002
@@ -32,6 +31,7 @@ MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
 OUTLIER = 6.0
 """Corners with larger residuals are left out [robust standard deviations]."""
+_DIRECTIONS = "record views from more directions"
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
@@ -53,12 +53,7 @@ BROWN = tuple(Lens(names) for names in ((), ("k1",), ("k1", "k2"), ("k1", "k2", 
 USUAL = BROWN[3]
 RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
 FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
-LENSES: dict[str, tuple[Lens, ...]] = {
-    "auto": (*BROWN, RATIONAL, *FISHEYE),
-    "brown": BROWN,
-    "rational": (*BROWN, RATIONAL),
-    "fisheye": FISHEYE,
-}
+LENSES = {"auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE}
 """Candidates by the name of the `--lens` option."""
 
 
@@ -81,9 +76,7 @@ class Intrinsics:
     camera_from_board: Array
     """(views, 4, 4), in the order of `observations`."""
     observations: tuple[Observation, ...]
-    """The observations that were used."""
     left_out: dict[str, str] = field(default_factory=dict)
-    """Views left out, and why."""
 
     @property
     def std(self) -> dict[str, float]:
@@ -128,23 +121,13 @@ def _finished(
     covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
     if not relative.max() <= MAX_FOCAL_STD:
-        raise Unobservable(
-            "focal length is not observable", why=f"its standard deviation is {relative.max():.1%} of it", remedy=_TILT
-        )
+        why = f"its standard deviation is {relative.max():.1%} of it"
+        raise Unobservable("focal length is not observable", why=why, remedy=_TILT)
     view = flat(observations)[0]
-    by_view = {o.name: _rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
-    return Intrinsics(
-        camera,
-        lens,
-        covariance,
-        _rms(fitted.residuals),
-        held_out_px,
-        by_view,
-        coverage(observations, camera.width, camera.height),
-        fitted.camera_from_board,
-        tuple(observations),
-        left_out,
-    )
+    by_view = {o.name: rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
+    errors = rms(fitted.residuals), held_out_px, by_view
+    seen, boards = coverage(observations, camera.width, camera.height), fitted.camera_from_board
+    return Intrinsics(camera, lens, covariance, *errors, seen, boards, tuple(observations), left_out)
 
 
 def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
@@ -175,11 +158,9 @@ def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_COR
     """Raise TargetError where there are fewer views or corners than a calibration needs."""
     corners = sum(len(o.ids) for o in observations)
     if len(observations) < MIN_VIEWS or corners < least:
-        raise TargetError(
-            "target is not seen often enough",
-            why=f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed",
-            remedy="record more views with the whole target in the picture, sharp and evenly lit",
-        )
+        why = f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed"
+        remedy = "record more views with the whole target in the picture, sharp and evenly lit"
+        raise TargetError("target is not seen often enough", why=why, remedy=remedy)
 
 
 def _check_directions(camera_from_board: Array) -> None:
@@ -191,30 +172,23 @@ def _check_directions(camera_from_board: Array) -> None:
     mean = normals.mean(0) / np.linalg.norm(normals.mean(0))
     spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
     if spread < MIN_TILT_RAD:
-        raise Unobservable(
-            "focal length is not observable", why=f"the target is tilted by {np.rad2deg(spread):.2g} deg only", remedy=_TILT
-        )
+        why = f"the target is tilted by {np.rad2deg(spread):.2g} deg only"
+        raise Unobservable("focal length is not observable", why=why, remedy=_TILT)
 
 
 def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> Array:
     """(views, 4, 4) poses of a target: in each view the better of the two planar solutions, then least squares in pixels.
 
-    Raises:
-        CalibrationError: a view allows no pose in front of the camera; the message names it.
+    Raises CalibrationError, which names the view, where one allows no pose in front of the camera.
     """
     found = [_planar_poses(camera, observation) for observation in observations]
     fits = []
     for choice in (0, -1):
         starts = np.stack([poses[choice] for poses in found])
-        fits.append(bundle.fit(*flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
+        fits.append(bundle.fit(flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
     view = flat(observations)[0]
     squares = [np.bincount(view, (f.residuals**2).sum(-1), len(observations)) for f in fits]
     return np.where((squares[0] <= squares[1])[:, None, None], fits[0].camera_from_board, fits[1].camera_from_board)
-
-
-def camera_from_board(camera: Camera, observation: Observation) -> Array:
-    """(4, 4) pose of a target in one view; see `camera_from_boards`."""
-    return camera_from_boards(camera, [observation])[0]
 
 
 def _planar_poses(camera: Camera, observation: Observation) -> list[Array]:
@@ -227,9 +201,8 @@ def _planar_poses(camera: Camera, observation: Observation) -> list[Array]:
     poses = [pose.from_rotation_vector(r.ravel(), t.ravel()) for r, t in zip(rotations, translations, strict=True)]
     poses = [p for p in poses if np.isfinite(p).all() and (points @ p[2, :3] + p[2, 3]).min() > 0]
     if not poses:
-        raise CalibrationError(
-            "pose of the target cannot be found", where=f"view {observation.name}", remedy="leave this view out"
-        )
+        where = f"view {observation.name}"
+        raise CalibrationError("pose of the target cannot be found", where=where, remedy="leave this view out")
     return poses
 
 
@@ -245,10 +218,11 @@ def coverage(observations: Sequence[Observation], width: int, height: int) -> fl
     return len(np.unique(cells, axis=0)) / 64
 
 
-def flat(observations: Sequence[Observation]) -> tuple[NDArray[np.int64], Array, Array]:
-    """(n,) view, (n, 2) pixels and (n, 3) points of all corners in one list."""
+def flat(observations: Sequence[Observation]) -> bundle.Corners:
+    """The corners of all views in one list."""
     view = np.repeat(np.arange(len(observations)), [len(o.ids) for o in observations])
-    return view, np.concatenate([o.pixels for o in observations]), np.concatenate([o.points for o in observations])
+    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in observations), strict=True))
+    return bundle.Corners(view, pixels, points)
 
 
 def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> tuple[Camera, bundle.Bundle]:
@@ -257,9 +231,9 @@ def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: 
     if first.fisheye != lens.fisheye or set(lens.coefficients) < {"k1", "k2", "p1", "p2"}:
         start[4:] = 0.0
         start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
-    fitted = bundle.fit(*flat(observations), start, poses, lens.free, lens.fisheye)
+    fitted = bundle.fit(flat(observations), start, poses, lens.free, lens.fisheye)
     if not np.isfinite(fitted.residuals).all():
-        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
     if not fitted.intrinsics[:2].min() > 0:
         raise Unobservable("focal length is not observable", why=f"the fit gives {fitted.intrinsics[0]:.3g} px", remedy=_TILT)
     base = Camera(first.width, first.height, 1, 1, 0, 0, fisheye=lens.fisheye)
@@ -272,15 +246,12 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
     pixels = [conventions.opencv_from_pixels(o.pixels).astype(np.float32) for o in observations]
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
-        rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
-            points, pixels, (width, height), None, None, flags=flags, criteria=_STOP
-        )
+        found = cv2.calibrateCamera(points, pixels, (width, height), None, None, flags=flags, criteria=_STOP)
     except cv2.error as error:
-        raise CalibrationError(
-            "intrinsics cannot be fitted", why=str(error.err), remedy="record views from more directions"
-        ) from None
-    if not np.isfinite(rms):
-        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy="record views from more directions")
+        raise CalibrationError("intrinsics cannot be fitted", why=str(error.err), remedy=_DIRECTIONS) from None
+    error_px, matrix, distortion, rotations, translations = found
+    if not np.isfinite(error_px):
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
     focal, centre = matrix[[0, 1], [0, 1]], conventions.pixels_from_opencv(matrix[:2, 2])
     if not focal.min() > 0:
         raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=_TILT)
@@ -320,8 +291,9 @@ def _without_outliers(
     return observations, poses, left_out
 
 
-def _rms(residuals: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=-1))))
+def rms(vectors: Array) -> float:
+    """Root mean square length of (n, 2) vectors."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
 def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> float:
@@ -333,8 +305,8 @@ def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, 
             rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
             camera, _ = fit(rest, first, poses[fold_of != fold], lens)
             start = projection.vector(camera)
-            residuals.append(bundle.fit(*flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
+            residuals.append(bundle.fit(flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
     except (CalibrationError, ArithmeticError):
         return np.inf
-    found = _rms(np.concatenate(residuals))
+    found = rms(np.concatenate(residuals))
     return found if np.isfinite(found) else np.inf

@@ -6,12 +6,11 @@ Intrinsics travel as a (12,) vector in the order of `NAMES`. Symbols: x, y ideal
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from datasets.camera_model import Camera, fisheye_radial
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-Array = NDArray[np.float64]
 
 
 def vector(camera: Camera) -> Array:

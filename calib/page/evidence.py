@@ -5,19 +5,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.handeye import flips, model, refine, verify
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import estimate, projection
-from calib.page.summary import POSES
 from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError
 
-Array = NDArray[np.float64]
 CORRECTED, REPORTED, ALONE = "arm corrected", "arm as reported", "camera alone"
 """Kinds of residuals: each view with the correction that its corners ask for; with the arm's pose as reported; without an arm."""
 
@@ -37,7 +35,6 @@ class Sighting:
     residuals: dict[str, Array]
     """(n, 2) seen minus predicted [px], by kind; none for a view that was left out."""
     left_out: str = ""
-    """Why the view was left out."""
 
     def rms(self, kind: str) -> float:
         """Root mean square length of one kind of residuals [px]."""
@@ -55,13 +52,13 @@ class Evidence:
     """(all views, 4, 4) camera_from_board as seen."""
     session: TargetSession
     """The views that took part in the calibration."""
-    view: NDArray[np.int64]
+    view: Indices
     """(n,) index of each corner's view in `session`."""
     pixels: Array
     """(n, 2) where the corners are seen [px]."""
     residuals: dict[str, Array]
     """(n, 2) seen minus predicted [px], by kind; the most important kind first."""
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     """(n,) corners that agree with the calibration."""
     corrections: Array | None
     """(views, 6) of the arm's reports: translation [m], rotation vector [rad]; None for a calibration of the camera alone."""
@@ -128,39 +125,28 @@ def poses_of(calibration: Calibration, session: TargetSession) -> tuple[Array, A
 def gather(calibration: Calibration, session: TargetSession) -> Evidence:
     """Hold a stored calibration against a session.
 
-    Raises:
-        UsageError: the images have another size than the camera.
-        CalibrationError: the recording does not fit the calibration at all.
+    Raises UsageError for images of another size, CalibrationError where the recording does not fit the calibration at all.
     """
     verify.check_size(session, calibration.camera)
     boards = estimate.camera_from_boards(calibration.camera, session.observations)
-    with_arm = any(getattr(calibration, name) is not None for name in POSES)
-    if with_arm:
+    if calibration.poses:
         session, boards = flips.as_placed(session, boards, *poses_of(calibration, session))
     used = np.array([o.name not in left_out(calibration) for o in session.observations])
     if not used.any():
         raise CalibrationError("recording shows no view that the calibration was made from", remedy="give another --recording")
     chosen = session.chosen(used)
     measured = model.measured(chosen, (), None, Accuracy(), calibration.camera.fisheye)
-    if not with_arm:
+    if not calibration.poses:
         predicted = [estimate.reproject(calibration.camera, b, o) for b, o in zip(boards[used], chosen.observations, strict=True)]
-        residuals, inliers, corrections = (
-            {ALONE: measured.pixels - np.concatenate(predicted)},
-            np.ones(len(measured.view), bool),
-            None,
-        )
+        found = {ALONE: measured.pixels - np.concatenate(predicted)}, np.ones(len(measured.view), bool), None
     else:
         offsets = np.zeros(6) if calibration.joint_offsets is None else calibration.joint_offsets.offsets
         still = np.zeros((len(chosen.observations), 6))
         state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, offsets)
         refined = refine.with_corrections(measured, state, sigmas_of(calibration))
         plain = verify.errors(measured, replace(state, offsets=0 * offsets))[0]
-        residuals, inliers, corrections = (
-            {CORRECTED: refined.residuals, REPORTED: plain},
-            refined.inliers,
-            refined.state.corrections,
-        )
-    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, residuals, inliers, corrections)
+        found = {CORRECTED: refined.residuals, REPORTED: plain}, refined.inliers, refined.state.corrections
+    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
 
 
 def sigmas_of(calibration: Calibration) -> refine.Sigmas:

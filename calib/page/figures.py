@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.handeye import verify
 from calib.intrinsics.crossval import Difference
 from calib.page.evidence import Evidence
@@ -16,7 +16,6 @@ from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.camera_model import Camera
 
-Array = NDArray[np.float64]
 CHI2_95 = 5.991
 """95 % point of chi-square with two degrees of freedom: the truth lies in the ellipse in 95 of 100 sessions."""
 

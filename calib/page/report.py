@@ -1,14 +1,12 @@
 """A stored calibration as one HTML page that needs nothing else: numbers with their uncertainty, figures, views left out."""
 
-from pathlib import Path
-
 import numpy as np
 
 from calib.errors import CalibrationError
 from calib.intrinsics import crossval, estimate
 from calib.page import figures
 from calib.page.evidence import Evidence
-from calib.page.summary import POSES, notes
+from calib.page.summary import notes
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.reports.html import Number, ReportPage
@@ -24,13 +22,8 @@ MEANINGS = {
 """Of the numbers at the head of the page."""
 
 
-def write(path: Path, evidence: Evidence, *, made_by: str = "") -> None:
-    """Write the page to `path`; `made_by` is the command. Raises UsageError where something is there already."""
-    page(evidence, made_by=made_by).write(path)
-
-
 def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
-    """The page."""
+    """The page; `made_by` is the command."""
     calibration, residuals = evidence.calibration, evidence.calibration.residuals
     report = ReportPage("Calibration", made_by=[made_by] if made_by else [])
     units = {name: "px" if name.endswith("_px") else "mm" if name.endswith("_mm") else "°" for name in MEANINGS}
@@ -39,8 +32,7 @@ def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
     views = f"{residuals['views_used']} views, {residuals['corners']} corners in {residuals['coverage']:.0%} of the image"
     report.headline([(words, known[name]) for name, words in headings.items() if name in known], views)
     report.section("Result")
-    poses = {name: value for name in POSES if (value := getattr(calibration, name)) is not None}
-    for name, value in poses.items():
+    for name, value in calibration.poses.items():
         _pose(report, name, value)
     _camera(report, calibration)
     report.heading("residuals")
@@ -53,7 +45,7 @@ def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
     else:
         report.paragraph("None.")
     _figures(report, evidence)
-    for name, value in poses.items():
+    for name, value in calibration.poses.items():
         report.section(f"Uncertainty of {name}")
         report.picture(figures.ellipses(name, value), f"Uncertainty of {name}")
     _cross_validation(report, evidence)

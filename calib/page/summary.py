@@ -6,16 +6,14 @@ from calib.handeye.verify import Verification
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 
-POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
 _DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
 
 
 def describe_calibration(calibration: Calibration) -> str:
     """Several lines: poses with standard deviations, intrinsics, residuals, notes."""
     lines = []
-    for title in POSES:
-        if (value := getattr(calibration, title)) is not None:
-            lines += _pose_lines(title, value)
+    for title, value in calibration.poses.items():
+        lines += _pose_lines(title, value)
     camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
     if offsets is not None:
         numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:5]
@@ -30,9 +28,8 @@ def describe_calibration(calibration: Calibration) -> str:
         millimetres = f" = {residuals['held_out_mm']:.3f} mm at the target" if residuals.get("held_out_mm") is not None else ""
         lines.append(f"on unseen views     {residuals['held_out_px']:.3f} px{millimetres}")
     if "arm_translation_mm" in residuals:
-        lines.append(
-            f"arm errors          {residuals['arm_translation_mm']:.3f} mm, {residuals['arm_rotation_deg']:.4f} deg per axis"
-        )
+        millimetres, degrees = residuals["arm_translation_mm"], residuals["arm_rotation_deg"]
+        lines.append(f"arm errors          {millimetres:.3f} mm, {degrees:.4f} deg per axis")
     lines.append(f"views used          {residuals['views_used']}, corners in {residuals['coverage']:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)
@@ -55,12 +52,10 @@ def notes(calibration: Calibration) -> list[str]:
     without = residuals.get("held_out_px_without_joint_offsets")
     if without is not None and residuals.get("held_out_px") is not None and not residuals["held_out_px"] < 0.98 * without:
         found.append(f"joint offsets do not help on unseen views ({without:.3f} px without them): omit --joint-deg")
-    stated = calibration.provenance.get("arm_accuracy_stated")
-    if stated and residuals["arm_translation_mm"] > 3 * stated["translation_mm"]:
-        found.append(
-            f"the arm is {residuals['arm_translation_mm'] / stated['translation_mm']:.0f} times less accurate than stated "
-            f"({stated['translation_mm']:g} mm): check settling, time stamps and the arm's own calibration"
-        )
+    stated = calibration.provenance.get("arm_accuracy_stated", {}).get("translation_mm")
+    if stated and (times := residuals["arm_translation_mm"] / stated) > 3:
+        advice = "check settling, time stamps and the arm's own calibration"
+        found.append(f"the arm is {times:.0f} times less accurate than stated ({stated:g} mm): {advice}")
     return found
 
 

@@ -11,11 +11,12 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import verify
 from calib.page import figures
 from calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
-from calib.page.summary import POSES, describe_calibration
+from calib.page.summary import describe_calibration
 from calib.sessions.importer import observe_folder
 from calib.targets.detection import read_board
 from datasets.board import Board
@@ -24,8 +25,6 @@ from datasets.core.errors import KoalaError
 from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import WIDTH, bytes_of
-
-Array = NDArray[np.float64]
 
 THUMBNAIL = 96
 """Width of the pictures on the cameras [px]."""
@@ -52,8 +51,7 @@ class CalibrationView:
         words = "click a camera: arrows lead from the predicted corners to the detected ones"
         self.panel = PicturePanel(page, "View", words)
         self._figures: dict[str, NDArray[np.uint8]] = {}
-        known = {name: value for name in POSES if (value := getattr(calibration, name)) is not None}
-        self._add_figures({f"uncertainty of {name}": figures.ellipses(name, value) for name, value in known.items()})
+        self._add_figures({f"uncertainty of {name}": figures.ellipses(name, value) for name, value in calibration.poses.items()})
         with page.gui.add_folder("Result"):
             page.gui.add_markdown(in_markdown(describe_calibration(calibration)))
         self._target()
@@ -86,11 +84,11 @@ class CalibrationView:
     def _draw_figure(self) -> None:
         self._drawn.image = self._figures[self._figure.value]
 
-    def read(self, recording: Path | None) -> None:
+    def read(self, recording: Path | None, description: Path | None) -> None:
         """Add what the recording holds; where it is missing or cannot be used, say so."""
         try:
             path = recording_of(self.calibration, recording)
-            session, _ = observe_folder(path, seen=self._seen)
+            session, _ = observe_folder(path, description, seen=self._seen)
             self.evidence = evidence = gather(self.calibration, session)
         except KoalaError as error:
             self._state.content = f"*{error}*"
@@ -210,15 +208,12 @@ def add_board(page: Page, name: str, board: Board, base_from_board: Array) -> No
     side = board.square_length_m
     columns, rows = np.meshgrid(np.arange(board.squares_x), np.arange(board.squares_y))
     dark = (columns + rows) % 2 == 0
-    vertices, faces = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
-    plate, corners = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
+    squares = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
+    plate = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
     rotation, place = shapes.placed(base_from_board)
-    page.scene.add_mesh_simple(
-        f"{name}/squares", vertices, faces, color=(30, 30, 30), side="double", wxyz=rotation, position=place
-    )
-    page.scene.add_mesh_simple(
-        f"{name}/plate", plate, corners, color=(235, 235, 235), side="double", wxyz=rotation, position=place
-    )
+    for part, mesh, grey in (("squares", squares, 30), ("plate", plate, 235)):
+        colour = (grey, grey, grey)
+        page.scene.add_mesh_simple(f"{name}/{part}", *mesh, color=colour, side="double", wxyz=rotation, position=place)
 
 
 def _squares(origins: Array, side: float | Array, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
@@ -227,9 +222,8 @@ def _squares(origins: Array, side: float | Array, height: float) -> tuple[NDArra
     flat = (origins[:, None] + steps[None]).reshape(-1, 2)
     vertices = np.concatenate([flat, np.full((len(flat), 1), height)], axis=1)
     first = 4 * np.arange(len(origins))[:, None]
-    return vertices.astype(np.float32), np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))]).astype(
-        np.uint32
-    )
+    faces = np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))])
+    return vertices.astype(np.float32), faces.astype(np.uint32)
 
 
 def decoded(png: bytes) -> NDArray[np.uint8]:
@@ -240,14 +234,17 @@ def decoded(png: bytes) -> NDArray[np.uint8]:
     return np.ascontiguousarray(picture[..., ::-1], np.uint8)
 
 
-def show(page: Page, calibration: Calibration, *, recording: Path | None = None) -> CalibrationView:
+def show(
+    page: Page, calibration: Calibration, *, recording: Path | None = None, description: Path | None = None
+) -> CalibrationView:
     """Put a calibration on a page; what its recording holds follows in the background.
 
     Args:
         page: to draw on.
         calibration: as loaded.
         recording: where its recording is now, if not where it was.
+        description: how to read it, if it is a folder to import.
     """
     shown = CalibrationView(page, calibration)
-    page.in_background(lambda: shown.read(recording))
+    page.in_background(lambda: shown.read(recording, description))
     return shown

@@ -1,6 +1,6 @@
 """Sessions that other programs recorded: a folder of images with the arm's poses in CSV, YAML or JSON.
 
-A description states the conventions. By default it is `import.yaml` in the folder:
+A description states the conventions. It is used only where a person names it, and leads to nothing outside the folder:
 
     format: koala-import
     version: 1
@@ -15,32 +15,33 @@ YAML or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image
 """
 
 import csv
+import io
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Self
 
 import numpy as np
-import yaml
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 import configs
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.sessions.session import TargetSession, observe, observe_recording
 from calib.targets.detection import check_markers
 from datasets import conventions, pose
 from datasets.board import Board
 from datasets.camera_model import Camera
-from datasets.core import files
+from datasets.core import files, plain_yaml
 from datasets.core.errors import DatasetError, UsageError
 from datasets.core.schema import Schema, load_yaml
 from datasets.recording import MANIFEST, Recording
 
-Array = NDArray[np.float64]
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+Layout = Literal["x y z rx ry rz", "x y z qw qx qy qz", "x y z qx qy qz qw", "matrix", "matrix by columns"]
 LAYOUTS = {"x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16}
 """How many numbers each layout has; a matrix may also be given by its upper three rows."""
+MAX_CSV_BYTES = 2**24
 
 
 class CameraNumbers(Schema):
@@ -52,22 +53,13 @@ class CameraNumbers(Schema):
     fy: float = Field(gt=0, description="focal length [px]")
     cx: float = Field(description="principal point [px]")
     cy: float = Field(description="principal point [px]")
-    distortion: list[float] = Field(
-        default_factory=list, max_length=8, description="k1 k2 p1 p2 k3 k4 k5 k6, as many as there are"
-    )
-    first_pixel: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.5,
-        multiple_of=0.5,
-        description="where the centre of the first pixel is: 0 for OpenCV and ViSP [px]",
-    )
+    distortion: list[float] = Field(default=[], max_length=8, description="k1 k2 p1 p2 k3 k4 k5 k6, as many as there are")
+    first_pixel: float = Field(0, ge=0, le=0.5, multiple_of=0.5, description="centre of the first pixel; 0 for OpenCV, ViSP [px]")
 
     def camera(self) -> Camera:
         """In our pixel coordinates."""
-        centre = np.array([self.cx, self.cy]) + conventions.OPENCV_PIXEL_SHIFT - self.first_pixel
-        bent = dict(zip(DISTORTION, self.distortion, strict=False))
-        return Camera(self.width, self.height, self.fx, self.fy, float(centre[0]), float(centre[1]), **bent)
+        shift, bent = conventions.OPENCV_PIXEL_SHIFT - self.first_pixel, dict(zip(DISTORTION, self.distortion, strict=False))
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx + shift, self.cy + shift, **bent)
 
 
 class Description(Schema):
@@ -76,13 +68,9 @@ class Description(Schema):
     format: Literal["koala-import"] = Field(default="koala-import", description="what this file is")
     version: Literal[1] = Field(default=1, description="version of this format")
     images: str = Field(description="pattern of the images in the folder, with one *, which names the view")
-    poses: str = Field(
-        description="pattern of the pose files, with one *, or the one file that holds all poses (.csv .yaml .json)"
-    )
+    poses: str = Field(description="pattern of the pose files, with one *, or the one file of all poses (.csv .yaml .json)")
     key: str = Field(default="", description="where the numbers are in a YAML or JSON file; a.b for b inside a")
-    layout: Literal["x y z rx ry rz", "x y z qw qx qy qz", "x y z qx qy qz qw", "matrix", "matrix by columns"] = Field(
-        description="meaning and order of the numbers of a pose"
-    )
+    layout: Layout = Field(description="meaning and order of the numbers of a pose")
     length: Literal["m", "mm"] = Field(default="m", description="unit of lengths")
     angle: Literal["rad", "deg"] = Field(default="rad", description="unit of rotation vectors")
     inverse: bool = Field(default=False, description="true where the poses are flange_from_base; else base_from_flange")
@@ -97,24 +85,17 @@ class Description(Schema):
         return self
 
 
-def describes(folder: Path, description: Path | None) -> bool:
-    """Whether `folder` is to be imported rather than opened as a recording."""
-    return description is not None or (Path(folder) / DESCRIPTION).is_file()
-
-
-def load_description(folder: Path, description: Path | None = None) -> Description:
-    """The description in `description`, or in the folder itself. Raises UsageError where it is missing or wrong."""
-    return load_yaml(Path(folder) / DESCRIPTION if description is None else configs.find("imports", description), Description)
+def load_description(description: Path) -> Description:
+    """A shipped description by its name, or one in a file. Raises UsageError where it is missing or wrong."""
+    return load_yaml(configs.find("imports", description), Description)
 
 
 def observe_folder(
     folder: Path, description: Path | None = None, *, seen: Callable[[str], None] = lambda words: None
 ) -> tuple[TargetSession, Camera | None]:
-    """Find the target in a recording or in a folder to import, and the camera that the import brings.
+    """Find the target in a recording or, as `description` says, in a folder to import; and the camera that the import brings.
 
-    Raises:
-        UsageError: the folder is neither.
-        KoalaError: what `observe_recording` and `import_session` raise.
+    Raises UsageError where the folder is no recording and no description is given, and what the two functions for them raise.
     """
     imported = _imported(folder, description)
     if imported is None:
@@ -130,12 +111,13 @@ def count_views(folder: Path, description: Path | None = None) -> int:
 
 def _imported(folder: Path, description: Path | None) -> Description | None:
     """How to read a folder to import; None for a recording."""
-    if describes(folder, description):
-        return load_description(folder, description)
+    if description is not None:
+        return load_description(description)
     if folder.is_dir() and not (folder / MANIFEST).is_file():
-        why = f"it has neither {MANIFEST} nor {DESCRIPTION}"
+        own = folder / DESCRIPTION
         remedy = "describe images and poses in a file, see docs/calibration.md, and give it as --import"
-        raise UsageError("is neither a recording nor a folder to import", where=folder, why=why, remedy=remedy)
+        remedy = f"to import it as its own description says, give --import {own}" if own.is_file() else remedy
+        raise UsageError("is not a recording", where=folder, why=f"it has no {MANIFEST}", remedy=remedy)
     return None
 
 
@@ -144,35 +126,29 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
 
     Raises:
         UsageError: no image or no pose of an image is there.
-        DatasetError, CalibrationError: a pose cannot be what the description says.
+        DatasetError, CalibrationError: a pose cannot be what the description says, or a path leaves the folder.
         TargetError: the target is in no image.
     """
     folder = Path(folder)
     board = check_markers(description.board, where="description, board")
     images = matching(folder, description.images)
     if not images:
-        raise UsageError(
-            "no images found", where=folder, why=f"nothing matches {description.images!r}", remedy="correct 'images'"
-        )
-    numbers = _numbers(folder, description, images)
-    views = [
-        (name, path, as_pose(numbers[name], description, where=f"{folder}, pose of view {name}")) for name, path in images.items()
-    ]
-    provenance = {
-        "folder": str(folder.resolve()),
-        "board": board.to_json(),
-        "frames_sha256": "+".join(files.sha256(path)[:12] for path in images.values()),
-    }
+        why = f"nothing matches {description.images!r}"
+        raise UsageError("no images found", where=folder, why=why, remedy="correct 'images'")
+    numbers = _numbers(folder, description, images).items()
+    views = [(name, images[name], as_pose(n, description, where=f"{folder}, pose of view {name}")) for name, n in numbers]
+    hashes = "+".join(files.sha256(path)[:12] for path in images.values())
+    provenance = {"folder": str(folder.resolve()), "board": board.to_json(), "frames_sha256": hashes}
     return observe(board, views, provenance=provenance, seen=seen, eye_to_hand=description.eye_to_hand)
 
 
 def matching(folder: Path, pattern: str) -> dict[str, Path]:
-    """Files by what the * of the pattern stands for; numbers sort as numbers."""
+    """Files by what the * of the pattern stands for; numbers sort as numbers. Raises DatasetError where it leaves the folder."""
+    pattern = str(PurePosixPath(pattern))
+    files.inside(folder, pattern, where=f"description, {pattern}")
     before, after = pattern.split("*")
-    found = {}
-    for path in folder.glob(pattern):
-        name = path.relative_to(folder).as_posix()
-        found[name[len(before) : len(name) - len(after)]] = path
+    names = {path.relative_to(folder).as_posix(): path for path in folder.glob(pattern)}
+    found = {name[len(before) : len(name) - len(after)]: path for name, path in names.items()}
     return dict(sorted(found.items(), key=lambda item: (len(item[0]), item[0]) if item[0].isdigit() else (0, item[0])))
 
 
@@ -180,46 +156,28 @@ def _numbers(folder: Path, description: Description, images: dict[str, Path]) ->
     """The numbers of each view's pose."""
     if "*" in description.poses:
         paths = matching(folder, description.poses)
-        found = {name: _inside(_read(path), description.key, path) for name, path in paths.items()}
+        found = {name: _at(description.key, path) for name, path in paths.items() if name in images}
     else:
-        path = folder / description.poses
-        found = (
-            _csv(path, description)
-            if path.suffix.lower() == ".csv"
-            else _table(_inside(_read(path), description.key, path), path)
-        )
-        by_file = {file.name: name for name, file in images.items()}
-        found = {by_file.get(Path(name).name, name): values for name, values in found.items()}
-    missing = [name for name in images if name not in found]
-    if missing:
-        raise UsageError(
-            "images without a pose",
-            where=folder,
-            why=", ".join(missing[:5]) + (", ..." if len(missing) > 5 else ""),
-            remedy=f"correct 'poses' ({description.poses})",
-        )
+        path = files.inside(folder, description.poses, where="description, poses")
+        by_image = _csv(path, description) if path.suffix.lower() == ".csv" else _table(_at(description.key, path), path)
+        views = {file.name: name for name, file in images.items()}
+        found = {views.get(Path(image).name, image): numbers for image, numbers in by_image.items()}
+    if missing := [name for name in images if name not in found]:
+        why = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
+        raise UsageError("images without a pose", where=folder, why=why, remedy=f"correct 'poses' ({description.poses})")
     result = {}
     for name in images:
         try:
             result[name] = np.asarray(found[name], np.float64).ravel().tolist()
-        except (TypeError, ValueError):
-            raise DatasetError("pose is not made of numbers", where=f"{folder}, view {name}", why=str(found[name])[:80]) from None
+        except (TypeError, ValueError, OverflowError):
+            why = str(found[name])[:80]
+            raise DatasetError("pose is not made of numbers", where=f"{folder}, view {name}", why=why) from None
     return result
 
 
-def _read(path: Path) -> Any:
-    """Content of a YAML or JSON file."""
-    if path.suffix.lower() == ".json":
-        return files.read_json(path)
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UsageError("no such file", where=path, remedy="correct 'poses'") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise DatasetError("is not valid YAML", where=path, why=str(error)) from None
-
-
-def _inside(content: Any, key: str, path: Path) -> Any:
+def _at(key: str, path: Path) -> Any:
+    """What a YAML or JSON file holds at a key."""
+    content = files.read_json(path) if path.suffix.lower() == ".json" else plain_yaml.load(path)
     for part in key.split(".") if key else []:
         if not isinstance(content, dict) or part not in content:
             keys = sorted(map(str, content)) if isinstance(content, dict) else "no mapping"
@@ -235,83 +193,60 @@ def _table(content: Any, path: Path) -> dict[str, Any]:
     try:
         return {str(entry["image"]): entry["pose"] for entry in content}
     except (TypeError, KeyError) as error:
-        raise DatasetError(
-            "is no list of poses",
-            where=path,
-            why=f"{type(error).__name__} {error}",
-            remedy="write entries {image: NAME, pose: [...]}",
-        ) from None
+        why, remedy = f"{type(error).__name__} {error}", "write entries {image: NAME, pose: [...]}"
+        raise DatasetError("is no list of poses", where=path, why=why, remedy=remedy) from None
 
 
 def _csv(path: Path, description: Description) -> dict[str, list[str]]:
     """Numbers by image name from a CSV file with a header."""
     names = description.layout.split() if "matrix" not in description.layout else [f"m{r}{c}" for r in range(4) for c in range(4)]
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            columns = reader.fieldnames or []
-            if "m33" not in columns:
-                names = [name for name in names if not name.startswith("m3")]
-            absent = [name for name in ["image", *names] if name not in columns]
-            if absent:
-                raise DatasetError(f"no column {absent[0]!r}", where=path, why=f"it has {', '.join(columns) or 'none'}")
-            return {row["image"]: [row[name] for name in names] for row in reader}
-    except FileNotFoundError:
-        raise UsageError("no such file", where=path, remedy="correct 'poses'") from None
+        text = files.read_regular(path, MAX_CSV_BYTES, suffixes=(".csv",)).decode("utf-8")
+        reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+        columns, rows = reader.fieldnames or [], list(reader)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise DatasetError("is not a CSV file", where=path, why=str(error)) from None
+    if "m33" not in columns:
+        names = [name for name in names if not name.startswith("m3")]
+    if absent := [name for name in ["image", *names] if name not in columns]:
+        raise DatasetError(f"no column {absent[0]!r}", where=path, why=f"it has {', '.join(columns) or 'none'}")
+    return {str(row["image"]): [row[name] for name in names] for row in rows}
 
 
 def as_pose(numbers: Sequence[float], description: Description, *, where: object) -> Array:
     """(4, 4) base_from_flange [m] out of the numbers of a file.
 
-    Raises:
-        DatasetError: not as many numbers as the layout has, not finite, left-handed, no rotation.
-        CalibrationError: numbers that betray another unit or order than the description says.
+    Raises DatasetError for numbers that are no pose in this layout, CalibrationError for those that betray another unit or order.
     """
     values, layout = np.asarray(numbers, np.float64), description.layout
     if len(values) != LAYOUTS[layout] and not ("matrix" in layout and len(values) == 12):
         raise DatasetError(f"pose has {len(values)} numbers", where=where, why=f"layout {layout!r} has {LAYOUTS[layout]}")
     if not np.isfinite(values).all():
         raise DatasetError("pose is not finite", where=where, why="it holds NaN or infinity", remedy="remove the view")
-    unit = 1e-3 if description.length == "mm" else 1.0
-    matrix = _from_matrix(values, layout, where) if "matrix" in layout else _from_vector(values, description, where)
-    matrix = matrix.copy()
-    matrix[:3, 3] *= unit
-    if np.abs(matrix[:3, 3]).max() > 20:
-        raise CalibrationError(
-            "arm's position is not credible",
-            where=where,
-            why=f"{np.abs(matrix[:3, 3]).max():.4g} m from its base",
-            remedy="millimetres? then say length: mm",
-        )
+    matrix = (_from_matrix(values, layout, where) if "matrix" in layout else _from_vector(values, description, where)).copy()
+    matrix[:3, 3] *= 1e-3 if description.length == "mm" else 1.0
+    if (furthest := np.abs(matrix[:3, 3]).max()) > 20:
+        why, remedy = f"{furthest:.4g} m from its base", "millimetres? then say length: mm"
+        raise CalibrationError("arm's position is not credible", where=where, why=why, remedy=remedy)
     return pose.inverse(matrix) if description.inverse else matrix
 
 
 def _from_vector(values: Array, description: Description, where: object) -> Array:
     if description.layout == "x y z rx ry rz":
         turn = np.deg2rad(values[3:]) if description.angle == "deg" else values[3:]
-        if np.linalg.norm(turn) > 2 * np.pi + 1e-6:
-            raise CalibrationError(
-                "rotation vector is longer than a full turn",
-                where=where,
-                why=f"{np.linalg.norm(turn):.4g} rad",
-                remedy="degrees? then say angle: deg",
-            )
+        if (length := np.linalg.norm(turn)) > 2 * np.pi + 1e-6:
+            why, remedy = f"{length:.4g} rad", "degrees? then say angle: deg"
+            raise CalibrationError("rotation vector is longer than a full turn", where=where, why=why, remedy=remedy)
         return pose.from_rotation_vector(turn, values[:3])
     quaternion = values[3:] if description.layout.endswith("qz") else np.roll(values[3:], 1)
-    if abs(np.linalg.norm(quaternion) - 1) > 1e-2:
-        raise CalibrationError(
-            "quaternion is not of unit length",
-            where=where,
-            why=f"its length is {np.linalg.norm(quaternion):.4g}",
-            remedy="check layout and file",
-        )
+    if abs((length := np.linalg.norm(quaternion)) - 1) > 1e-2:
+        why, remedy = f"its length is {length:.4g}", "check layout and file"
+        raise CalibrationError("quaternion is not of unit length", where=where, why=why, remedy=remedy)
     return pose.from_quaternion(quaternion, values[:3])
 
 
 def _from_matrix(values: Array, layout: str, where: object) -> Array:
-    rows = values.reshape(-1, 4) if layout == "matrix" or len(values) == 12 else values.reshape(4, 4).T
-    if len(values) == 12 and layout != "matrix":
-        rows = values.reshape(4, 3).T
+    rows = values.reshape(-1, 4) if layout == "matrix" else values.reshape(4, -1).T
     if len(rows) == 4 and not np.allclose(rows[3], [0, 0, 0, 1], atol=1e-6):
         other = "matrix by columns" if layout == "matrix" else "matrix"
         hint = f"it is stored the other way: say layout: {other}" if np.allclose(rows[:, 3], [0, 0, 0, 1], atol=1e-6) else ""

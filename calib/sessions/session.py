@@ -9,12 +9,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.errors import TargetError
 from calib.targets.detection import Observation, detect, read_board
 from datasets import pose
 from datasets.board import Board
 from datasets.core import files
 from datasets.imaging import images
+from datasets.imaging.region import Region
 from datasets.recording import FRAMES, MANIFEST, Recording
 
 
@@ -27,24 +29,25 @@ class TargetSession:
     """Of every image [px]."""
     height: int
     observations: tuple[Observation, ...]
-    base_from_flange: NDArray[np.float64]
+    base_from_flange: Array
     """(views, 4, 4), in the order of `observations`."""
     unseen: tuple[str, ...] = ()
-    """Views without a target."""
     provenance: dict[str, Any] = field(default_factory=dict)
     eye_to_hand: bool = False
     """Whether the camera stands beside the arm and the target is on the flange."""
-    joints: NDArray[np.float64] | None = None
+    joints: Array | None = None
     """(views, 6) joint angles as reported [rad], where the session holds them."""
+    region: Region | None = None
+    """Of the sensor that every image shows, where the recording states it."""
     images: dict[str, Path] = field(default_factory=dict)
     """By name of the view, where there are any."""
 
     @property
-    def stand_from_mount(self) -> NDArray[np.float64]:
+    def stand_from_mount(self) -> Array:
         """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; see `calib.handeye.model`."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
-    def chosen(self, keep: NDArray[np.bool_]) -> Self:
+    def chosen(self, keep: Mask) -> Self:
         """The same with the views of `keep` (views,) alone."""
         return self.with_observations([o for o, kept in zip(self.observations, keep, strict=True) if kept])
 
@@ -65,17 +68,13 @@ def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def observe(
     board: Board,
-    views: Sequence[tuple[str, Path, NDArray[np.float64]]],
+    views: Sequence[tuple[str, Path, Array]],
     *,
     provenance: dict[str, Any] | None = None,
     seen: Callable[[str], None] = lambda words: None,
     eye_to_hand: bool = False,
 ) -> TargetSession:
-    """Find the target in `views`: (name, image, (4, 4) base_from_flange) each.
-
-    Args:
-        seen: called after each view with a few words on it.
-        eye_to_hand: whether the camera stands beside the arm.
+    """Find the target in `views`: (name, image, (4, 4) base_from_flange) each. `seen` is called after each with a few words.
 
     Raises:
         TargetError: no view shows the target, or the images differ in size.
@@ -86,12 +85,9 @@ def observe(
         picture = grey(images.read(image))
         size = size or picture.shape
         if picture.shape != size:
-            raise TargetError(
-                "image has another size than the first",
-                where=image,
-                why=f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}",
-                remedy="record a session with one camera setting",
-            )
+            why = f"{picture.shape[1]}x{picture.shape[0]}, not {size[1]}x{size[0]}"
+            remedy = "record a session with one camera setting"
+            raise TargetError("image has another size than the first", where=image, why=why, remedy=remedy)
         observation = detect(board, picture, name)
         if observation is None:
             unseen.append(name)
@@ -110,10 +106,7 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     """Find the target of a recording in its frames. Nothing under its truth folder is read."""
     recording = Recording.open(path)
     board = read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
-    views = [
-        (f.name, files.inside(recording.path, f.image, where=f"{path}, frame {f.name}"), f.base_from_flange)
-        for f in recording.frames
-    ]
+    views = [(f.name, recording.image_path(f), f.base_from_flange) for f in recording.frames]  # paths are checked on opening
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
     provenance = {
@@ -124,7 +117,8 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     }
     session = observe(board, views, provenance=provenance, seen=seen)
     joints = {frame.name: frame.joints for frame in recording.frames}
-    return replace(session, joints=np.stack([joints[o.name] for o in session.observations]))
+    region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
+    return replace(session, region=region, joints=np.stack([joints[o.name] for o in session.observations]))
 
 
 def describe(board: Board) -> str:

@@ -13,10 +13,9 @@ thousand times more certain than the arm's reports cost no digits.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-Array = NDArray[np.float64]
+from calib.arrays import Array, Indices
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Eliminated:
         return inverse @ np.swapaxes(inverse, 1, 2) + by_global @ covariance @ np.swapaxes(by_global, 1, 2)
 
 
-def eliminate(view: NDArray[np.int64], rows: Array, own_rows: Array, global_rows: Array) -> Eliminated:
+def eliminate(view: Indices, rows: Array, own_rows: Array, global_rows: Array) -> Eliminated:
     """Eliminate the views' unknowns.
 
     Args:

@@ -1,14 +1,20 @@
 """Small rotations and cross products on flat arrays of vectors."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calib.arrays import Array
+from datasets import pose
 
 
 def rotate(rotations: Array, points: Array) -> Array:
     """(n, 3) points, each turned by its own of (n, 3, 3) matrices."""
     return np.einsum("nij,nj->ni", rotations, points)
+
+
+def rms_difference(a_from_b: Array, others: Array) -> tuple[float, float]:
+    """Root mean square difference of two (..., 4, 4) poses or stacks of them: translation [mm], rotation [deg]."""
+    distance, angle = pose.difference(a_from_b, others)
+    return 1e3 * float(np.sqrt(np.mean(distance**2))), float(np.rad2deg(np.sqrt(np.mean(angle**2))))
 
 
 def cross(vectors: Array) -> Array:

@@ -32,7 +32,6 @@ class Limits:
     """When to stop."""
 
     max_steps: int
-    """Accepted steps."""
     tolerance: float
     """A step that lowers the cost by less than this share of it is the last one."""
     least_cost: float

@@ -16,26 +16,24 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.handeye import closed_forms, refine
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import bundle
+from calib.solver.geometry import rms_difference
 from calib.study import ratios
 from calib.study.ratios import Ratio
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets import pose
 from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
 
-Array = NDArray[np.float64]
 RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
 """The Koala rig with a board of 30 corners, seen whole."""
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
 FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
 """Stated accuracy of an arm without error."""
-GIVEN: tuple[str, ...] = ()
 ESTIMATED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
 
@@ -47,7 +45,7 @@ class Point:
     arm_mm: float
     arm_deg: float
     views: int
-    free: tuple[str, ...] = GIVEN
+    free: tuple[str, ...] = ()
     """Intrinsics that are estimated; for the closed forms from the pictures alone."""
 
     @property
@@ -72,9 +70,8 @@ class Errors:
 
     def add(self, truth: Array, found: Array, seconds: float) -> None:
         """Count one answer."""
-        distance, angle = pose.difference(truth, found)
-        self.translation_mm.append(1e3 * float(distance))
-        self.rotation_deg.append(float(np.rad2deg(angle)))
+        for values, value in zip((self.translation_mm, self.rotation_deg), rms_difference(truth, found), strict=True):
+            values.append(value)
         self.time_ms.append(1e3 * seconds)
 
     def of(self, axis: int) -> list[float]:
@@ -140,9 +137,8 @@ class Result:
 
     def against_bound(self) -> tuple[Ratio, Ratio]:
         """Rms error of the refinement in units of the bound (translation, rotation), the luck of the draws taken out."""
-        return self._both(
-            lambda axis: ratios.to_bound(self.methods[REFINED].of(axis), self.methods[DRAWN].of(axis), self.bound[axis])
-        )
+        refined, drawn = self.methods[REFINED], self.methods[DRAWN]
+        return self._both(lambda axis: ratios.to_bound(refined.of(axis), drawn.of(axis), self.bound[axis]))
 
     def plainly_against_bound(self) -> tuple[float, float]:
         """The same as a plain quotient of what was drawn and the bound."""
@@ -170,12 +166,8 @@ EXACT = (1e-4, 1e-5)
 def full_grid() -> list[Point]:
     """Noise 0 to 1 px, 0 to 1 mm, 0 to 0.1 degrees, 5 to 50 views, intrinsics given; around the Koala rig also estimated."""
     known = [Point(*levels) for levels in product((0.0, 0.1, 1.0), (0.0, 0.03, 1.0), (0.0, 0.005, 0.1), (5, 10, 20, 50))]
-    along = [
-        Point(px, mm, deg, views, ESTIMATED)
-        for px, mm, deg in ((0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1))
-        for views in (10, 20, 50)
-    ]
-    return known + along
+    rigs = (0.1, 0.03, 0.005), (0.3, 0.1, 0.02), (1.0, 1.0, 0.1)
+    return known + [Point(*levels, views, ESTIMATED) for levels, views in product(rigs, (10, 20, 50))]
 
 
 def quick_grid() -> list[Point]:
@@ -211,9 +203,8 @@ def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG,
 def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, Errors]) -> Array:
     """(2,) what `bound` says of one session, whose errors are counted."""
     sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
-    drawn = simulate(
-        rng, rig, viewpoints(rng, rig, point.views, Pattern()), sigma_px=point.sigma_px, arm=point.arm, free=point.free
-    )
+    flown = viewpoints(rng, rig, point.views, Pattern())
+    drawn = simulate(rng, rig, flown, sigma_px=point.sigma_px, arm=point.arm, free=point.free)
     drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
     methods[DRAWN].add(drawn.truth.mount_from_camera, efficient(drawn, sigmas), 0.0)
     _compare(drawn, point, methods)
@@ -223,7 +214,8 @@ def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, 
 def _compare(drawn: Simulated, point: Point, methods: dict[str, Errors]) -> None:
     """All closed forms, then the refinement from the best of them by residual, as `calib handeye` does."""
     session, truth = drawn.session, drawn.truth
-    seen = bundle.fit(session.view, session.pixels, session.points, truth.intrinsics, drawn.camera_from_board, point.free)
+    corners = bundle.Corners(session.view, session.pixels, session.points)
+    seen = bundle.fit(corners, truth.intrinsics, drawn.camera_from_board, point.free)
     answers = []
     for name in closed_forms.METHODS:
         start = time.process_time()
@@ -260,4 +252,4 @@ def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     """(2,) variances of the hand-eye pose over all axes that a session allows: translation [m^2], rotation [rad^2]."""
     inverse = np.linalg.inv(refine.linear_system(drawn.session, drawn.truth, sigmas).root)
     stated = UncertainPose(drawn.truth.mount_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
-    return np.array([np.sum((1e-3 * stated.translation_std_mm) ** 2), np.sum(np.deg2rad(stated.rotation_std_deg) ** 2)])
+    return np.square(np.array(stated.total_std) * [1e-3, np.deg2rad(1)])

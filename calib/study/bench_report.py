@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.handeye import closed_forms
 from calib.study.bench import BOUND, EXACT, REFINED, Errors, Point, Result
 from calib.study.ratios import Ratio
 from datasets.core import files
 
-Array = NDArray[np.float64]
 TIE = 1.005
 """A thousand trials cannot distinguish methods whose errors differ by less than 0.5 %."""
 ROUNDING = 1e-4
@@ -105,18 +104,12 @@ def markdown(results: Sequence[Result]) -> str:
         p, refined = result.point, result.methods[REFINED]
         (first, second), best, bound = result.best, result.against_best(), result.against_bound()
         closed = [_time(result.methods[name]) for name in closed_forms.METHODS]
-        settings = [
-            f"{p.sigma_px:g}",
-            f"{p.arm_mm:g}",
-            f"{p.arm_deg:g}",
-            p.views,
-            "estimated" if p.free else "given",
-            result.trials,
-        ]
+        noise, intrinsics = [f"{value:g}" for value in (p.sigma_px, p.arm_mm, p.arm_deg)], "estimated" if p.free else "given"
         forms = [f"{first} {result.methods[first].rms[0]:.4f}", f"{second} {result.methods[second].rms[1]:.4f}"]
         errors = [f"{value:.4f}" for value in (*refined.rms, *result.bound)]
         ratios = [f"{best[0]}, {best[1]}", f"{bound[0]}, {bound[1]}"]
-        lines.append(_row([*settings, *forms, *errors, *ratios, f"{min(closed):.1f}–{max(closed):.1f}, {_time(refined):.1f}"]))
+        cells = [*noise, p.views, intrinsics, result.trials, *forms, *errors, *ratios]
+        lines.append(_row([*cells, f"{min(closed):.1f}–{max(closed):.1f}, {_time(refined):.1f}"]))
     return "\n".join(lines) + "\n"
 
 
@@ -155,9 +148,8 @@ def _plot(path: Path, results: Sequence[Result]) -> None:
         _draw_ratios(grid[2][axis], results, axis, kind)
     grid[2][2].axis("off")
     words = "\n\n".join(textwrap.fill(line, 60) for line in describe(results).splitlines())
-    grid[2][2].text(0, 0.5, words, va="center", fontsize=9).set_in_layout(
-        False
-    )  # else it takes its width from the other pictures
+    text = grid[2][2].text(0, 0.5, words, va="center", fontsize=9)
+    text.set_in_layout(False)  # else it takes its width from the other pictures
     figure.savefig(path, dpi=100)
 
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib import calibrate
+from calib.arrays import Array
 from calib.calibrate import STATED
 from calib.handeye import closed_forms, model, refine, verify
 from calib.handeye.model import Accuracy, Session, State
@@ -22,8 +22,6 @@ from datasets import pose
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
 from datasets.splits import folds
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,6 @@ class Judged:
     held_out_px: float
     held_out_mm: float
     views: int
-    """Used."""
 
 
 def compare(
@@ -55,9 +52,8 @@ def compare(
     measured = model.measured(session, first.free, first.known, accuracy, camera.fisheye)
     rows = [_closed_form(name, session, boards, measured, projection.vector(camera)) for name in closed_forms.METHODS]
     start = calibrate.start_from(camera, solution.closed, len(boards))
-    rows.append(
-        _refined("refinement, all views", session, boards, measured, refine.refine(measured, start, sigma_px=first.sigma_px))
-    )
+    refined = refine.refine(measured, start, sigma_px=first.sigma_px)
+    rows.append(_refined("refinement, all views", session, boards, measured, refined))
     if len(fit.session.observations) < len(boards):
         used = {o.name for o in fit.session.observations}
         kept = boards[[o.name in used for o in session.observations]]
@@ -88,15 +84,9 @@ def _closed_form(name: str, session: TargetSession, boards: Array, measured: Ses
                 errors.append(verify.errors(rest, state))
     except KoalaError:
         return Judged(name, None, np.nan, np.nan, np.nan, np.nan, views)
-    pixels, millimetres = (np.concatenate([e[i] for e in errors]) for i in (0, 1))
-    return Judged(
-        name,
-        answer.mount_from_camera,
-        *_residual(mount, boards, answer.mount_from_camera),
-        verify.rms(pixels),
-        verify.rms(millimetres),
-        views,
-    )
+    pixels, millimetres = (verify.rms(np.concatenate(parts)) for parts in zip(*errors, strict=True))
+    residual = _residual(mount, boards, answer.mount_from_camera)
+    return Judged(name, answer.mount_from_camera, *residual, pixels, millimetres, views)
 
 
 def _residual(mount: Array, boards: Array, camera_pose: Array) -> tuple[float, float]:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from calib.arrays import Array
 from calib.calibrate import Solution
 from calib.errors import CalibrationError
 from calib.handeye import model, refine
@@ -24,33 +24,12 @@ from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.core import files
 
-Array = NDArray[np.float64]
 LEVER_M = 0.4
 """Rotation errors are weighed by the motion they cause at this distance, that of the object from the camera."""
 CANDIDATES = 400
 MAX_TILT_DEG = 50.0
 MIN_SHARE = 0.7
 """Smallest share of the board's corners in a view."""
-
-
-@dataclass(frozen=True)
-class Reach:
-    """Where the camera may be: the region of the recorded views."""
-
-    low: Array
-    """(3,) lowest corner of a box in the base frame [m]."""
-    high: Array
-    """(3,) highest corner [m]."""
-
-    @classmethod
-    def of(cls, base_from_camera: Array, grow_m: float) -> "Reach":
-        """The box around recorded (views, 4, 4) camera poses, larger by `grow_m` on every side."""
-        return cls(base_from_camera[:, :3, 3].min(0) - grow_m, base_from_camera[:, :3, 3].max(0) + grow_m)
-
-    def holds(self, base_from_camera: Array) -> NDArray[np.bool_]:
-        """(n,) whether cameras of (n, 4, 4) poses are inside."""
-        places = base_from_camera[:, :3, 3]
-        return np.all((places >= self.low) & (places <= self.high), axis=1)
 
 
 @dataclass(frozen=True)
@@ -65,11 +44,11 @@ class NextViews:
     """The same after each view, expected."""
 
 
-def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
-    """The next `count` views after a session that has been solved, with the camera on the flange.
+def plan(solution: Solution, count: int, *, reach: Array | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:
+    """The next `count` views after a session that has been solved.
 
-    Raises:
-        CalibrationError: no view within reach shows the board; the camera is beside the arm.
+    The camera stays inside `reach`, a (2, 3) box in the base frame [m]; by default that of the recorded views, larger by `grow_m`
+    on every side. Raises CalibrationError where no view within reach shows the board, and for a camera beside the arm.
     """
     fit = solution.fit
     if fit.session.eye_to_hand:
@@ -78,36 +57,31 @@ def plan(solution: Solution, count: int, *, reach: Reach | None = None, grow_m: 
     flown = fit.session.base_from_flange @ state.mount_from_camera
     camera = projection.with_vector(solution.first.camera, state.intrinsics)
     rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
-    candidates = _candidates(np.random.default_rng(seed), rig, flown, reach or Reach.of(flown, grow_m))
-    informations, showing = [], []
-    for candidate in candidates:
-        information = _information(candidate, rig, fit.measured, fit.refined)
-        if information is not None:
-            informations.append(information)
-            showing.append(candidate)
+    recorded = np.stack([flown[:, :3, 3].min(0) - grow_m, flown[:, :3, 3].max(0) + grow_m])
+    candidates = _candidates(np.random.default_rng(seed), rig, flown, recorded if reach is None else reach)
+    informations = [_information(candidate, rig, fit.measured, fit.refined) for candidate in candidates]
+    showing = [(view, information) for view, information in zip(candidates, informations, strict=True) if information is not None]
     if not showing:
         raise CalibrationError("no view within reach shows the board", remedy="allow more room with --grow-mm")
     total, chosen, after = fit.refined.information, [], []
     for _ in range(count):
-        scores = [_score(total + information, state) for information in informations]
-        best = int(np.argmin(scores))
-        total = total + informations[best]
-        chosen.append(showing[best])
+        scores = [_score(total + information, state) for _, information in showing]
+        best, information = showing[int(np.argmin(scores))]
+        total = total + information
+        chosen.append(best)
         after.append(_deviations(total, state))
     return NextViews(np.stack(chosen), _deviations(fit.refined.information, state), tuple(after))
 
 
-def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Reach) -> list[Array]:
+def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Array) -> list[Array]:
     """Camera poses within reach, as far from the board as the recorded ones and tilted up to `MAX_TILT_DEG`."""
     in_board = pose.inverse(rig.base_from_board) @ flown
     distance = -in_board[:, 2, 3]
-    pattern = Pattern(
-        (0.0, MAX_TILT_DEG),
-        (0.8 * float(distance.min()), 1.2 * float(distance.max())),
-        shift_m=0.25 * float(np.ptp(rig.board.points)),
-    )
+    distances = 0.8 * float(distance.min()), 1.2 * float(distance.max())
+    pattern = Pattern((0.0, MAX_TILT_DEG), distances, shift_m=0.25 * float(np.ptp(rig.board.points)))
     drawn = viewpoints(rng, rig, 20 * CANDIDATES, pattern)
-    return list(drawn[reach.holds(drawn)][:CANDIDATES])
+    within = np.all((drawn[:, :3, 3] >= reach[0]) & (drawn[:, :3, 3] <= reach[1]), axis=1)
+    return list(drawn[within][:CANDIDATES])
 
 
 def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined) -> Array | None:
@@ -130,8 +104,7 @@ def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:
     """Standard deviations of the hand-eye pose over all axes: translation [mm], rotation [deg]."""
-    stated = UncertainPose(state.mount_from_camera, np.asarray(np.linalg.inv(information)[-12:-6, -12:-6], np.float64))
-    return float(np.linalg.norm(stated.translation_std_mm)), float(np.linalg.norm(stated.rotation_std_deg))
+    return UncertainPose(state.mount_from_camera, np.asarray(np.linalg.inv(information)[-12:-6, -12:-6], np.float64)).total_std
 
 
 def _score(information: Array, state: State) -> float:
@@ -144,10 +117,8 @@ def write_trajectory(path: Path, found: NextViews, manifest: dict[str, Any]) -> 
     """Write the views as a trajectory file for 'capture plan' and 'capture run', with the other settings of the recording."""
     recorded = manifest.get("trajectory") or {}
     kept = {key: recorded[key] for key in ("camera", "motion", "safety", "target", "board") if recorded.get(key) is not None}
-    poses = [
-        {"position": matrix[:3, 3].round(6).tolist(), "quaternion_wxyz": pose.quaternion(matrix).round(9).tolist()}
-        for matrix in found.base_from_camera
-    ]
+    parts = [(m[:3, 3].round(6).tolist(), pose.quaternion(m).round(9).tolist()) for m in found.base_from_camera]
+    poses = [{"position": position, "quaternion_wxyz": quaternion} for position, quaternion in parts]
     name = f"{recorded.get('name', 'calibration')}_next"
     head = {"format": "koala-trajectory", "version": 1, "name": name, "views": [{"kind": "poses", "poses": poses}]}
     before, after = found.before, found.after[-1]

@@ -7,9 +7,10 @@ Two methods that met the same noise are compared trial by trial. Intervals are p
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from calib.arrays import Array, Indices
+
 DRAWS = 1000
 LEVEL = (2.5, 97.5)
 """Percentiles of an interval that holds the truth in 95 of 100 cases."""
@@ -27,12 +28,8 @@ class Ratio:
         return f"{self.value:.2f} ({self.low:.2f}–{self.high:.2f})"
 
 
-EQUAL = Ratio(1.0, 1.0, 1.0)
-"""Of two methods that are both exact."""
-BETTER = Ratio(0.0, 0.0, 0.0)
-"""Than a method that failed."""
-WORSE = Ratio(np.inf, np.inf, np.inf)
-"""Of a method that failed."""
+EQUAL, BETTER, WORSE = (Ratio(value, value, value) for value in (1.0, 0.0, np.inf))
+"""Of two methods that are both exact; to a method that failed; of a method that failed."""
 
 
 def of_errors(errors: ArrayLike, reference: ArrayLike) -> Ratio:
@@ -45,25 +42,20 @@ def of_errors(errors: ArrayLike, reference: ArrayLike) -> Ratio:
 
 
 def to_bound(errors: ArrayLike, efficient: ArrayLike, bound: float) -> Ratio:
-    """Rms of (n,) errors in units of a known bound.
+    """Rms of (n,) errors in units of a known bound, given (n,) errors of an efficient estimator on the same trials.
 
     With few trials the plain quotient depends more on the draws than on the method. The expected squared error of an efficient
     estimator is bound^2, so its error on the same noise shows how lucky the draws were; that is removed (a control variate;
     Hammersley & Handscomb 1964, 5.5):
 
         ratio^2 = (mean(errors^2) - mean(efficient^2) + bound^2) / bound^2.
-
-    Args:
-        errors: of the method.
-        efficient: of the efficient estimator on the same trials.
-        bound: in the same unit.
     """
     excess = (np.square(errors) - np.square(efficient)) / bound**2
     drawn = _draws(len(excess))
     return _summed(np.sqrt(max(1 + excess.mean(), 0.0)), np.sqrt(np.maximum(1 + excess[drawn].mean(1), 0.0)))
 
 
-def _draws(number: int) -> NDArray[np.int64]:
+def _draws(number: int) -> Indices:
     return np.random.default_rng(0).integers(number, size=(DRAWS, number))
 
 

@@ -7,8 +7,8 @@ by a small Gaussian motion, whose standard deviations per axis are given as `Acc
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
 from calib.handeye import model
 from calib.handeye.model import Accuracy, Session, State
 from calib.intrinsics import projection
@@ -17,7 +17,6 @@ from datasets import pose
 from datasets.board import Board
 from datasets.camera_model import Camera
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 
@@ -76,11 +75,9 @@ class Simulated:
         """The corners by view, named "000", "001", ..."""
         ids = np.rint(self.session.points[:, :2] / self.rig.board.square_length_m).astype(np.int64)
         number = (ids[:, 1] - 1) * (self.rig.board.squares_x - 1) + ids[:, 0] - 1
-        return [
-            Observation(f"{i:03d}", number[own], self.session.pixels[own], self.session.points[own])
-            for i in range(len(self.base_from_camera))
-            for own in [self.session.view == i]
-        ]
+        pixels, points = self.session.pixels, self.session.points
+        masks = [self.session.view == i for i in range(len(self.base_from_camera))]
+        return [Observation(f"{i:03d}", number[own], pixels[own], points[own]) for i, own in enumerate(masks)]
 
 
 def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:
@@ -99,7 +96,7 @@ def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:
     return board @ board_from_camera
 
 
-def inside_image(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
+def inside_image(pixels: Array, camera: Camera) -> Mask:
     """(n,) which of (n, 2) pixels lie in the image, two pixels from its border."""
     return np.all((pixels > 2) & (pixels < [camera.width - 2, camera.height - 2]), axis=1)
 

@@ -7,22 +7,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib import calibrate
+from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms
 from calib.handeye.model import Accuracy
 from calib.intrinsics import estimate
 from calib.sessions.session import TargetSession
+from calib.solver.geometry import rms_difference
 from calib.study import next_views
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets import pose
 from datasets.board import Board
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
 
-Array = NDArray[np.float64]
 SIGMA_PX = 0.1
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 """Per axis: what a UR5e repeats to."""
@@ -67,6 +64,7 @@ def _with_board(x: int, y: int, square_m: float) -> Rig:
 
 A3, DENSE = _with_board(12, 9, 0.03), _with_board(18, 13, 0.02)
 TILTED = Pattern(tilt_deg=(25.0, 50.0))
+FAR = Pattern((25.0, 50.0), (0.3, 0.6))
 NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
 """As configs/trajectories/calibration.yaml has it."""
 VARIANTS = (
@@ -79,9 +77,7 @@ VARIANTS = (
     Variant("board of 12x9 squares of 30 mm (A3)", A3),
     Variant("A3 board, tilts of 25 to 50 degrees", A3, TILTED),
     Variant("A3 board of 18x13 squares of 20 mm", DENSE),
-    Variant(
-        "A3 board of 18x13 squares of 20 mm, tilts of 25 to 50 degrees, 0.3 to 0.6 m", DENSE, Pattern((25.0, 50.0), (0.3, 0.6))
-    ),
+    Variant("A3 board of 18x13 squares of 20 mm, tilts of 25 to 50 degrees, 0.3 to 0.6 m", DENSE, FAR),
     Variant("A3 board, tilts of 25 to 50 degrees, intrinsics from 60 views of their own", A3, TILTED, separate=60),
     Variant("tilts of 20 to 50 degrees at 0.25 to 0.4 m", KOALA, NEAR),
     Variant("10 views of the first kind, then 15 by `calib plan`", KOALA, planned=15),
@@ -108,14 +104,8 @@ def run(
 def target_session(simulated: Simulated, name: str = "simulated") -> TargetSession:
     """A simulated session in the form of a detected one."""
     camera = simulated.rig.camera
-    return TargetSession(
-        simulated.rig.board,
-        camera.width,
-        camera.height,
-        tuple(simulated.observations()),
-        simulated.session.base_from_flange,
-        provenance={"frames_sha256": name},
-    )
+    seen, flown = tuple(simulated.observations()), simulated.session.base_from_flange
+    return TargetSession(simulated.rig.board, camera.width, camera.height, seen, flown, provenance={"frames_sha256": name})
 
 
 def _once(variant: Variant, rng: np.random.Generator) -> Array:
@@ -129,17 +119,11 @@ def _once(variant: Variant, rng: np.random.Generator) -> Array:
     session = target_session(simulated)
     found = calibrate.calibrate_handeye(session, given, ARM)
     assert found.flange_from_camera is not None  # the camera is on the flange
-    camera = _plain_camera(session, given)
+    camera = given.camera if given else estimate.calibrate(session.observations, session.width, session.height).camera
     park = closed_forms.solve(session.base_from_flange, estimate.camera_from_boards(camera, session.observations), "park")
     truth = simulated.truth.mount_from_camera
-    stated = found.flange_from_camera
-    return np.array(
-        [
-            _error(truth, stated.matrix),
-            _error(truth, park.mount_from_camera),
-            [np.linalg.norm(stated.translation_std_mm), np.linalg.norm(stated.rotation_std_deg)],
-        ]
-    )
+    refined = found.flange_from_camera
+    return np.array([rms_difference(truth, refined.matrix), rms_difference(truth, park.mount_from_camera), refined.total_std])
 
 
 def _flown(variant: Variant, rng: np.random.Generator) -> Array:
@@ -153,16 +137,6 @@ def _flown(variant: Variant, rng: np.random.Generator) -> Array:
 
 def _simulated(variant: Variant, rng: np.random.Generator, base_from_camera: Array) -> Simulated:
     return simulate(rng, variant.rig, base_from_camera, sigma_px=SIGMA_PX, arm=ARM)
-
-
-def _plain_camera(session: TargetSession, given: Calibration | None) -> Camera:
-    """The camera that the closed form uses."""
-    return given.camera if given else estimate.calibrate(session.observations, session.width, session.height).camera
-
-
-def _error(truth: Array, found: Array) -> tuple[float, float]:
-    distance, angle = pose.difference(truth, found)
-    return 1e3 * float(distance), float(np.rad2deg(angle))
 
 
 def markdown(outcomes: Sequence[Outcome]) -> str:

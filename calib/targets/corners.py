@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-Array = NDArray[np.float64]
+from calib.arrays import Array
+
 MAX_RADIUS_PX = 9
 """Pixels further from the corner are left out: there the lens bends the edges."""
 MIN_PIXELS = 24

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Array, Indices
 from calib.errors import TargetError
 from calib.targets import corners
 from datasets import conventions
@@ -17,7 +18,7 @@ from datasets.core.schema import validate
 MIN_CORNERS = 8
 """A view of a checkered target with fewer corners is left out; of tags, one whole tag will do."""
 _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
-Found = tuple[NDArray[np.int64], NDArray[np.float32]] | None
+Found = tuple[Indices, NDArray[np.float32]] | None
 """(n,) corner numbers and (n, 2) places in OpenCV's pixel coordinates; None: no target."""
 
 
@@ -26,12 +27,11 @@ class Observation:
     """Corners of a target in one view."""
 
     name: str
-    """Name of the view."""
-    ids: NDArray[np.int64]
+    ids: Indices
     """(n,) corner numbers."""
-    pixels: NDArray[np.float64]
+    pixels: Array
     """(n, 2) where they are seen, first pixel's centre at (0.5, 0.5) [px]."""
-    points: NDArray[np.float64]
+    points: Array
     """(n, 3) where they are on the board, board frame [m]."""
 
 
@@ -136,7 +136,7 @@ def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
     return np.arange(rows * columns, dtype=np.int64), np.ascontiguousarray(places.reshape(-1, 2))
 
 
-def _refined(board: Board, grey: NDArray[np.float32], ids: NDArray[np.int64], found: NDArray[np.float32]) -> NDArray[np.float64]:
+def _refined(board: Board, grey: NDArray[np.float32], ids: Indices, found: NDArray[np.float32]) -> Array:
     """(n, 2) corners to a few hundredths of a pixel: `cornerSubPix` brings them near, a fit of the picture there."""
     points = board.points[ids, :2]
     metres, pixels = np.linalg.norm(points[:, None] - points, axis=-1), np.linalg.norm(found[:, None] - found, axis=-1)

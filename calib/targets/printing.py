@@ -6,15 +6,14 @@ has scaled the page.
 
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Array, Mask
+from calib.targets.detection import dictionary_of
 from datasets.board import Board
 from datasets.core import files
 from datasets.core.errors import UsageError
 
-Array = NDArray[np.float64]
 MARGIN_MM = 10.0
 FOOTER_MM = 14.0
 POINTS_PER_MM = 72 / 25.4
@@ -24,12 +23,7 @@ def dark_rectangles(board: Board) -> Array:
     """(n, 4) x, y, width, height [m] in the board frame of everything that is printed black."""
     side, found = board.square_length_m, []
     if board.kind != "tags":
-        found += [
-            (x * side, y * side, side, side)
-            for y in range(board.squares_y)
-            for x in range(board.squares_x)
-            if _is_dark(board, x, y)
-        ]
+        found += [(x * side, y * side, side, side) for x, y in _squares(board) if _is_dark(board, x, y)]
     if board.kind != "chessboard":
         margin = (side - board.marker_length_m) / 2
         for number, (x, y) in enumerate(_marker_squares(board)):
@@ -38,24 +32,28 @@ def dark_rectangles(board: Board) -> Array:
     return np.array(found)
 
 
+def _squares(board: Board) -> list[tuple[int, int]]:
+    """(column, row) of all squares, row by row."""
+    return [(x, y) for y in range(board.squares_y) for x in range(board.squares_x)]
+
+
 def _is_dark(board: Board, x: int, y: int) -> bool:
     return (x + y + (board.squares_y % 2 == 0 and board.kind == "charuco" and board.legacy_pattern)) % 2 == 0
 
 
 def _marker_squares(board: Board) -> list[tuple[int, int]]:
     """(column, row) of the squares that hold markers, in the order of their numbers."""
-    squares = [(x, y) for y in range(board.squares_y) for x in range(board.squares_x)]
-    return squares if board.kind == "tags" else [(x, y) for x, y in squares if not _is_dark(board, x, y)]
+    return [(x, y) for x, y in _squares(board) if board.kind == "tags" or not _is_dark(board, x, y)]
 
 
-def _marker(board: Board, number: int) -> NDArray[np.bool_]:
+def _marker(board: Board, number: int) -> Mask:
     """(cells, cells) true where a marker is dark, its border included."""
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    dictionary = dictionary_of(board)
     cells = dictionary.markerSize + 2
     return dictionary.generateImageMarker(number, cells, borderBits=1) < 128
 
 
-def _cells(dark: NDArray[np.bool_], left: float, top: float, size: float) -> list[tuple[float, float, float, float]]:
+def _cells(dark: Mask, left: float, top: float, size: float) -> list[tuple[float, float, float, float]]:
     """Runs of dark cells in a row as one rectangle each: seams between cells could print as hairlines."""
     found = []
     for row, line in enumerate(dark):
@@ -111,9 +109,8 @@ def _pdf(board: Board) -> bytes:
     width, height = page_mm(board)
     k = POINTS_PER_MM
     lines = [f"{x * k:.4f} {(height - y - h) * k:.4f} {w * k:.4f} {h * k:.4f} re" for x, y, w, h in _placed(board)]
-    content = "\n".join(
-        ["0 g", *lines, "f", f"BT /F 9 Tf {MARGIN_MM * k:.2f} {(MARGIN_MM - 1) * k:.2f} Td ({_label(board)}) Tj ET"]
-    )
+    label = f"BT /F 9 Tf {MARGIN_MM * k:.2f} {(MARGIN_MM - 1) * k:.2f} Td ({_label(board)}) Tj ET"
+    content = "\n".join(["0 g", *lines, "f", label])
     objects = [
         "<< /Type /Catalog /Pages 2 0 R >>",
         "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",

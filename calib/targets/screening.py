@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.arrays import Mask
 from calib.targets.detection import MIN_CORNERS, Observation
 
 TOLERANCE = 1.0
@@ -17,7 +17,7 @@ MIN_SHARE = 0.5
 """A view is left out if a smaller share of its corners agrees with a homography."""
 
 
-def some(observation: Observation, chosen: NDArray[np.bool_]) -> Observation:
+def some(observation: Observation, chosen: Mask) -> Observation:
     """The corners of `chosen` (n,) alone."""
     return replace(observation, ids=observation.ids[chosen], pixels=observation.pixels[chosen], points=observation.points[chosen])
 
@@ -40,7 +40,7 @@ def agreeing_with_plane(observations: Sequence[Observation]) -> tuple[list[Obser
     return kept, left_out
 
 
-def _on_plane(observation: Observation) -> NDArray[np.bool_]:
+def _on_plane(observation: Observation) -> Mask:
     """(n,) corners that the best homography explains."""
     limit = max(TOLERANCE * _spacing(observation), 1.0)
     cv2.setRNGSeed(0)  # RANSAC draws from OpenCV's own generator: the same views give the same answer

@@ -193,27 +193,34 @@ def neighbour(path: Path, *suffixes: str) -> str:
 
 
 def inside(folder: Path, name: str, *, where: object = "") -> Path:
-    """Path of `name` below `folder`.
+    """Path below `folder` of `name` as a file states it. Links in the folder itself are followed: a person made them.
 
     Raises:
-        DatasetError: `name` is absolute or leaves `folder`, also through a symbolic link.
+        DatasetError: `name` is absolute, leaves `folder`, or cannot be the name of a file.
     """
     try:
-        root = Path(folder).resolve()
-        path = (root / name).resolve()
-        if any(len(os.fsencode(part)) > LONGEST_NAME for part in path.parts):
-            raise ValueError("a name in it is too long")
-        leaves = Path(name).is_absolute() or not path.is_relative_to(root)
-    except (TypeError, ValueError, OSError, RuntimeError) as error:  # not text, a zero byte, too long, circular links
+        plain = os.path.normpath(name)  # resolves ".." by the words alone, so that it cannot lead out of a linked folder
+        if "\0" in plain or any(len(os.fsencode(part)) > LONGEST_NAME for part in plain.split(os.sep)):
+            raise ValueError("a name in it is too long or holds a zero byte")
+    except (TypeError, ValueError) as error:
         raise DatasetError(f"path {str(name)[:80]!r} is not usable", where=where or folder, why=str(error)) from None
-    if leaves:
+    if os.path.isabs(plain) or plain.split(os.sep)[0] == os.pardir:
         raise DatasetError(f"path {name!r} leaves the folder", where=where or folder, remedy="use paths relative to it")
-    return Path(folder) / name
+    return Path(folder) / plain
 
 
 def within(folder: Path, path: Path, *, where: object = "") -> Path:
-    """`path`, which begins with `folder`. Raises DatasetError where it leaves the folder, also through a symbolic link."""
+    """`path`, which begins with `folder`. Raises DatasetError where it leaves the folder."""
     return inside(folder, os.path.relpath(path, folder), where=where)
+
+
+def target(folder: Path, name: str) -> Path:
+    """Path below `folder` to write to, its own folder made. Raises DatasetError where it leads out, also through a link."""
+    path = inside(folder, name)
+    if not path.resolve().is_relative_to(Path(folder).resolve()):
+        raise DatasetError(f"path {name!r} leaves the folder", where=folder, why="through a link", remedy="remove the link")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def sha256(path: Path) -> str:

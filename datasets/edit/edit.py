@@ -4,6 +4,7 @@
 change intrinsics, truth and sightings accordingly: every ray stays where it was.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from datasets import splits
 from datasets.camera_model import Camera
+from datasets.core import files
 from datasets.core.errors import UsageError
 from datasets.core.progress import Step, ignore
 from datasets.formats import export
@@ -76,9 +78,10 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
             remedy = "merge scenes of one kind, in one coordinate frame"
             raise UsageError(f"scenes differ in {what}", why=why, remedy=remedy)
     names = [view.name for scene in scenes for view in scene.views]
+    counts = Counter(names)
     prefixes = [scene.name if [s.name for s in scenes].count(scene.name) == 1 else f"{i}" for i, scene in enumerate(scenes)]
     renamed = [
-        {v.name: v.name if names.count(v.name) == 1 else f"{prefix}/{v.name}" for v in scene.views}
+        {v.name: v.name if counts[v.name] == 1 else f"{prefix}/{v.name}" for v in scene.views}
         for prefix, scene in zip(prefixes, scenes, strict=True)
     ]
     views = [replace(v, name=new[v.name]) for scene, new in zip(scenes, renamed, strict=True) for v in scene.views]
@@ -203,11 +206,12 @@ def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: 
 
 
 def _path(folder: Path, below: str, view: View, source: Path) -> Path:
-    return folder / below / f"{file_name(view)}{'.png' if source.suffix.lower() in LOSSY else source.suffix}"
+    suffix = ".png" if source.suffix.lower() in LOSSY else source.suffix
+    return files.target(folder, f"{below}/{file_name(view)}{suffix}")
 
 
 def _exr(folder: Path, key: str, view: View) -> Path:
-    return folder / "truth" / key / f"{file_name(view)}.exr"
+    return files.target(folder, f"truth/{key}/{file_name(view)}.exr")
 
 
 def _with_views(scene: Scene, views: Sequence[View], moved: Callable[[str, Pixels], Pixels]) -> Scene:

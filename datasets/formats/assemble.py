@@ -1,6 +1,7 @@
 """Shared by the readers of foreign formats: missing files, image sizes, background and bounds."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, KoalaError
 from datasets.imaging import images
-from datasets.scene import Scene, View
+from datasets.scene import Scene, View, checked_name
 from datasets.structure import bounds
 from datasets.structure.hull import visual_hull
 
@@ -79,11 +80,23 @@ class Gathering:
             remedy = "give all of them one, or none"
             self.complain(DatasetError("only some views have a mask", where=self.folder, why=why, remedy=remedy))
             self.views = [replace(view, mask=None) for view in self.views]
-        names = [view.name for view in self.views]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            self.complain(DatasetError("view is listed twice", where=f"{self.folder / listed_in}, {twice}"))
+        for view in self.views:
+            try:
+                checked_name(view.name, where=self.folder / listed_in)
+            except DatasetError as error:
+                self.complain(error)
+        try:
+            listed_once([view.name for view in self.views], where=self.folder / listed_in)
+        except DatasetError as error:
+            self.complain(error)
         return tuple(self.views)
+
+
+def listed_once(names: Iterable[object], *, where: object) -> None:
+    """Raise DatasetError where a name occurs twice. Lists are checked before their images are opened, which takes longer."""
+    twice = next((name for name, count in Counter(map(str, names)).items() if count > 1), None)
+    if twice is not None:
+        raise DatasetError("view is listed twice", where=f"{where}, {twice}")
 
 
 def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:

@@ -63,6 +63,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     place, home = _place(folder, images_folder)
     model = _model(folder, place)
     gathering = assemble.Gathering(folder, problems)
+    assemble.listed_once([image.name for image in model.images], where=place / "images")
     pixels: dict[str, np.ndarray] = {}
     stored: dict[str, StoredImage] = {}
     for image in sorted(model.images, key=lambda image: image.name):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import pose
+from datasets.core import files
 from datasets.core.errors import DatasetError
 
 MODELS = {
@@ -24,7 +25,7 @@ MODELS = {
 """Name and number of parameters of each lens model, by its number in the file."""
 NOWHERE = 2**64 - 1
 """Point id of a feature without a point."""
-LONGEST_NAME = 4096
+LONGEST_NAME, MAX_BYTES = 4096, 2**32
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class _Cursor:
 
     def __init__(self, path: Path) -> None:
         self.path, self.place = path, 0
-        self.data = path.read_bytes()
+        self.data = files.read_regular(path, MAX_BYTES)
 
     def take(self, layout: str) -> tuple[Any, ...]:
         """The next values, little-endian, laid out as `struct` says."""
@@ -179,7 +180,7 @@ def _finite(points: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
 def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
     """(where, words) of each line that is not a comment."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = files.read_regular(path, MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
         raise DatasetError("is not a text file", where=path, why=str(error)) from None
     for number, line in enumerate(text.splitlines(), 1):

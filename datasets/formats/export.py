@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
 from datasets.core.progress import Step
-from datasets.formats.links import file_name, link
+from datasets.formats.links import file_name, link, new_file
 from datasets.imaging import images, undistort
 from datasets.scene import DISPARITY, Scene, View
 
@@ -56,14 +56,14 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
     same = layout.holds(view.camera)
     merged = layout.mask is None and view.mask is not None
     if same and not merged:
-        image = _kept(view, view.image, folder / stem)
+        image = _kept(view.image, folder, stem)
     else:
-        image = _redrawn(view, folder / stem, None if same else pinhole, merged=merged)
+        image = _redrawn(view, folder, stem, None if same else pinhole, merged=merged)
     mask = None
     if view.mask is not None and layout.mask is not None:
-        at = folder / layout.mask.format(stem=Path(stem).name, file=image.name)
-        mask = _kept(view, view.mask, at) if same else _written(at, ".png", _straightened(view.mask, pinhole))
-    truth = {key: _truth(view, key, folder / "truth" / key / file_name(view), pinhole, same) for key in view.truth}
+        at = layout.mask.format(stem=Path(stem).name, file=image.name)
+        mask = _kept(view.mask, folder, at) if same else _written(folder, f"{at}.png", _straightened(view.mask, pinhole))
+    truth = {key: _truth(view, key, folder, pinhole, same) for key in view.truth}
     if same:
         return Placed(replace(view, image=image, mask=mask, truth=truth), 0.0, False)
     matrix = view.world_from_camera @ pinhole.source_from_camera
@@ -100,15 +100,11 @@ def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
     return f"{layout.title} cannot hold " + "; nor ".join(lost) if lost else ""
 
 
-def _kept(view: View, source: Path, target: Path) -> Path:
-    if not source.is_file():
-        raise DatasetError("file is missing", where=source, why=f"view {view.name} needs it")
-    path = target.with_name(target.name + source.suffix)
-    link(source, path)
-    return path
+def _kept(source: Path, folder: Path, stem: str) -> Path:
+    return link(source, folder, stem + source.suffix)
 
 
-def _redrawn(view: View, target: Path, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:
+def _redrawn(view: View, folder: Path, stem: str, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:
     """The image with its mask as alpha, or resampled, or both, at the bit depth of its file."""
     as_float = view.image.suffix.lower() == ".exr"
     picture = view.read_image()
@@ -118,28 +114,27 @@ def _redrawn(view: View, target: Path, pinhole: undistort.Pinhole | None, *, mer
         picture = pinhole.resample(picture, undistort.SMOOTH if as_float else undistort.COLOUR)
     if not as_float and images.steps(view.image) == 65535:
         picture = images.to_uint16(picture)
-    return _written(target, ".exr" if as_float else ".png", picture, view.image)
+    return _written(folder, f"{stem}{'.exr' if as_float else '.png'}", picture, view.image)
 
 
 def _straightened(mask: Path, pinhole: undistort.Pinhole) -> NDArray[np.float32]:
     return pinhole.resample(images.read(mask), undistort.SMOOTH)
 
 
-def _written(target: Path, suffix: str, picture: NDArray[np.generic], source: Path | None = None) -> Path:
+def _written(folder: Path, name: str, picture: NDArray[np.generic], source: Path | None = None) -> Path:
     """Write a picture with the metadata of its source file."""
-    path = target.with_name(target.name + suffix)
-    if path.exists():
-        raise DatasetError("two views would share a file", where=path, remedy="give each view its own name")
+    path = new_file(folder, name)
     images.write(path, picture, metadata=images.metadata(source) if source else None)
     return path
 
 
-def _truth(view: View, key: str, target: Path, pinhole: undistort.Pinhole, same: bool) -> Path:
+def _truth(view: View, key: str, folder: Path, pinhole: undistort.Pinhole, same: bool) -> Path:
+    stem = f"truth/{key}/{file_name(view)}"
     if same:
         source = view.truth[key]
         disparity = key == "depth" and source.stem.endswith(DISPARITY)  # its name states its encoding
-        return _kept(view, source, target.with_name(target.name + DISPARITY) if disparity else target)
+        return _kept(source, folder, stem + DISPARITY if disparity else stem)
     values = pinhole.resample(view.read_truth(key), ORDERS.get(key, undistort.SMOOTH))
     if key == "depth":
         values = values * pinhole.depth_factor()
-    return _written(target, ".png" if key == "alpha" else ".exr", values)
+    return _written(folder, f"{stem}{'.png' if key == 'alpha' else '.exr'}", values)

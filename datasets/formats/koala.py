@@ -22,7 +22,7 @@ from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, sidecar
 from datasets.formats.links import Extra, file_name, link, link_all, write_smaller
-from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View
+from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View, checked_name
 
 FILE = "cameras.json"
 FORMAT, VERSION = "koala-scene", 1
@@ -83,9 +83,7 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
 
     def keep(source: Path, below: str) -> str:
         disparity = DISPARITY if source.stem.endswith(DISPARITY) else ""  # its name states its encoding
-        relative = f"{below}/{name}{disparity}{source.suffix}"
-        link(source, folder / relative)
-        return relative
+        return link(source, folder, f"{below}/{name}{disparity}{source.suffix}").relative_to(folder).as_posix()
 
     return {
         "name": view.name,
@@ -111,6 +109,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     views = content.get("views")
     if not isinstance(views, list):
         raise DatasetError("holds no list of views", where=source)
+    assemble.listed_once([entry["name"] for entry in views if isinstance(entry, dict) and "name" in entry], where=source)
     for index, entry in enumerate(views):
         try:
             gathering.views.append(_loaded_view(entry, folder, where=f"{source}, view {index}"))
@@ -137,10 +136,10 @@ def _resized(view: View, folder: Path, home: str) -> View:
 
 def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
     try:
-        name, split = str(entry["name"]), entry["split"]
+        name, split = checked_name(entry["name"], where=where), entry["split"]
         where = f"{where} ({name})"
-        image, mask, unit = entry["image"], entry.get("mask"), float(entry.get("depth_unit", 1e-3))
-        truth = {key: files.inside(folder, path, where=where) for key, path in entry.get("truth", {}).items()}
+        image, mask, unit = entry["image"], entry.get("mask"), sidecar.unit_of(entry, 1e-3)
+        truth = sidecar.truth_of(entry.get("truth", {}), folder, where=where)
         camera = Camera.from_json(entry["camera"], where=f"{where}, camera")
         matrix = pose.checked(entry["world_from_camera"], where=f"{where}, world_from_camera")
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -7,8 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 
+from datasets.core import files
 from datasets.core.errors import DatasetError
 from datasets.imaging import downscale
+from datasets.recording import TRUTH
 from datasets.scene import View
 
 Extra = Mapping[str, Path] | None
@@ -20,21 +22,37 @@ def file_name(view: View) -> str:
     return view.name.replace("/", "_")
 
 
-def link(source: Path, target: Path) -> None:
-    """Make `target` the same file as `source`: a hard link, or a copy where the disks differ. Refuses to overwrite."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if target.exists():
-        raise DatasetError("two views would share a file", where=target, remedy="give each view its own name")
+def link(source: Path, folder: Path, name: str) -> Path:
+    """Make `name` below `folder` the same file as `source`: a hard link, or a copy where the disks differ.
+
+    Raises:
+        DatasetError: `source` is no regular file, or truth behind a link; `name` exists already or leaves the folder.
+    """
+    target = new_file(folder, name)
+    if not source.is_file():
+        raise DatasetError("file is missing", where=source, why=f"{name} is made of it")
+    below = source.parts[:-1][::-1].index(TRUTH) if TRUTH in source.parts[:-1] else 0
+    if TRUTH in Path(name).parts and any(path.is_symlink() for path in (source, *source.parents[:below])):
+        raise DatasetError("truth behind a link is not copied", where=source, remedy="replace the link by what it refers to")
     try:
         os.link(Path(source).resolve(), target)
     except OSError:
         _copy(source, target)
+    return target
+
+
+def new_file(folder: Path, name: str) -> Path:
+    """Path of a new file below `folder`. Raises DatasetError where it exists or leaves the folder."""
+    path = files.target(folder, name)
+    if path.exists():
+        raise DatasetError("two views would share a file", where=path, remedy="give each view its own name")
+    return path
 
 
 def link_all(extra: Extra, folder: Path) -> None:
     """`link` every file of `extra` below `folder`."""
     for name, source in (extra or {}).items():
-        link(source, folder / name)
+        link(source, folder, name)
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -57,6 +75,6 @@ def write_smaller(views: Sequence[View], folder: Path, sizes: Sequence[int], nam
         small = downscale.camera(view.camera, size)
         for source, home in ((view.image, "images"), (view.mask, "masks")):
             if source is not None:
-                target = folder / f"{home}_{size}" / name(view, source)
+                target = files.target(folder, f"{home}_{size}/{name(view, source)}")
                 jobs.append(downscale.Job(source, target, small.width, small.height, home == "images"))
     downscale.run(jobs)

@@ -11,6 +11,7 @@ from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_OPENGL
 from datasets.core import files
 from datasets.core.errors import DatasetError
+from datasets.formats.assemble import listed_once
 from datasets.imaging import images
 
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr", ".JPG", ".PNG")
@@ -22,10 +23,11 @@ DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def frames_of(content: Any, *, where: object) -> list[dict[str, Any]]:
-    """The list of frames of a transforms file; raises DatasetError where there is none."""
+    """The list of frames of a transforms file; raises DatasetError where there is none, or an image is listed twice."""
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not all(isinstance(f, dict) and isinstance(f.get("file_path"), str) for f in frames):
         raise DatasetError("holds no list of frames with a file_path", where=where)
+    listed_once([frame["file_path"] for frame in frames], where=where)
     return frames
 
 

@@ -15,7 +15,7 @@ TYPES = {
 }  # fmt: skip
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 """Byte order of each encoding; none for text."""
-LONGEST_HEADER = 2**16
+LONGEST_HEADER, MAX_BYTES = 2**16, 2**31
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
@@ -24,10 +24,7 @@ def read_points(path: Path) -> NDArray[np.float64]:
     Raises:
         DatasetError: it is no such file, it is cut off, or a vertex is not finite.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DatasetError("cannot be read", where=path, why=error.strerror or str(error)) from None
+    data = files.read_regular(path, MAX_BYTES, suffixes=(".ply",))
     header = re.match(rb"ply\r?\n(.*?)end_header\r?\n", data[:LONGEST_HEADER], re.DOTALL)
     if header is None:
         raise DatasetError("is not a PLY file", where=path, why="it has no header")

@@ -4,6 +4,7 @@ Other programs ignore it. Koala's readers take splits, names, truth, bounds and 
 trains like the original.
 """
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from datasets.core import files
 from datasets.core.errors import DatasetError
-from datasets.scene import SPLITS, STATED, Scene, View
+from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View, checked_name
 
 FILE = "koala.json"
 FORMAT, VERSION = "koala-sidecar", 1
@@ -46,6 +47,8 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
         near, far = float(content["near"]), np.inf if content["far"] is None else float(content["far"])
         box = np.asarray(content["box"], np.float64).reshape(2, 3)
         name, background, metric = str(content["name"]), content["background"], bool(content["metric"])
+        notes, provenance = tuple(map(str, content.get("notes", ()))), content.get("provenance", {})
+        json.dumps(provenance, allow_nan=False)
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError("scene is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if background not in ("white", "scene"):
@@ -54,9 +57,24 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
         raise DatasetError("box is empty or not finite", where=where, why=str(box.tolist()))
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
-    notes, provenance = tuple(content.get("notes", ())), content.get("provenance", {})
     evidence = str(content.get("bounds_from", STATED))
     return Scene(name, views, near, far, box, background, metric, notes=notes, provenance=provenance, bounds_from=evidence)
+
+
+def truth_of(content: Any, folder: Path, *, where: object) -> dict[str, Path]:
+    """Truth maps by channel as a file lists them. Raises DatasetError where a channel is unknown or a path leaves the folder."""
+    for key in content:
+        if key not in CHANNELS:
+            raise DatasetError(f"no truth channel called {str(key)[:80]!r}", where=where, remedy=f"valid: {', '.join(CHANNELS)}")
+    return {key: files.inside(folder, path, where=where) for key, path in content.items()}
+
+
+def unit_of(entry: dict[str, Any], otherwise: float) -> float:
+    """World units per step of a view's depth file. Raises ValueError where it is not positive."""
+    unit = float(entry.get("depth_unit", otherwise))
+    if not 0 < unit < np.inf:
+        raise ValueError(f"depth_unit is {unit}")
+    return unit
 
 
 def read(folder: Path) -> dict[str, Any] | None:
@@ -85,11 +103,12 @@ def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, n
         if entry is None:
             return view
         try:
-            truth = {key: files.inside(folder, path, where=where) for key, path in entry["truth"].items()}
+            truth = truth_of(entry["truth"], folder, where=f"{where}, {view.name}")
+            name = checked_name(entry["name"], where=f"{where}, {view.name}")
             if entry["split"] not in SPLITS:
                 raise DatasetError(f"no split called {entry['split']!r}", where=f"{where}, {view.name}")
-            unit = float(entry.get("depth_unit", view.depth_unit))
-            return replace(view, name=str(entry["name"]), split=entry["split"], truth=truth, depth_unit=unit)
+            unit = unit_of(entry, view.depth_unit)
+            return replace(view, name=name, split=entry["split"], truth=truth, depth_unit=unit)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise DatasetError("view is not complete", where=f"{where}, {view.name}", why=str(error)) from None
 

@@ -15,10 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datasets.core import files
+from datasets.core.budgets import budget, free_memory
 from datasets.core.errors import DatasetError, UsageError
 
-MAX_PIXELS = 2**28
-"""Larger images are refused before anything is decoded."""
+PIXELS = "KOALA_MAX_PIXELS"
+FREE_PIXELS, PIXELS_PER_BYTE = 2**25, 64
+"""Budget of pixels of one image: the larger of these, the second for each byte of its file. Larger images are refused before
+anything is decoded; the environment variable `PIXELS` replaces the budget."""
+BYTES_PER_PIXEL = 32
+"""Memory for one pixel of four channels: as floats, while it is decoded and afterwards."""
 MOST_SHRUNK = 1200
 """Largest compression ratio of a valid file: deflate's 1032, and a margin for headers."""
 MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x76\x2f\x31\x01")
@@ -38,7 +43,7 @@ def read(path: Path) -> NDArray[np.float32]:
 
     Raises:
         UsageError: there is no such file.
-        DatasetError: it is not an image, cut off, or larger than `MAX_PIXELS`.
+        DatasetError: it is not an image, cut off, or larger than its budget of pixels or the free memory.
     """
     return _decoded(path, "float")
 
@@ -254,14 +259,31 @@ def _open(path: Path) -> tuple[Any, int]:
             why = "its header is damaged"
         raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
     spec = source.spec()
-    if not 0 < spec.width * spec.height <= MAX_PIXELS or not 0 < spec.nchannels <= 64 or spec.depth > 1:
+    complaint = _beyond(spec, path)
+    if complaint is not None:
         source.close()
-        raise DatasetError("image is too large", where=path, why=f"its header says {spec.width}x{spec.height}x{spec.nchannels}")
-    if spec.image_bytes() > MOST_SHRUNK * path.stat().st_size + 2**16:
-        source.close()
-        why = f"its header says {spec.width}x{spec.height}, too much for {path.stat().st_size} bytes"
-        raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
+        raise complaint
     return source, int(spec.getattribute("Orientation") or 1)
+
+
+def _beyond(spec: Any, path: Path) -> DatasetError | None:
+    """What is wrong with the size that a header states; None where it is within the budget."""
+    size, stored = f"its header says {spec.width}x{spec.height}x{spec.nchannels}", path.stat().st_size
+    pixels = spec.width * spec.height * max(spec.nchannels, 4) / 4
+    allowed = budget(PIXELS, max(FREE_PIXELS, PIXELS_PER_BYTE * stored))
+    remedy = f"if you trust the file, set {PIXELS} to a larger number"
+    if not 0 < pixels <= allowed or spec.nchannels > 64 or spec.depth > 1:
+        why = f"{size}; the budget for a file of {stored} bytes is {allowed} pixels of four channels"
+        return DatasetError("image is too large", where=path, why=why, remedy=remedy)
+    if spec.image_bytes() > MOST_SHRUNK * stored + 2**16:
+        return DatasetError(
+            "image cannot be read", where=path, why=f"{size}, too much for {stored} bytes", remedy="copy it again"
+        )
+    needed = int(pixels * BYTES_PER_PIXEL)
+    if pixels > FREE_PIXELS and needed > free_memory():
+        why = f"{size}, which takes {needed >> 20} MiB; {free_memory() >> 20} MiB are free"
+        return DatasetError("image does not fit into the memory", where=path, why=why, remedy="close other programs")
+    return None
 
 
 def _header(path: Path) -> tuple[Any, int]:

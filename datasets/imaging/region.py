@@ -45,6 +45,13 @@ class Region:
         return asdict(self)
 
     @classmethod
+    def of_recording(cls, manifest: dict[str, Any], *, where: object) -> Self | None:
+        """The region that a recording's manifest states for its camera, if any."""
+        camera = manifest.get("camera")
+        content = camera.get("region") if isinstance(camera, dict) else None
+        return None if content is None else cls.from_json(content, where=f"{where}, camera, region")
+
+    @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
         """Region from `to_json`'s dictionary; raises DatasetError where it is not valid."""
         try:

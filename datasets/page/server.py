@@ -1,22 +1,29 @@
 """A page in the browser, served on 127.0.0.1 only, complete in itself, and stopped by Ctrl-C within a second.
 
 The browser loads one file with everything in it and then talks to this process through a web socket. Nothing is loaded from other
-hosts, and other hosts cannot connect. From another computer: `ssh -L 8080:127.0.0.1:8080 HOST`.
+hosts, and other hosts cannot connect; requests of other sites' pages are refused. From another computer: `ssh -L 8080:127.0.0.1:8080 HOST`.
 """
 
 import contextlib
+import http
+import inspect
 import io
 import logging
 import os
+import re
 import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import viser
+import websockets.asyncio.server
 from numpy.typing import ArrayLike
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
 from datasets.core.errors import KoalaError
 
@@ -27,6 +34,42 @@ JOIN_S = 0.3
 POLL_S = 0.2
 """Interval at which the main thread, which alone handles signals, checks for one [s]."""
 logger = logging.getLogger(__name__)
+
+
+_opening = threading.Lock()
+
+
+@contextlib.contextmanager
+def _guarded_serving() -> Iterator[None]:
+    """While this is open, the web servers that viser starts answer only requests that come from their own pages."""
+    serve = websockets.asyncio.server.serve
+
+    def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
+        async def checked(connection: ServerConnection, request: Request) -> Response | None:
+            if not from_own_page(request.headers):
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "This page is for its own computer only.\n")
+            answer = process_request(connection, request) if process_request is not None else None
+            return await answer if inspect.isawaitable(answer) else answer
+
+        return serve(*arguments, process_request=checked, **options)
+
+    with _opening:
+        websockets.asyncio.server.serve = guarded  # type: ignore[misc, assignment]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = serve  # type: ignore[misc]
+
+
+def from_own_page(headers: Headers) -> bool:
+    """Whether a request names this computer as its host, once, and comes from no other site's page.
+
+    A site may let its own name lead to 127.0.0.1 (DNS rebinding), and web sockets may be opened from any site's page.
+    """
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(hosts) != 1 or not re.fullmatch(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", hosts[0]):
+        return False
+    return all(origin == f"http://{hosts[0]}" for origin in origins)
 
 
 class _LocalServer(viser.ViserServer):
@@ -126,7 +169,7 @@ def open_page(title: str, port: int = PORT) -> Iterator[Page]:
     """
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # browsers may leave at any time
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
-    with contextlib.redirect_stdout(io.StringIO()):  # viser's banner; commands print the address themselves
+    with contextlib.redirect_stdout(io.StringIO()), _guarded_serving():  # viser's banner; commands print the address themselves
         server = _LocalServer(host=HOST, port=port, label=title, verbose=False)
     page = Page(server)
     try:

@@ -21,7 +21,7 @@ from reconstruct.errors import ReconstructError
 from reconstruct.output import metric_names, metrics
 from reconstruct.output.align import Aligner
 from reconstruct.output.lpips import Lpips
-from reconstruct.output.mesh import extraction, surface_distance
+from reconstruct.output.mesh import extraction, reading, surface_distance
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene import poses
 from reconstruct.scene.rays import over, read_scaled
@@ -106,13 +106,11 @@ def _aligned(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) 
 
 def compare_surface(trained: TrainedModel, truth: Path, stands_on: str | None = None) -> dict[str, float] | None:
     """Distance of the model's surface from a true mesh [m], see `surface_distance`; None if the model has no surface."""
-    import trimesh
-
     try:
         surface = extraction.extract(trained, stands_on=stands_on)
     except ReconstructError:
         return None
-    return surface_distance.compare(surface, trimesh.load_mesh(truth), trained.scene.views, trained.scene.box)
+    return surface_distance.compare(surface, reading.read(truth, process=True), trained.scene.views, trained.scene.box)
 
 
 def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:

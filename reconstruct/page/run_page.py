@@ -20,6 +20,7 @@ from datasets.scene import View
 from datasets.structure import bounds
 from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
+from reconstruct.output.mesh import reading
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.page.compose import (
     CHANNELS,
@@ -151,9 +152,7 @@ class RunPage:
             handle.on_click(lambda event, view=view: self._chosen(event.client, view))
             self._frusta.append(handle)
         if mesh is not None:
-            import trimesh
-
-            self._add_mesh(trimesh.load_mesh(mesh, process=False))
+            self._add_mesh(reading.read(mesh))
 
     def _add_mesh(self, surface: "trimesh.Trimesh") -> None:
         """Show a surface in world coordinates, replacing an earlier one, and its checkbox."""

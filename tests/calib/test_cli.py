@@ -54,10 +54,10 @@ def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
         (["verify", "{recording}"], "--calibration"),
         (["handeyes"], "handeyes"),
         (["handeye", "{recording}", "--out", "{tmp}/c.json", "--lens", "brawn"], "did you mean 'brown'"),
-        (["compare", "{tmp}"], "neither a recording nor a folder to import"),
+        (["compare", "{tmp}"], "is not a recording (it has no manifest.json); describe images and poses"),
         (["handeye", "{tmp}", "--import", "{tmp}/none.yaml", "--out", "{tmp}/c.json"], "no such file"),
         (["board", "--out", "{tmp}/board.png"], ".pdf or .svg"),
-        (["board", "--squares", "nine", "--out", "{tmp}/board.pdf"], "given as 9x7"),
+        (["board", "--squares", "nine", "--out", "{tmp}/board.pdf"], "squares such as 9x7"),
         (["refine", "{tmp}/nowhere", "--out", "{tmp}/scene"], "nowhere"),
     ],
 )

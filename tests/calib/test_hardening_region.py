@@ -47,9 +47,6 @@ def test_the_premise_the_region_moves_the_principal_point(calibration: Path, oth
     assert camera.cx == pytest.approx(known.camera.cx - 8) and "converted" in notes[0]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="nobody writes provenance['region']: build._calibrated_region opens the recording by its absolute path"
-)
 def test_the_region_outlives_the_recording(calibration: Path, session: Path, other_region: Recording) -> None:
     before = Calibration.load(calibration).camera.cx
     session.rename(session.with_name("moved"))
@@ -57,7 +54,6 @@ def test_the_region_outlives_the_recording(calibration: Path, session: Path, oth
     assert camera.cx == pytest.approx(before - 8)
 
 
-@pytest.mark.xfail(strict=True, reason="build.camera_for says nothing where the calibration's region is not known")
 def test_an_older_file_without_a_region_is_said_to_be_so(calibration: Path, session: Path, other_region: Recording) -> None:
     content = json.loads(calibration.read_text())
     content.pop("region", None)

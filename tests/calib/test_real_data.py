@@ -28,7 +28,7 @@ def imported(name, description):
     folder = DATA / name
     if not folder.is_dir():
         pytest.skip(f"the real session {folder} is not there")
-    said = importer.load_description(folder, ROOT / "configs" / "imports" / f"{description}.yaml")
+    said = importer.load_description(ROOT / "configs" / "imports" / f"{description}.yaml")
     return importer.import_session(folder, said), said.camera.camera()
 
 
@@ -77,7 +77,7 @@ def test_park_gives_the_published_answer_for_visp(visp):
 def test_charuco_agrees_with_the_published_answer(charuco, published):
     session, camera = charuco
     assert len(session.observations) == 12
-    distance, angle = pose.difference(closed_form(session, camera, "daniilidis").flange_from_camera, published)
+    distance, angle = pose.difference(closed_form(session, camera, "daniilidis").mount_from_camera, published)
     # the source drew its axes into some corners and found them with an older detector
     assert distance < 3e-4 and np.rad2deg(angle) < 0.15
 
@@ -120,7 +120,7 @@ def test_camera_beside_the_arm_is_in_front_of_it(beside):
 
 
 def test_poses_read_by_columns_are_refused_with_the_remedy(charuco):
-    said = importer.load_description(DATA, ROOT / "configs" / "imports" / "franka_charuco.yaml")
+    said = importer.load_description(ROOT / "configs" / "imports" / "franka_charuco.yaml")
     with pytest.raises(importer.CalibrationError, match=r"say layout: matrix$"):
         importer.import_session(DATA / "franka_charuco_handeye", said.model_copy(update={"layout": "matrix by columns"}))
 
@@ -143,6 +143,6 @@ def test_intrinsics_from_the_pictures_agree_with_the_maker_s(charuco):
 def test_axes_of_the_answer_are_a_camera_on_a_flange(visp):
     session, camera = visp
     found = closed_form(session, camera, "park")
-    forward = (session.base_from_flange @ found.flange_from_camera)[:, :3, 2]
+    forward = (session.base_from_flange @ found.mount_from_camera)[:, :3, 2]
     assert (forward[:, 2] < -0.5).all(), "the camera looks down at the table"
     assert found.translation_residual_m.mean() < 8e-3

@@ -195,8 +195,8 @@ def test_closed_forms_give_a_pose_or_an_error(method, angle):
         found = closed_forms.solve(flange, boards, method)
     except KoalaError:
         return
-    assert np.isfinite(found.flange_from_camera).all()
-    np.testing.assert_allclose(found.flange_from_camera[:3, :3] @ found.flange_from_camera[:3, :3].T, np.eye(3), atol=1e-9)
+    assert np.isfinite(found.mount_from_camera).all()
+    np.testing.assert_allclose(found.mount_from_camera[:3, :3] @ found.mount_from_camera[:3, :3].T, np.eye(3), atol=1e-9)
 
 
 def test_information_that_says_nothing_about_a_direction_is_refused_by_name():

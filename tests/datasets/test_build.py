@@ -26,7 +26,7 @@ OBJECT = {"centre": [0.4, 0.0, 0.15], "size": [0.2, 0.2, 0.3]}
 @pytest.fixture
 def calibration(tmp_path: Path) -> Path:
     known = UncertainPose(FLANGE_FROM_CAMERA, 1e-8 * np.eye(6))
-    Calibration(CAMERA, {"fx": 0.1}, known, known, provenance={"region": Region(48, 36).to_json()}).save(tmp_path / "cal.json")
+    Calibration(CAMERA, {"fx": 0.1}, known, known, region=Region(48, 36)).save(tmp_path / "cal.json")
     return tmp_path / "cal.json"
 
 
@@ -86,7 +86,7 @@ def test_another_region_of_the_same_sensor_is_converted_exactly(recording: Recor
     theirs, ours = Region(240, 180), Region(48, 36, 20, 15, 2)
     whole = replace(CAMERA, width=240, height=180, fx=90.0, fy=91.0, cx=2 * 20 + 49.2, cy=2 * 15 + 34.2)
     known = Calibration.load(calibration)
-    replace(known, camera=whole, provenance={"region": theirs.to_json()}).save(tmp_path / "whole.json")
+    replace(known, camera=whole, region=theirs).save(tmp_path / "whole.json")
     files.write_json(recording.path / "manifest.json", {**recording.manifest, "camera": {"region": ours.to_json()}})
     scene = build(recording.path, tmp_path / "whole.json", tmp_path / "scene")
     camera = scene.views[0].camera
@@ -105,7 +105,7 @@ def unhinge(recording: Recording, calibration: Path, how: str) -> None:
         images.write(first, np.zeros((36, 48, 3)))
     elif how == "other camera":
         known = Calibration.load(calibration)
-        replace(known, camera=CAMERA.scaled(96, 72), provenance={}).save(calibration)
+        replace(known, camera=CAMERA.scaled(96, 72), region=None).save(calibration)
     elif how == "no hand-eye":
         replace(Calibration.load(calibration), flange_from_camera=None).save(calibration)
     elif how == "NaN":

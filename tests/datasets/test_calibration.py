@@ -8,6 +8,7 @@ from datasets import kinematics, pose
 from datasets.calibration import Calibration, JointOffsets, UncertainPose
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError, UsageError
+from datasets.imaging.region import Region
 
 CAMERA = Camera(640, 480, 500.0, 501.0, 322.0, 239.0, k1=-0.1)
 POSE = UncertainPose(
@@ -16,13 +17,15 @@ POSE = UncertainPose(
 
 
 def test_everything_comes_back(tmp_path: Path) -> None:
-    Calibration(CAMERA, {"fx": 0.1}, POSE, residuals={"rms_px": 0.1}, provenance={"method": "made up"}).save(tmp_path / "c.json")
+    more = {"region": Region(640, 480, 8, 4, 2), "residuals": {"rms_px": 0.1}, "provenance": {"method": "made up"}}
+    Calibration(CAMERA, {"fx": 0.1}, POSE, **more).save(tmp_path / "c.json")
     again = Calibration.load(tmp_path / "c.json")
     assert again.camera == CAMERA and again.camera_std == {"fx": 0.1} and again.base_from_board is None
     assert again.flange_from_camera is not None
     assert np.abs(again.flange_from_camera.matrix - POSE.matrix).max() < 1e-15
     assert np.array_equal(again.flange_from_camera.covariance, POSE.covariance)
     assert (again.residuals, again.provenance) == ({"rms_px": 0.1}, {"method": "made up"})
+    assert again.region == more["region"]
 
 
 def test_deviations_of_a_pose_at_the_origin_by_hand() -> None:
@@ -56,6 +59,12 @@ def test_a_rotation_moves_a_distant_origin() -> None:
             },
             "pose is not finite",
         ),
+        ({"flange_from_camera": {**POSE.to_json(), "covariance": np.full((6, 6), np.inf).tolist()}}, "covariance is impossible"),
+        ({"flange_from_camera": {**POSE.to_json(), "covariance": (-np.eye(6)).tolist()}}, "covariance is impossible"),
+        ({"provenance": {"notes": [1.0, float("nan")]}}, r"c.json, provenance, notes, 1: number is not finite \(nan\)"),
+        ({"camera_std": {"fx": float("inf")}}, "c.json, camera_std, fx: number is not finite"),
+        ({"residuals": [1]}, "c.json, residuals: is not made of names and values"),
+        ({"region": {"width": 640, "height": 0}}, "c.json, region: sensor region is impossible"),
         ({"format": "koala-scene"}, "is not a koala-calibration file"),
         ({"version": 2}, "version 2 cannot be read"),
     ],

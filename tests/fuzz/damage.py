@@ -13,7 +13,7 @@ from pathlib import Path
 import bombs
 import numpy as np
 import yaml
-from structure import Structure, leaves, put
+from structure import BAD, Structure, leaves, put
 
 PICTURES = (".png", ".jpg", ".tif", ".exr")
 PATH_KEYS = ("image", "mask", "file_path", "mask_path", "depth_file_path", "depth", "ply_file_path")
@@ -73,7 +73,7 @@ class Damage(Structure):
 
     def flip_bit(self) -> bool:
         """One bit of a file that is not text."""
-        path = self.pick(*PICTURES, *BINARY, ".ply", "") or self.any()
+        path = self.pick(*PICTURES, *BINARY, ".ply", ".glb", ".stl", "") or self.any()
         data = bytearray(path.read_bytes())
         if data:
             data[self.random.randrange(len(data))] ^= 1 << self.random.randrange(8)
@@ -287,6 +287,29 @@ class Damage(Structure):
         path.write_bytes((head + end).replace(before, after, 1 if before != b"\n" else -1) + body)
         return False
 
+    def glb_header(self) -> bool | None:
+        """The description inside a GLB file says something else, or asks for much."""
+        path = self.pick(".glb")
+        if path is None:
+            return None
+        data = path.read_bytes()
+        length = int.from_bytes(data[12:16], "little")
+        content = json.loads(data[20 : 20 + length])
+        way = self.random.randrange(5)
+        if way == 0:
+            content["accessors"][0] = {"componentType": 5126, "type": "MAT4", "count": 10**8}
+        elif way == 1:  # each part holds the next one twice: 2^40 copies
+            content["nodes"] += [{"children": [number + 1, number + 1], "mesh": 0} for number in range(len(content["nodes"]), 40)]
+        elif way == 2:
+            content["buffers"][0]["uri"] = self._outside_name()
+        else:
+            place = self.random.choice(leaves(content))
+            put(content, place[: self.random.randint(1, len(place))], self.random.choice(BAD))
+        text = json.dumps(content).encode()
+        text += b" " * (-len(text) % 4)
+        path.write_bytes(data[:12] + len(text).to_bytes(4, "little") + data[16:20] + text + data[20 + length :])
+        return way < 3
+
     def garbage(self) -> bool:
         self.any().write_bytes(self.random.randbytes(self.random.choice((0, 1, 7, 100, 10_000))))
         return False
@@ -336,6 +359,7 @@ WAYS: tuple[str, ...] = (
     "huge_shape",
     "words",
     "points_header",
+    "glb_header",
     "garbage",
     "crowd",
     "copy_checkpoint",

@@ -19,9 +19,10 @@ from datasets.formats import WRITERS, load_scene, ply, save_scene
 from datasets.imaging import images
 from datasets.recording import Recording
 from datasets.scene import Scene
+from reconstruct import checkpoint
 from reconstruct.output import camera_path
+from reconstruct.output.mesh import reading
 from reconstruct.run import Run
-from reconstruct.training import checkpoint
 
 SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap")
 
@@ -98,7 +99,7 @@ def _pictures(folder: Path, out: Path) -> None:
 def _session(folder: Path, out: Path) -> None:
     for name in ("import", "by_yaml", "by_json"):
         try:
-            importer.import_session(folder, importer.load_description(folder, folder / f"{name}.yaml"))
+            importer.import_session(folder, importer.load_description(folder / f"{name}.yaml"))
         except TargetError:
             pass  # a picture this small may not show its board
 
@@ -122,5 +123,6 @@ READERS = {
     "path": lambda folder, out: camera_path.from_file(folder / "path.yaml"),
     "session": _session,
     "run": _run,
+    "mesh": lambda folder, out: [reading.read(path) for path in sorted(folder.iterdir())],
 }
 """How each kind that is no scene is read."""

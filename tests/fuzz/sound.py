@@ -36,7 +36,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 class State(eqx.Module):
-    """Stands for a training state: `reconstruct.training.checkpoint` takes any tree with a step."""
+    """Stands for a training state: `reconstruct.checkpoint` takes any tree with a step."""
 
     step: Any
     weights: Any
@@ -64,6 +64,7 @@ def sound_inputs(folder: Path) -> dict[str, Path]:
         "path": _path,
         "session": _session,
         "run": _run,
+        "mesh": _meshes,
     }
     for kind, make in makers.items():
         (folder / kind).mkdir()
@@ -178,16 +179,27 @@ def _session(folder: Path) -> None:
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
 
 
+def _meshes(folder: Path) -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=np.full((len(ball.vertices), 4), 200, np.uint8))
+    for suffix in (".ply", ".glb", ".obj", ".stl"):
+        ball.export(folder / f"ball{suffix}")
+    ball.export(folder / "text.ply", encoding="ascii")
+
+
 def _run(folder: Path) -> None:
     """A run with two checkpoints. Its state is small; only how it is stored matters here."""
+    from reconstruct import checkpoint
     from reconstruct.config import Config
     from reconstruct.run import Run
+    from reconstruct.scene.facts import SceneFacts
     from reconstruct.scene.rays import Normalisation
-    from reconstruct.training import checkpoint
 
     shutil.rmtree(folder)
     normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)
-    run = Run.create(folder, Config(), folder / "scene", normalisation, {"budget_s": None})
+    run = Run.create(folder, Config(), folder / "scene", SceneFacts(normalisation), {"budget_s": None})
     state = example_state()
     for step in (1, 2):
         checkpoint.save(run.path / "checkpoints", replace(state, step=np.int32(step)), {"seconds": float(step), "step": step})

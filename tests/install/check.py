@@ -60,7 +60,7 @@ class Installation:
         self.run(str(python), "-m", "venv", str(self.folder / "venv"))
         lock = ROOT / "constraints" / f"python{self.version}.txt"
         constraint = ["--constraint", str(lock)] if lock.is_file() else []
-        self.run(str(self.bin / "python"), "-m", "pip", "install", "--quiet", *constraint, f"{ROOT}[all]")
+        self.run(str(self.bin / "python"), "-m", "pip", "install", "--quiet", "--no-compile", *constraint, f"{ROOT}[all]")
 
     def run(self, *command: str) -> str:
         """Standard output of a command. Raises CheckFailed where it fails."""

@@ -95,7 +95,7 @@ def test_board_alone_is_found_again(small):
         small.state(), stand_from_board=model.perturbed(small.base_from_board, np.array([0.01, -0.01, 0.02, 0.05, 0.02, -0.1]))
     )
     found = refine.fit_board(small.session(), start)
-    distance, angle = pose.difference(found.base_from_board, small.base_from_board)
+    distance, angle = pose.difference(found.stand_from_board, small.base_from_board)
     assert distance < 1e-4 and np.rad2deg(angle) < 0.02
 
 

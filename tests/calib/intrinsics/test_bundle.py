@@ -19,7 +19,7 @@ def test_camera_and_poses_come_back_from_noise_free_corners():
     drawn = draw(0.0)
     start = drawn.truth.intrinsics + np.array([20, -20, 10, -10, 0.02, 0, 0, 0, 0, 0, 0, 0])
     s = drawn.session
-    found = bundle.fit(s.view, s.pixels, s.points, start, drawn.camera_from_board, FREE)
+    found = bundle.fit(bundle.Corners(s.view, s.pixels, s.points), start, drawn.camera_from_board, FREE)
     np.testing.assert_allclose(found.intrinsics, projection.vector(KOALA.camera), atol=1e-5)
     assert np.abs(found.residuals).max() < 1e-6
 
@@ -29,7 +29,7 @@ def test_errors_are_those_that_the_information_states():
     for seed in range(40):
         drawn = draw(0.2, seed)
         s = drawn.session
-        found = bundle.fit(s.view, s.pixels, s.points, drawn.truth.intrinsics, drawn.camera_from_board, FREE)
+        found = bundle.fit(bundle.Corners(s.view, s.pixels, s.points), drawn.truth.intrinsics, drawn.camera_from_board, FREE)
         error = (found.intrinsics - drawn.truth.intrinsics)[:8]
         squares.append(error @ found.information @ error / 0.2**2)
     # chi-square of 8: mean 8, over 40 sessions with a deviation of sqrt(16 / 40) = 0.63
@@ -40,6 +40,5 @@ def test_a_board_behind_the_camera_is_an_error():
     drawn = draw(0.0)
     s = drawn.session
     with pytest.raises(CalibrationError, match="behind the camera"):
-        bundle.fit(
-            s.view, s.pixels, s.points, drawn.truth.intrinsics, pose.from_rotation_vector([np.pi, 0, 0]) @ drawn.camera_from_board
-        )
+        behind = pose.from_rotation_vector([np.pi, 0, 0]) @ drawn.camera_from_board
+        bundle.fit(bundle.Corners(s.view, s.pixels, s.points), drawn.truth.intrinsics, behind)

@@ -62,7 +62,7 @@ def test_views_straight_onto_the_target_do_not_show_the_focal_length(simulate, m
 
 def test_pose_of_the_target_is_found_in_each_view(small):
     for observation, reported in zip(small.observations, small.reported, strict=True):
-        found = estimate.camera_from_board(small.camera, observation)
+        found = estimate.camera_from_boards(small.camera, [observation])[0]
         expected = pose.inverse(reported @ small.flange_from_camera) @ small.base_from_board
         distance, angle = pose.difference(found, expected)
         assert distance < 1e-3 and np.rad2deg(angle) < 0.5  # 0.1 px at f = 850 px over 0.3 m of board, and the arm's errors

@@ -88,4 +88,4 @@ def test_a_camera_alone_has_no_figures_of_an_arm(evidence):
 def test_nothing_is_overwritten(tmp_path, evidence):
     (tmp_path / "page.html").write_text("mine")
     with pytest.raises(UsageError, match="already exists"):
-        report.write(tmp_path / "page.html", evidence)
+        report.page(evidence).write(tmp_path / "page.html")

@@ -120,8 +120,8 @@ def test_an_imported_session_is_calibrated_as_a_recorded_one(folder):
         **said,
     }
     (path / "import.yaml").write_text(yaml.safe_dump(content))
-    assert importer.describes(path, None)
-    session = importer.import_session(path, importer.load_description(path))
+    session, camera = importer.observe_folder(path, path / "import.yaml")
+    assert camera is None and importer.count_views(path, path / "import.yaml") == 12
     assert session.unseen == ("011",)
     found = calibrate_handeye(session)
     assert pose.difference(found.flange_from_camera.matrix, truth.flange_from_camera)[0] < 2.5e-4
@@ -139,6 +139,12 @@ def test_what_is_missing_is_named(folder):
     (path / "other.json").write_text("{}")
     with pytest.raises(DatasetError, match="no key 'a'"):
         importer.import_session(path, described(poses="other.json", key="a.b"))
+    (path / "binary.csv").write_bytes(b"image,x\n\xff\xfe,\n")
+    with pytest.raises(DatasetError, match="is not a CSV file"):
+        importer.import_session(path, described(poses="binary.csv"))
+    (path / "huge.csv").write_text("image,x\n" + 200_000 * "9" + "\n")
+    with pytest.raises(DatasetError, match=r"is not a CSV file.*field larger than"):
+        importer.import_session(path, described(poses="huge.csv"))
     (path / "short.csv").write_text("image,x,y\n")
     with pytest.raises(DatasetError, match="no column 'z'"):
         importer.import_session(path, described(poses="short.csv"))
@@ -148,13 +154,13 @@ def test_descriptions_are_checked(tmp_path):
     board = f"board: {json.dumps(BOARD)}\n"
     (tmp_path / "import.yaml").write_text("images: a.png\nposes: b.csv\nlayout: matrix\n" + board)
     with pytest.raises(UsageError, match="exactly one"):
-        importer.load_description(tmp_path)
+        importer.load_description(tmp_path / "import.yaml")
     (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrx\n" + board)
     with pytest.raises(UsageError, match="layout"):
-        importer.load_description(tmp_path)
+        importer.load_description(tmp_path / "import.yaml")
     (tmp_path / "import.yaml").write_text("images: '*.png'\nposes: b.csv\nlayout: matrix\nboard: {type: charuco, squares_x: 9}\n")
     with pytest.raises(UsageError, match=r"line 4: key 'board\.squares_y' is missing"):
-        importer.load_description(tmp_path)
+        importer.load_description(tmp_path / "import.yaml")
 
 
 def test_cameras_of_opencv_are_shifted_by_half_a_pixel():

@@ -5,6 +5,7 @@ import pytest
 
 from calib import calibrate
 from calib.errors import CalibrationError
+from calib.study import next_views, variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
 from datasets.board import Board
@@ -67,7 +68,7 @@ def test_advised_views_are_within_reach_and_show_the_board(solved):
 
 def test_nowhere_to_go_is_said(solved):
     _, solution = solved
-    nowhere = next_views.Reach(np.array([5.0, 5.0, 5.0]), np.array([5.1, 5.1, 5.1]))
+    nowhere = np.array([[5.0, 5.0, 5.0], [5.1, 5.1, 5.1]])
     with pytest.raises(CalibrationError, match="no view within reach"):
         next_views.plan(solution, 2, reach=nowhere)
 

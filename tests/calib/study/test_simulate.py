@@ -49,5 +49,6 @@ def test_board_poses_come_back_from_corners():
     drawn = draw()
     session = drawn.session
     off = pose.from_rotation_vector([0.02, -0.01, 0.03], [1e-3, 2e-3, -5e-3])
-    found = bundle.fit(session.view, session.pixels, session.points, drawn.truth.intrinsics, drawn.camera_from_board @ off)
+    corners = bundle.Corners(session.view, session.pixels, session.points)
+    found = bundle.fit(corners, drawn.truth.intrinsics, drawn.camera_from_board @ off)
     np.testing.assert_allclose(found.camera_from_board, drawn.camera_from_board, atol=1e-9)

@@ -68,13 +68,28 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / "scene" / "a").read_text() == "1"
 
 
-@pytest.mark.parametrize("name", ["../a", "/etc/passwd", "sub/../../a", "out"])
+@pytest.mark.parametrize("name", ["../a", "/etc/passwd", "sub/../../a", "..", "sub/../.."])
 def test_paths_stay_inside_their_folder(tmp_path: Path, name: str) -> None:
-    (tmp_path / "scene").mkdir()
-    (tmp_path / "scene" / "out").symlink_to(tmp_path)
     with pytest.raises(DatasetError, match="leaves the folder"):
         files.inside(tmp_path / "scene", name)
+    with pytest.raises(DatasetError, match="leaves the folder"):
+        files.target(tmp_path / "scene", name)
     assert files.inside(tmp_path / "scene", "sub/a") == tmp_path / "scene" / "sub" / "a"
+
+
+def test_a_link_in_a_folder_is_read_through_and_never_written_through(tmp_path: Path) -> None:
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "images").symlink_to(tmp_path)
+    assert files.inside(tmp_path / "scene", "images/a") == tmp_path / "scene" / "images" / "a"
+    assert files.inside(tmp_path / "scene", "images/../a") == tmp_path / "scene" / "a"  # beside the link, not beside its target
+    with pytest.raises(DatasetError, match="through a link"):
+        files.target(tmp_path / "scene", "images/a")
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 256, "\ud800", 7, None])
+def test_what_cannot_name_a_file_is_refused(tmp_path: Path, name: object) -> None:
+    with pytest.raises(DatasetError, match="is not usable"):
+        files.inside(tmp_path, name)  # type: ignore[arg-type]
 
 
 def test_json_checks_kind_and_version(tmp_path: Path) -> None:

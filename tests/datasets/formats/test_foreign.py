@@ -99,7 +99,7 @@ def test_an_opaque_alpha_is_no_mask(transforms: Callable[..., Path]) -> None:
         ({"frames": []}, r"scene has no images \(transforms.json lists none\)"),
         ({"frames": [{"file_path": "images/none.png"}]}, "lists 1, none of which exists"),
         ({"frames": [{"path": "x"}]}, "no list of frames"),
-        ({"frame": {"file_path": "../../etc/passwd"}}, "leaves the folder"),
+        ({"frames": [{"file_path": "../../etc/passwd"}]}, "leaves the folder"),
         ({"frame": {"transform_matrix": [[1, 0], [0, 1]]}}, "pose is not 4x4"),
         ({"frame": {"transform_matrix": np.full((4, 4), np.nan).tolist()}}, "pose is not finite"),
     ],

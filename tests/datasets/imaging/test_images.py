@@ -81,8 +81,21 @@ def test_a_header_of_a_huge_image_is_refused_before_decoding(tmp_path: Path) -> 
 
 def test_our_own_limit_on_the_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images.write(tmp_path / "a.png", np.zeros((10, 20, 3)))
-    monkeypatch.setattr(images, "MAX_PIXELS", 199)
-    with pytest.raises(DatasetError, match=r"too large \(its header says 20x10x3\)"):
+    monkeypatch.setenv("KOALA_MAX_PIXELS", "199")
+    with pytest.raises(DatasetError, match=r"too large \(its header says 20x10x3; the budget .* is 199 pixels"):
+        images.read(tmp_path / "a.png")
+    monkeypatch.setenv("KOALA_MAX_PIXELS", "many")
+    with pytest.raises(UsageError, match="KOALA_MAX_PIXELS: is not a positive number"):
+        images.read(tmp_path / "a.png")
+    monkeypatch.setenv("KOALA_MAX_PIXELS", "200")
+    assert images.read(tmp_path / "a.png").shape == (10, 20, 3)
+
+
+def test_an_image_that_does_not_fit_into_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images.write(tmp_path / "a.png", np.zeros((10, 20, 3)))
+    monkeypatch.setattr(images, "FREE_PIXELS", 1)
+    monkeypatch.setattr(images, "free_memory", lambda: 6000)
+    with pytest.raises(DatasetError, match="does not fit into the memory"):
         images.read(tmp_path / "a.png")
 
 

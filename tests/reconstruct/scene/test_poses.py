@@ -91,7 +91,7 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
     one_step = Step.of(merged_config(config, wide), SceneFacts(normalisation))
     fresh = one_step.initial(jax.random.key(0), None, len(views))
     sampler = replace(fresh.model.sampler, grid=painted.model.sampler.grid)
-    model = replace(fresh.model, field=painted.model.field, sampler=sampler)
+    model = jax.tree.map(jnp.asarray, replace(fresh.model, field=painted.model.field, sampler=sampler))
     state = replace(fresh, model=model, optimiser=one_step.optimiser.begin(model.split()[0]))
     # white is behind the pictures, which carry no alpha here
     monkeypatch.setattr(objective.jax.random, "uniform", _white(jax.random.uniform))

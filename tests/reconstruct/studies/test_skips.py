@@ -8,6 +8,7 @@ from datasets.scene import Scene
 from reconstruct.models import load_config
 from reconstruct.output.evaluate import METRICS
 from reconstruct.run import Run
+from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
 from reconstruct.studies import skips
 from reconstruct.studies.jobs import BASE, CELLS, Job
@@ -20,7 +21,9 @@ def cell(
 ) -> None:
     """A measured run of a hundred steps, all but the last tenth of them disturbed."""
     path = folder / CELLS / name
-    run = Run.create(path, load_config(overrides=override), folder, Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0), {})
+    run = Run.create(
+        path, load_config(overrides=override), folder, SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)), {}
+    )
     seconds = 0.0
     for step in range(10, 101, 10):
         seconds += 10 * ms / 1e3 * (1 if step > 80 else 3)
