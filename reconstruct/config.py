@@ -4,183 +4,151 @@ Which model has which values is in `models`; the resolved configuration is writt
 """
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from datasets.core.schema import Schema
 
 
+def setting(default: Any, description: str, **limits: Any) -> Any:
+    """A field with its default, its meaning, and limits such as `ge=1`."""
+    return Field(default=default, description=description, **limits)
+
+
 class EncodingConfig(Schema):
     """What a position is turned into."""
 
-    kind: Literal["lattice", "voxels", "frequencies"] = Field(
-        default="lattice", description="Permutohedral lattice, cubic hash grid, or integrated positional encoding."
+    kind: Literal["lattice", "voxels", "frequencies"] = setting(
+        "lattice", "Permutohedral lattice, cubic hash grid, or integrated positional encoding."
     )
-    levels: int = Field(default=8, ge=1, le=32, description="Number of resolutions.")
-    features: int = Field(default=2, ge=1, le=8, description="Features per level; frequencies have none of their own.")
-    log2_size: int = Field(default=16, ge=4, le=24, description="Rows of each level's table, as a power of two; grids only.")
-    coarsest: float = Field(
-        default=8.0,
-        gt=0,
-        description="Vertices per unit of the normalised scene at the coarsest level; radians per unit for frequencies.",
+    levels: int = setting(8, "Number of resolutions.", ge=1, le=32)
+    features: int = setting(2, "Features per level; frequencies have none of their own.", ge=1, le=8)
+    log2_size: int = setting(16, "Rows of each level's table, as a power of two; grids only.", ge=4, le=24)
+    coarsest: float = setting(
+        8.0, "Vertices per unit of the normalised scene at the coarsest level; radians per unit for frequencies.", gt=0
     )
-    finest: float = Field(default=256.0, gt=0, description="The same at the finest level.")
-    volume: float | None = Field(
-        default=None,
+    finest: float = setting(256.0, "The same at the finest level.", gt=0)
+    volume: float | None = setting(
+        None,
+        "Volume that can hold anything [scene unit^3], for tables that are no larger than needed; none: as measured with "
+        "skip.table_size, else full tables.",
         gt=0,
-        description="Volume that can hold anything [scene unit^3], for tables that are no larger than needed; none: as measured "
-        "with skip.table_size, else full tables.",
     )
 
 
 class FieldConfig(Schema):
     """The network behind the encoding."""
 
-    appearance: Literal["reflection", "view", "view_diffuse", "diffuse"] = Field(
-        default="reflection",
-        description="Colour by reflected direction (Ref-NeRF), by view direction, by that and a diffuse colour, or by none.",
+    appearance: Literal["reflection", "view", "view_diffuse", "diffuse"] = setting(
+        "reflection", "Colour by reflected direction (Ref-NeRF), by view direction, by that and a diffuse colour, or by none."
     )
-    spatial_width: int = Field(default=64, ge=1, description="Width of the spatial layers.")
-    spatial_depth: int = Field(default=1, ge=1, description="Number of spatial layers.")
-    spatial_skip: int = Field(default=0, ge=0, description="Spatial layer before which the network's input joins again; 0: none.")
-    bottleneck: int = Field(default=12, ge=0, description="Channels handed to the view network.")
-    view_width: int = Field(default=64, ge=1, description="Width of the view layers.")
-    view_depth: int = Field(default=2, ge=1, description="Number of view layers.")
-    view_skip: int = Field(default=0, ge=0, description="The same of the view network.")
-    ide_degree: int = Field(
-        default=4, ge=1, le=6, description="Harmonics up to l = 2^(degree - 1) encode the reflected direction."
+    spatial_width: int = setting(64, "Width of the spatial layers.", ge=1)
+    spatial_depth: int = setting(1, "Number of spatial layers.", ge=1)
+    spatial_skip: int = setting(0, "Spatial layer before which the network's input joins again; 0: none.", ge=0)
+    bottleneck: int = setting(12, "Channels handed to the view network.", ge=0)
+    view_width: int = setting(64, "Width of the view layers.", ge=1)
+    view_depth: int = setting(2, "Number of view layers.", ge=1)
+    view_skip: int = setting(0, "The same of the view network.", ge=0)
+    ide_degree: int = setting(4, "Harmonics up to l = 2^(degree - 1) encode the reflected direction.", ge=1, le=6)
+    view_degree: int = setting(4, "Octaves of sines that encode the view direction, where it is not reflected.", ge=0, le=10)
+    shading: Literal["sample", "deferred"] = setting(
+        "deferred", "Evaluate the view network at each sample, or once per ray on composited features."
     )
-    view_degree: int = Field(
-        default=4, ge=0, le=10, description="Octaves of sines that encode the view direction, where it is not reflected."
+    diffuse_bias: float = setting(-math.log(3), "Added to the raw diffuse colour before the sigmoid.")
+    specular_bias: float = setting(0.0, "Added to the raw reflected colour before the sigmoid.")
+    roughness_bias: float = setting(-1.0, "Added to the raw roughness before the softplus.")
+    surroundings_roughness_bias: float = setting(
+        0.0, "Added to the roughness bias where there are surroundings, among which a blurred start may stay blurred."
     )
-    shading: Literal["sample", "deferred"] = Field(
-        default="deferred", description="Evaluate the view network at each sample, or once per ray on composited features."
+    outward: float = setting(
+        0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
-    diffuse_bias: float = Field(default=-math.log(3), description="Added to the raw diffuse colour before the sigmoid.")
-    specular_bias: float = Field(default=0.0, description="Added to the raw reflected colour before the sigmoid.")
-    roughness_bias: float = Field(default=-1.0, description="Added to the raw roughness before the softplus.")
-    surroundings_roughness_bias: float = Field(
-        default=0.0,
-        description="Added to the roughness bias where there are surroundings, among which a blurred start may stay blurred.",
+    towards: tuple[float, float, float] | None = setting(
+        None, "Added to that position; none: the measured mean direction to the cameras, so that what they see faces them."
     )
-    outward: float = Field(
-        default=0.0,
-        ge=0,
-        description="Predicted normals start as those of a ball about the object: weight of the position in them.",
+    matte_around: float = setting(
+        0.0, "Around the object's box, added to the raw diffuse colour and subtracted from the raw tint at the start.", ge=0
     )
-    towards: tuple[float, float, float] | None = Field(
-        default=None,
-        description="Added to that position; none: the measured mean direction to the cameras, so that what they see faces them.",
+    half_box: tuple[float, float, float] | None = setting(
+        None, "Half the size of that box [scene unit]; none: as measured, where there are surroundings."
     )
-    matte_around: float = Field(
-        default=0.0,
-        ge=0,
-        description="Around the object's box, added to the raw diffuse colour and subtracted from the raw tint at the start.",
-    )
-    half_box: tuple[float, float, float] | None = Field(
-        default=None,
-        description="Half the size of that box [scene unit]; none: as measured, where there are surroundings.",
-    )
-    density_bias: float = Field(default=0.5, description="Added to the raw density before the exponential.")
-    surroundings_bias: float = Field(
-        default=0.0,
-        description="Added to the density bias where there are surroundings: rays are longer, and the first fog must stay thin.",
+    density_bias: float = setting(0.5, "Added to the raw density before the exponential.")
+    surroundings_bias: float = setting(
+        0.0, "Added to the density bias where there are surroundings: rays are longer, and the first fog must stay thin."
     )
 
 
 class SamplerConfig(Schema):
     """Where along a ray the field is evaluated."""
 
-    kind: Literal["occupancy", "proposal"] = Field(default="occupancy", description="Occupancy grid, or two proposal levels.")
-    rays: int = Field(default=2048, ge=1, description="Rays drawn per step.")
-    samples: int = Field(
-        default=8192, ge=1, description="Occupancy: samples per step over all rays, packed; rays beyond are dropped."
-    )
-    max_per_ray: int = Field(default=32, ge=1, description="Occupancy: largest number of samples on a ray.")
-    candidates: int | None = Field(
-        default=None,
+    kind: Literal["occupancy", "proposal"] = setting("occupancy", "Occupancy grid, or two proposal levels.")
+    rays: int = setting(2048, "Rays drawn per step.", ge=1)
+    samples: int = setting(8192, "Occupancy: samples per step over all rays, packed; rays beyond are dropped.", ge=1)
+    max_per_ray: int = setting(32, "Occupancy: largest number of samples on a ray.", ge=1)
+    candidates: int | None = setting(
+        None,
+        "Occupancy, among surroundings: rays drawn per ray taken; those that meet the object are preferred. None: 4 "
+        "where the scene states the object's box, else 1.",
         ge=1,
-        description="Occupancy, among surroundings: rays drawn per ray taken; those that meet the object are preferred. "
-        "None: 4 where the scene states the object's box, else 1.",
     )
-    steps: int = Field(default=192, ge=32, multiple_of=32, description="Occupancy: steps of a ray through the object's box.")
-    grid: int = Field(default=128, ge=8, description="Occupancy: cells per axis over the object's box.")
-    outer_grid: int = Field(default=64, ge=8, description="Occupancy: cells per axis over the contracted surroundings.")
-    optical_depth: float = Field(
-        default=0.01, gt=0, description="Occupancy: a cell counts as empty below this optical depth per step."
-    )
-    settle: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="Occupancy, among surroundings: share of the training before any cell is ruled out.",
-    )
-    proposals: tuple[int, ...] = Field(default=(64, 64), description="Proposal: samples of each proposal level.")
-    final: int = Field(default=32, ge=2, description="Proposal: samples of the final level.")
-    proposal_width: int = Field(default=64, ge=1, description="Proposal: width of each level's network.")
-    proposal_depth: int = Field(default=1, ge=1, description="Proposal: depth of each level's network.")
-    proposal_finest: tuple[float, ...] = Field(default=(256.0, 1024.0), description="Proposal: finest resolution of each level.")
-    frustum: Literal["point", "gaussian", "hexagon"] = Field(
-        default="point",
-        description="Proposal: what represents a conical frustum: its centre, one Gaussian (Mip-NeRF) or six (Zip-NeRF).",
+    steps: int = setting(192, "Occupancy: steps of a ray through the object's box.", ge=32, multiple_of=32)
+    grid: int = setting(128, "Occupancy: cells per axis over the object's box.", ge=8)
+    outer_grid: int = setting(64, "Occupancy: cells per axis over the contracted surroundings.", ge=8)
+    optical_depth: float = setting(0.01, "Occupancy: a cell counts as empty below this optical depth per step.", gt=0)
+    settle: float = setting(0.0, "Occupancy, among surroundings: share of the training before any cell is ruled out.", ge=0, le=1)
+    proposals: tuple[int, ...] = setting((64, 64), "Proposal: samples of each proposal level.")
+    final: int = setting(32, "Proposal: samples of the final level.", ge=2)
+    proposal_width: int = setting(64, "Proposal: width of each level's network.", ge=1)
+    proposal_depth: int = setting(1, "Proposal: depth of each level's network.", ge=1)
+    proposal_finest: tuple[float, ...] = setting((256.0, 1024.0), "Proposal: finest resolution of each level.")
+    frustum: Literal["point", "gaussian", "hexagon"] = setting(
+        "point", "Proposal: what represents a conical frustum: its centre, one Gaussian (Mip-NeRF) or six (Zip-NeRF)."
     )
 
 
 class SurfaceConfig(Schema):
     """The four surface regularisers and their second pass."""
 
-    enabled: bool = Field(default=True, description="Run the second pass.")
-    rays: int = Field(
-        default=128,
-        ge=1,
-        description="Rays per step whose first surface is used, by the regularisers and by the losses of normals.",
+    enabled: bool = setting(True, "Run the second pass.")
+    rays: int = setting(128, "Rays per step whose first surface is used, by the regularisers and by the losses of normals.", ge=1)
+    samples: int = setting(32, "Points and directions on the sphere.", ge=4)
+    sampling: Literal["lattice", "fibonacci", "random"] = setting(
+        "lattice", "Lattice directions on shells, the same without shells, or independent random directions."
     )
-    samples: int = Field(default=32, ge=4, description="Points and directions on the sphere.")
-    sampling: Literal["lattice", "fibonacci", "random"] = Field(
-        default="lattice", description="Lattice directions on shells, the same without shells, or independent random directions."
+    kappa: float = setting(0.0, "Concentration of the sphere lattice; 0 is uniform.", ge=0)
+    reach: float = setting(1.0, "Radius of the ball of samples, as a multiple of the half-width of the pixel's footprint.", gt=0)
+    density: float = setting(0.1, "Weight of density smoothness.", ge=0)
+    normal: float = setting(0.1, "Weight of normal consistency.", ge=0)
+    bias: float = setting(0.03, "Weight of the Lambertian bias.", ge=0)
+    variation: float = setting(1e-3, "Weight of the specular total variation.", ge=0)
+    density_form: Literal["tangent", "published"] = setting("tangent", "Form of the density smoothness.")
+    neighbours: int = setting(3, "Nearest directions in the total variation's graph.", ge=1)
+    neighbour_form: Literal["angular", "published"] = setting(
+        "angular", "Which directions are near: by angle, or by the cosine of (polar angle, azimuth, length), as published."
     )
-    kappa: float = Field(default=0.0, ge=0, description="Concentration of the sphere lattice; 0 is uniform.")
-    reach: float = Field(
-        default=1.0, gt=0, description="Radius of the ball of samples, as a multiple of the half-width of the pixel's footprint."
-    )
-    density: float = Field(default=0.1, ge=0, description="Weight of density smoothness.")
-    normal: float = Field(default=0.1, ge=0, description="Weight of normal consistency.")
-    bias: float = Field(default=0.03, ge=0, description="Weight of the Lambertian bias.")
-    variation: float = Field(default=1e-3, ge=0, description="Weight of the specular total variation.")
-    density_form: Literal["tangent", "published"] = Field(default="tangent", description="Form of the density smoothness.")
-    neighbours: int = Field(default=3, ge=1, description="Nearest directions in the total variation's graph.")
-    neighbour_form: Literal["angular", "published"] = Field(
-        default="angular",
-        description="Which directions are near: by angle, or by the cosine of (polar angle, azimuth, length), as published.",
-    )
-    first_period: int = Field(default=512, ge=1, description="Steps between second passes at the start (power of two).")
-    last_period: int = Field(default=4, ge=1, description="The same at the end.")
+    first_period: int = setting(512, "Steps between second passes at the start (power of two).", ge=1)
+    last_period: int = setting(4, "The same at the end.", ge=1)
 
 
 class LossConfig(Schema):
     """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""
 
-    charbonnier: float = Field(default=1e-3, gt=0, description="Colour error below which the photometric loss is quadratic.")
-    interlevel: float = Field(default=0.01, ge=0, description="Weight: proposal levels follow the final one.")
-    distortion: float = Field(default=0.0, ge=0, description="Weight: samples gather along a ray (real scenes: 0.01).")
-    hollowness: float = Field(default=0.0, ge=0, description="Weight: solid objects stay dense behind their surface.")
-    hollow_from: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="Share of the training before the hollowness counts: early fog must not be made solid.",
+    charbonnier: float = setting(1e-3, "Colour error below which the photometric loss is quadratic.", gt=0)
+    interlevel: float = setting(0.01, "Weight: proposal levels follow the final one.", ge=0)
+    distortion: float = setting(0.0, "Weight: samples gather along a ray (real scenes: 0.01).", ge=0)
+    hollowness: float = setting(0.0, "Weight: solid objects stay dense behind their surface.", ge=0)
+    hollow_from: float = setting(
+        0.0, "Share of the training before the hollowness counts: early fog must not be made solid.", ge=0, le=1
     )
-    orientation: float = Field(default=0.1, ge=0, description="Weight: visible normals face the camera.")
-    predicted_normals: float = Field(default=3e-4, ge=0, description="Weight: predicted normals follow the density's.")
-    density_normals: float = Field(default=3e-4, ge=0, description="Weight: the density's normals follow the predicted ones.")
-    decay: float = Field(default=0.1, ge=0, description="Weight: mean square of the tables' values, per level.")
-    bounded_distortion: float | None = Field(
-        default=None, ge=0, description="Weight of the distortion in scenes without surroundings; none: the same."
+    orientation: float = setting(0.1, "Weight: visible normals face the camera.", ge=0)
+    predicted_normals: float = setting(3e-4, "Weight: predicted normals follow the density's.", ge=0)
+    density_normals: float = setting(3e-4, "Weight: the density's normals follow the predicted ones.", ge=0)
+    decay: float = setting(0.1, "Weight: mean square of the tables' values, per level.", ge=0)
+    bounded_distortion: float | None = setting(
+        None, "Weight of the distortion in scenes without surroundings; none: the same.", ge=0
     )
-    bounded_decay: float | None = Field(
-        default=None, ge=0, description="Weight of the decay in scenes without surroundings; none: the same."
-    )
+    bounded_decay: float | None = setting(None, "Weight of the decay in scenes without surroundings; none: the same.", ge=0)
 
     def in_scene(self, *, bounded: bool) -> "LossConfig":
         """The weights that count in a scene with surroundings, or without."""
@@ -191,53 +159,43 @@ class LossConfig(Schema):
 class TrainConfig(Schema):
     """Optimisation."""
 
-    steps: int = Field(default=10_000, ge=1, description="Steps where no time budget is given.")
-    rate: float = Field(default=0.01, gt=0, description="Learning rate after warm-up.")
-    network_share: float = Field(default=0.25, gt=0, description="The networks' rate as a share of the tables'.")
-    final_rate: float = Field(default=0.001, gt=0, description="Learning rate at the end; log-linear between.")
-    warmup: float = Field(default=0.02, ge=0, le=1, description="Share of the training over which the rate rises.")
-    seed: int = Field(default=0, ge=0, description="Seed of weights, rays and sphere rotations.")
-    first_blur: float = Field(
-        default=0.02, ge=0, description="Standard deviation of every sample at the start [scene unit]; 0: none."
+    steps: int = setting(10_000, "Steps where no time budget is given.", ge=1)
+    rate: float = setting(0.01, "Learning rate after warm-up.", gt=0)
+    network_share: float = setting(0.25, "The networks' rate as a share of the tables'.", gt=0)
+    final_rate: float = setting(0.001, "Learning rate at the end; log-linear between.", gt=0)
+    warmup: float = setting(0.02, "Share of the training over which the rate rises.", ge=0, le=1)
+    seed: int = setting(0, "Seed of weights, rays and sphere rotations.", ge=0)
+    first_blur: float = setting(0.02, "Standard deviation of every sample at the start [scene unit]; 0: none.", ge=0)
+    last_blur: float = setting(0.001, "The same from `blur_until` on.", ge=0)
+    blur_until: float = setting(0.5, "Share of the training over which the blur shrinks.", gt=0, le=1)
+    precision: Literal["float32", "bfloat16"] = setting(
+        "float32", "Factors of the networks' products while training; sums and everything else are float32."
     )
-    last_blur: float = Field(default=0.001, ge=0, description="The same from `blur_until` on.")
-    blur_until: float = Field(default=0.5, gt=0, le=1, description="Share of the training over which the blur shrinks.")
-    precision: Literal["float32", "bfloat16"] = Field(
-        default="float32", description="Factors of the networks' products while training; sums and everything else are float32."
+    accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
+    per_image: Literal["none", "exposure", "colour"] = setting(
+        "none", "Learned per training image: nothing, a gain, or a gain per colour."
     )
-    accumulate: int = Field(default=1, ge=1, description="Batches whose mean gradient makes one step.")
-    per_image: Literal["none", "exposure", "colour"] = Field(
-        default="none", description="Learned per training image: nothing, a gain, or a gain per colour."
+    patience: float = setting(
+        0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1
     )
-    patience: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="Stop when held-out training pixels have not improved for this share of the training; 0: never.",
-    )
-    checkpoint_s: float = Field(default=60.0, gt=0, description="Seconds between checkpoints.")
-    tensorboard: bool = Field(default=False, description="Write the log as TensorBoard's event files too (extra 'tensorboard').")
+    checkpoint_s: float = setting(60.0, "Seconds between checkpoints.", gt=0)
+    tensorboard: bool = setting(False, "Write the log as TensorBoard's event files too (extra 'tensorboard').")
 
 
 class PoseConfig(Schema):
     """Refinement of the training views' poses; docs/poses.md has its results."""
 
-    enabled: bool = Field(default=False, description="Learn a small correction of each training view's pose.")
-    sigma_m: float = Field(
-        default=5e-4,
-        gt=0,
-        description="Standard deviation of a camera's position as it was calibrated [world unit: metres in captures].",
+    enabled: bool = setting(False, "Learn a small correction of each training view's pose.")
+    sigma_m: float = setting(
+        5e-4, "Standard deviation of a camera's position as it was calibrated [world unit: metres in captures].", gt=0
     )
-    sigma_rad: float = Field(default=8.7e-4, gt=0, description="The same of its angle about each axis [rad].")
-    rate: float = Field(default=0.02, ge=0, description="Learning rate, in these standard deviations.")
-    final_rate: float = Field(default=0.001, gt=0, description="The same at the end; log-linear between.")
-    start: float = Field(
-        default=0.1,
-        ge=0,
-        le=1,
-        description="Share of the training before poses move; over the next tenth their rate rises to its full value.",
+    sigma_rad: float = setting(8.7e-4, "The same of its angle about each axis [rad].", gt=0)
+    rate: float = setting(0.02, "Learning rate, in these standard deviations.", ge=0)
+    final_rate: float = setting(0.001, "The same at the end; log-linear between.", gt=0)
+    start: float = setting(
+        0.1, "Share of the training before poses move; over the next tenth their rate rises to its full value.", ge=0, le=1
     )
-    prior: float = Field(default=1e-5, ge=0, description="Weight of the squared corrections, in standard deviations, halved.")
+    prior: float = setting(1e-5, "Weight of the squared corrections, in standard deviations, halved.", ge=0)
 
     def sigma(self, scale: float) -> tuple[float, ...]:
         """Standard deviations of a twist's six parts [scene unit, rad], `scale` scene units per world unit."""
@@ -247,33 +205,23 @@ class PoseConfig(Schema):
 class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has the costs."""
 
-    surroundings: bool = Field(default=True, description="Contraction and background, where pictures carry an alpha.")
-    empty_rays: bool = Field(
-        default=True, description="Space that masks or the occupancy grid rule out, and rays that meet only such space."
-    )
-    fine_levels: bool = Field(default=False, description="Levels finer than the smallest footprint of a pixel at the surface.")
-    table_size: bool = Field(default=False, description="Rows that levels with few vertices in the occupied space cannot fill.")
-    multisampling: bool = Field(
-        default=False, description="Six Gaussians per frustum, where pixels' footprints are alike everywhere."
-    )
-    reflection: bool = Field(
-        default=False, description="The specular branch and its regularisers, where a pilot training gains nothing by them."
-    )
-    consistent_passes: bool = Field(
-        default=False, description="Second passes, while the last one found normals that agree already."
-    )
-    converged: bool = Field(default=False, description="The rest of the training, once held-out pixels stop improving.")
-    distortion: bool = Field(default=True, description="Undistortion of pinhole cameras' pixels.")
+    surroundings: bool = setting(True, "Contraction and background, where pictures carry an alpha.")
+    empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
+    fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
+    table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")
+    multisampling: bool = setting(False, "Six Gaussians per frustum, where pixels' footprints are alike everywhere.")
+    reflection: bool = setting(False, "The specular branch and its regularisers, where a pilot training gains nothing by them.")
+    consistent_passes: bool = setting(False, "Second passes, while the last one found normals that agree already.")
+    converged: bool = setting(False, "The rest of the training, once held-out pixels stop improving.")
+    distortion: bool = setting(True, "Undistortion of pinhole cameras' pixels.")
 
 
 class Config(Schema):
     """Everything that decides what a training makes of a scene."""
 
-    model: str = Field(default="surfnerf", description="Name of the model file.")
-    preset: Literal["fast", "paper"] = Field(
-        default="fast", description="fast: a workstation without GPU. paper: the published sizes."
-    )
-    scale: float = Field(default=1.0, gt=0, le=1, description="Images are resampled to this share of their size first.")
+    model: str = setting("surfnerf", "Name of the model file.")
+    preset: Literal["fast", "paper"] = setting("fast", "fast: a workstation without GPU. paper: the published sizes.")
+    scale: float = setting(1.0, "Images are resampled to this share of their size first.", gt=0, le=1)
     encoding: EncodingConfig = EncodingConfig()
     field: FieldConfig = FieldConfig()
     sampler: SamplerConfig = SamplerConfig()

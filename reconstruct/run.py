@@ -1,6 +1,7 @@
 """A run on disk: what was trained, on what, with which settings, and where it stands.
 
 RUN/run.json        configuration, scene, facts measured on it, versions
+RUN/skips.json      what is left out of the training, and why
 RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, every loss
 RUN/events.out.*    the same for TensorBoard, where that was wanted
 RUN/checkpoints/    training states
@@ -8,6 +9,7 @@ RUN/poses.json      where poses were refined: those of the training views
 """
 
 import json
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
-RUN, LOG, FAULTS, CHECKPOINTS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints"
+RUN, LOG, FAULTS, CHECKPOINTS, SKIPS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints", "skips.json"
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,8 @@ class Run:
 
     @classmethod
     def create(cls, path: Path, config: Config, scene_path: Path, facts: SceneFacts, about: dict[str, Any]) -> "Run":
-        """Start a run in a folder that is missing or empty."""
+        """Write run.json, which makes a folder a run; whatever a run needs from its start is in the folder before."""
         path = Path(path)
-        files.refuse_existing(path)
         content = {
             "format": FORMAT,
             "version": VERSION,
@@ -56,6 +57,16 @@ class Run:
         }
         files.write_json(path / RUN, content)
         return cls(path, config, content["scene"], facts, content)
+
+    @staticmethod
+    def never_begun(path: Path) -> bool:
+        """Whether a folder holds only what a training leaves that is killed before it has written run.json; removes that."""
+        found = list(Path(path).iterdir())
+        if not all(file.name == SKIPS or file.name.startswith((".run.", ".skips.")) for file in found):
+            return False
+        for file in found:
+            file.unlink()
+        return True
 
     @classmethod
     def open(cls, path: Path) -> "Run":
@@ -82,22 +93,49 @@ class Run:
         return replace(scene, box=np.asarray(self.content["box"], np.float64), bounds_from=self.content["bounds_from"])
 
     def log(self) -> list[dict[str, Any]]:
-        """The lines of the log; one cut off by a kill is left out."""
-        path = self.path / LOG
-        lines = path.read_text(encoding="utf-8").split("\n")[:-1] if path.is_file() else []
-        return [json.loads(line) for line in lines]
+        """The lines of the log; one cut off by a kill or a full disk is left out. Raises DatasetError where one is damaged."""
+        lines = []
+        for number, line in enumerate(_complete(self.path / LOG).splitlines(), 1):
+            try:
+                lines.append(dict(json.loads(line)))
+            except (ValueError, TypeError, RecursionError) as error:  # ValueError: neither UTF-8 nor JSON
+                where, remedy = f"{self.path / LOG}, line {number}", "remove the line"
+                raise DatasetError("line is damaged", where=where, why=str(error), remedy=remedy) from None
+        return lines
 
     def append_log(self, line: dict[str, Any]) -> None:
-        """Add a line to the log."""
-        self._append(LOG, line)
+        """Add a line to the log; on the disk when this returns."""
+        _append(self.path / LOG, line)
 
     def append_fault(self, line: dict[str, Any]) -> None:
         """Note steps that were left out because they were not finite."""
-        self._append(FAULTS, line)
+        _append(self.path / FAULTS, line)
 
-    def _append(self, name: str, line: dict[str, Any]) -> None:
-        with open(self.path / name, "a", encoding="utf-8") as file:
-            file.write(json.dumps(line, allow_nan=False, default=float) + "\n")
+    def rewind(self, step: int) -> None:
+        """Drop what was logged after a step: a resumed training takes those steps again."""
+        log = self.log()
+        kept = [line for line in log if line.get("step", 0) <= step]
+        if len(kept) < len(log):
+            files.write_text(self.path / LOG, "".join(json.dumps(line) + "\n" for line in kept))
+
+
+def _complete(path: Path) -> bytes:
+    """The complete lines of a file, without what a kill, a power cut or a full disk left behind the last of them."""
+    content = path.read_bytes() if path.is_file() else b""
+    return content[: content.rfind(b"\n") + 1]
+
+
+def _append(path: Path, line: dict[str, Any]) -> None:
+    """Add a line to a file and flush it, in place of an incomplete one at its end."""
+    data, end, new = json.dumps(line, allow_nan=False, default=float) + "\n", len(_complete(path)), not path.exists()
+    with open(path, "w+b" if new else "r+b") as file:
+        file.truncate(end)
+        file.seek(end)
+        file.write(data.encode())
+        file.flush()
+        os.fsync(file.fileno())
+    if new:
+        files.flush(path.parent)
 
 
 def _current(config: dict[str, Any]) -> dict[str, Any]:

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import FieldConfig
-from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding
-from reconstruct.field.encodings.view import view_channels, view_encoding
+from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding, view_channels, view_encoding
 from reconstruct.field.mlp import Mlp
 from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
 

@@ -1,9 +1,8 @@
 """Emission and absorption along a ray: from densities to weights."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
-
-from reconstruct.numerics.sums import sum_before
 
 OPAQUE = 80.0
 """Optical depth at which an interval counts as opaque: exp(-80) is 0 beside anything that float32 can show."""
@@ -28,3 +27,20 @@ def volume_weights(density: Float[Array, "rays samples"], lengths: Float[Array, 
     """
     depth = jnp.minimum(density * lengths, OPAQUE)
     return -jnp.expm1(-depth) * jnp.exp(-sum_before(depth))
+
+
+def sum_before(values: Float[Array, "rows n"], block: int | None = None) -> Float[Array, "rows n"]:
+    """Sum of the entries of a row before each one, as a product with a triangular matrix, which beats a scan.
+
+    Args:
+        block: entries per product, which divides their number; a scan over the blocks' sums joins them. None: all at once.
+    """
+    count = values.shape[-1]
+    size = count if block is None else block
+    earlier = jnp.asarray(np.triu(np.ones((size, size), np.float32), 1), values.dtype)
+    if size == count:
+        return jnp.matmul(values, earlier, precision="highest")  # a GPU would round the factors to ten bits otherwise
+    blocks = values.reshape(values.shape[0], -1, size)
+    sums = jnp.sum(blocks, -1)
+    inside = jnp.matmul(blocks, earlier, precision="highest")
+    return (inside + (jnp.cumsum(sums, -1) - sums)[..., None]).reshape(values.shape)

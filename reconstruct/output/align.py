@@ -21,7 +21,7 @@ from datasets.scene import View
 from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model, render
-from reconstruct.sampling.footprint import cloud_of
+from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.poses import corrected
 from reconstruct.scene.rays import Rays, over, read_scaled, view_rays
 from reconstruct.scene.twists import moved

@@ -22,12 +22,13 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.imaging import images
 from datasets.scene import View
+from reconstruct.config import SurfaceConfig
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.surface.ball import Ball, ball_samples, shell_radii, sphere_directions
+from reconstruct.surface.ball import ball_samples, shell_radii, sphere_directions
 from reconstruct.surface.first_surface import first_surface
 from reconstruct.surface.regularisers import direction_likeness
 from reconstruct.training.loop import start
@@ -206,7 +207,7 @@ def draw_bias(trained: TrainedModel) -> Figure:
 
 def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angular", seed: int = 0) -> Figure:
     """D.1: directions flipped into the visible hemisphere and their graph, as a polar map about the normal and from above."""
-    drawn, _ = ball_samples(jax.random.key(seed), 1, Ball(count, reach=1.0))
+    drawn, _ = ball_samples(jax.random.key(seed), 1, SurfaceConfig(samples=count))
     directions = np.asarray(drawn[0], np.float64)
     flipped = (directions @ normal) < 0
     visible = np.where(flipped[:, None], -directions, directions)

@@ -14,7 +14,7 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from reconstruct.rendering.compositing import composite, sample_weights
+from reconstruct.numerics.volume import volume_weights
 from reconstruct.sampling.create import create
 from reconstruct.sampling.sampler import Sampler
 from reconstruct.sampling.samples import RaySamples
@@ -92,6 +92,19 @@ class Rendered(eqx.Module):
         opacity = jnp.maximum(self.opacity[:, None], 1e-6)
         light = linear_from_srgb(jnp.clip(self.rgb / opacity, 0.0, 1.0)) * jnp.exp(log_gain)
         return eqx.tree_at(lambda r: r.rgb, self, srgb_from_linear(light) * opacity)
+
+
+def sample_weights(density: Float[Array, " n"], samples: RaySamples, speed: Float[Array, " rays"]) -> Float[Array, "rays slots"]:
+    """`volume_weights` of packed samples; `speed` is the length of each ray's direction [scene unit per t]."""
+    return volume_weights(samples.padded(density), samples.padded(samples.length) * speed[:, None])
+
+
+def composite(
+    values: Float[Array, "channels n"], weights: Float[Array, " n"], samples: RaySamples
+) -> Float[Array, "rays channels"]:
+    """Sum of weighted sample values over each ray."""
+    rows = (values * weights).T
+    return jnp.zeros((samples.num_rays, values.shape[0]), values.dtype).at[samples.ray].add(rows, mode="promise_in_bounds")
 
 
 def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:

@@ -17,8 +17,7 @@ from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.rendering.model import Model, Rendered, render
-from reconstruct.sampling.footprint import cloud_of
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.rays import Normalisation, Rays, view_rays
 
 SIZES = (256, 1024, 4096)

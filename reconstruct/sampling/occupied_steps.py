@@ -15,12 +15,11 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import barrier
 from reconstruct.sampling import focus
-from reconstruct.sampling.footprint import Footprint, cloud_of
 from reconstruct.sampling.hull import cells_in_masks, cells_in_sight
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
 from reconstruct.sampling.sampler import Batch, Sampled, Sampler
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from reconstruct.field.contraction import contract_coordinates
 from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.sums import sum_before
+from reconstruct.numerics.volume import sum_before
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps

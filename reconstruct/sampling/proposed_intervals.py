@@ -11,10 +11,9 @@ from datasets.scene import View
 from reconstruct.config import Config, SamplerConfig
 from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.numerics.compiling import barrier
-from reconstruct.sampling.footprint import Footprint, cloud_of
 from reconstruct.sampling.proposals import Proposal, Spacing, propose
 from reconstruct.sampling.sampler import Batch, Sampled, Sampler
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
 

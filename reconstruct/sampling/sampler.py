@@ -12,9 +12,8 @@ from datasets.scene import View
 from reconstruct.config import Config, SamplerConfig
 from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.field.field import Field
-from reconstruct.sampling.footprint import Footprint
 from reconstruct.sampling.proposals import Level
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.samples import Footprint, RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
 

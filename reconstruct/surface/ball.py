@@ -1,25 +1,11 @@
 """A ball of samples around a surface point: directions on a lattice, shells, and a random rotation (supplement A)."""
 
-from dataclasses import dataclass
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-
-@dataclass(frozen=True)
-class Ball:
-    """How samples are spread around a surface point."""
-
-    samples: int
-    reach: float
-    """Radius of the ball, as a multiple of the half-width of the pixel's footprint."""
-    sampling: str = "lattice"
-    """"lattice": the Fibonacci-Kronecker lattice on its shells; "fibonacci": the same directions without shells; "random":
-    independent uniform directions on the shells."""
-    kappa: float = 0.0
-    """Concentration of the lattice; 0 is uniform."""
+from reconstruct.config import SurfaceConfig
 
 
 def sphere_directions(count: int, kappa: float = 0.0) -> Float[np.ndarray, "count 3"]:
@@ -43,7 +29,9 @@ def shell_radii(count: int) -> Float[np.ndarray, " count"]:
     return (1 + np.arange(1, count + 1) % shells) / shells
 
 
-def ball_samples(key: PRNGKeyArray, rays: int, ball: Ball) -> tuple[Float[Array, "rays count 3"], Float[Array, " count"]]:
+def ball_samples(
+    key: PRNGKeyArray, rays: int, ball: SurfaceConfig
+) -> tuple[Float[Array, "rays count 3"], Float[Array, " count"]]:
     """Unit directions from each surface point, turned at random, and their radii in (0, 1]."""
     count = ball.samples
     radii = jnp.ones(count) if ball.sampling == "fibonacci" else jnp.asarray(shell_radii(count), jnp.float32)

@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from reconstruct.config import SurfaceConfig
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud, points_on_rays
 from reconstruct.field.field import Field
 from reconstruct.scene.rays import Rays
 from reconstruct.surface import regularisers
-from reconstruct.surface.ball import Ball, ball_samples
+from reconstruct.surface.ball import ball_samples
 from reconstruct.surface.first_surface import HALF_WIDTH, Surface
 
 PerPoint = dict[str, Float[Array, " n"]]
@@ -37,31 +38,22 @@ class Place:
 
 @dataclass(frozen=True)
 class SecondPass:
-    """Weights and forms of the four regularisers; those without a weight are not computed."""
+    """The four regularisers as configured; those without a weight are not computed."""
 
     place: Place
-    ball: Ball
-    density: float
-    normal: float
-    bias: float
-    variation: float
-    density_form: str = "tangent"
-    """See `regularisers.density_smoothness`."""
-    neighbours: int = 3
-    neighbour_form: str = "angular"
-    """See `regularisers.direction_likeness`."""
+    surface: SurfaceConfig
 
     def terms(self, field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray) -> dict[str, Float[Array, ""]]:
         """Mean of each regulariser over the surface points, each counted by its weight along its ray."""
-        directions, radii = ball_samples(key, surface.ray.shape[0], self.ball)
+        directions, radii = ball_samples(key, surface.ray.shape[0], self.surface)
         _, material, normal = field.with_normals(self.place.of(rays, surface))
         per_point: PerPoint = {}
-        if self.density or self.normal:
-            reach = self.ball.reach * surface.radius
+        if self.surface.density or self.surface.normal:
+            reach = self.surface.reach * surface.radius
             offsets = directions * (radii[:, None] * reach[:, None, None])
             density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
             per_point |= self._around(density, normals, directions, normal, reach)
-        if self.variation or (self.bias and field.appearance.has_diffuse):
+        if self.surface.variation or (self.surface.bias and field.appearance.has_diffuse):
             per_point |= self._over_directions(field, material, directions, normal)
         used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
         return {name: jnp.sum(surface.weight * value) / used for name, value in per_point.items()}
@@ -77,10 +69,10 @@ class SecondPass:
         """L_d and L_n: density and normals of the ball's samples."""
         alone = density.reshape(directions.shape[:2])
         around = normals.T.reshape(directions.shape)
-        smoothness = regularisers.density_smoothness(alone, directions, normal.T, reach, self.density_form)
+        smoothness = regularisers.density_smoothness(alone, directions, normal.T, reach, self.surface.density_form)
         return {
-            "density_smoothness": self.density * smoothness,
-            "normal_consistency": self.normal * regularisers.normal_consistency(around, normal.T),
+            "density_smoothness": self.surface.density * smoothness,
+            "normal_consistency": self.surface.normal * regularisers.normal_consistency(around, normal.T),
         }
 
     def _over_directions(
@@ -93,9 +85,9 @@ class SecondPass:
         repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
         shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T), field.appearance.has_diffuse
         colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
-        likeness = regularisers.direction_likeness(inward, self.neighbour_form)
-        variation = regularisers.specular_variation(colour, likeness, self.neighbours)
-        terms = {"specular_variation": self.variation * variation}
-        if diffuse and self.bias:
-            terms["lambertian_bias"] = self.bias * regularisers.lambertian_bias(colour)
+        likeness = regularisers.direction_likeness(inward, self.surface.neighbour_form)
+        variation = regularisers.specular_variation(colour, likeness, self.surface.neighbours)
+        terms = {"specular_variation": self.surface.variation * variation}
+        if diffuse and self.surface.bias:
+            terms["lambertian_bias"] = self.surface.bias * regularisers.lambertian_bias(colour)
         return terms

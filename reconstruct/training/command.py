@@ -47,6 +47,7 @@ def train(
     """Train a model on the training views of a scene."""
     from datasets.core.errors import UsageError
     from reconstruct.backend import cache_compilations
+    from reconstruct.run import RUN
     from reconstruct.training import distributed
     from reconstruct.training.loop import train as run_training
     from reconstruct.training.ray_count import scaled
@@ -60,7 +61,7 @@ def train(
     if out is None:
         raise UsageError("give the folder of the run: --out DIR")
     distributed.join(coordinator, processes, process)
-    config, where, loaded, start_from = _inputs(scene, from_, model, preset, set_, resume)
+    config, where, loaded, start_from = _inputs(scene, from_, model, preset, set_, resume and (out / RUN).is_file())
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
     result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
@@ -75,7 +76,7 @@ def _list_settings(model: str, preset: str, overrides: list[str], as_json: bool)
     console.report({"settings": rows}, as_json=as_json, text=listing.settings_text(rows))
 
 
-def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, overrides: list[str], resume: bool) -> Any:
+def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, overrides: list[str], begun: bool) -> Any:
     """Configuration, path of the scene, the scene, and the run to start from (or None)."""
     from datasets.formats import find, load_scene
     from reconstruct.models import finetuned, load_config
@@ -85,7 +86,7 @@ def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, over
         run = Run.open(from_)
         return finetuned(run.config, overrides), Path(run.scene_path), run.scene(), run
     config, where = load_config(model, preset, overrides), find(str(scene))
-    return config, where, load_scene(where, measure=not resume), None  # a resumed run keeps its bounds
+    return config, where, load_scene(where, measure=not begun), None  # a run keeps its bounds
 
 
 def _summary(result: dict[str, Any], out: Path) -> str:

@@ -28,8 +28,9 @@ class EventLog:
 
     def __init__(self, run: Path, step: int) -> None:
         files, self._events = _tensorboardx()
+        resumed = step > 0 or any(run.glob("events.out.*"))
         self._file = files.EventsWriter(str(run / "events"), f".{step}")
-        if step:
+        if resumed:
             begun = self._events.SessionLog(status=self._events.SessionLog.START)
             self._add(step=step + 1, session_log=begun)
 
@@ -52,7 +53,7 @@ def event_log(run: Path, *, wanted: bool, step: int = 0) -> Iterator[EventLog | 
     """An event file of a run, or None where nobody wants it.
 
     Args:
-        step: where the training begins; it replaces what the file of an interrupted training says of later steps.
+        step: where the training begins; it replaces what the files of an interrupted training say of later steps.
 
     Raises:
         UsageError: it is wanted, and its writer is not installed.

@@ -17,6 +17,7 @@ import numpy as np
 
 from datasets.core.console import hint, progress
 from datasets.core.errors import UsageError
+from datasets.core.space import require_room
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
@@ -25,12 +26,12 @@ from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
 from reconstruct.scene.rays import Pixels
-from reconstruct.surface.schedule import second_pass_period
 from reconstruct.training import distributed
 from reconstruct.training.event_log import EventLog, event_log, require_writer
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pause import give_way
 from reconstruct.training.preparation import Prepared, prepare
+from reconstruct.training.schedules import second_pass_period
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.plan import normalisation_of
 from reconstruct.training.step import Step, TrainState
@@ -39,6 +40,8 @@ CHUNK = 16
 """Largest number of steps between two checks of the clock."""
 LOOKS = 40
 """Lines in the log over a whole training."""
+LINE_BYTES = 4000
+"""More than a line of the log takes."""
 WORTH_DB = 0.02
 """Improvement of held-out pixels by which a training counts as still improving [dB]."""
 
@@ -204,7 +207,8 @@ def train(
     Args:
         budget_s: seconds of training proper, after images are read and the step is compiled; None trains
             `config.train.steps` steps, which is what repeats bit for bit.
-        resume: continue the run in `out`, to the result that an undisturbed training would have had.
+        resume: continue the run in `out`, to the result that an undisturbed training would have had. One that was killed before
+            its first checkpoint starts over.
         start_from: begin with what this run has learned, optimiser and occupancy grid included, instead of fresh weights.
 
     Raises:
@@ -217,7 +221,8 @@ def train(
         require_writer()
     with distributed.folder_for(out, resume=resume) as folder:
         started = time.perf_counter()
-        training = _resumed(scene, folder, budget_s) if resume else start(scene, scene_path, config, folder, budget_s, start_from)
+        begun = resume and not Run.never_begun(folder)
+        training = _resumed(scene, folder, budget_s) if begun else start(scene, scene_path, config, folder, budget_s, start_from)
         return _completed(training, scene, time.perf_counter() - started) | {"run": str(out)}
 
 
@@ -318,8 +323,9 @@ def start(
     if start_from is not None:
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
-    run = Run.create(out, config, scene_path, prepared.step.facts, about)
+    _require_room(out, state)
     record.write(out, prepared.skips)
+    run = Run.create(out, config, scene_path, prepared.step.facts, about)
     return _training(run, prepared, state, Clock(config.train.steps, budget_s), prepared.skips)
 
 
@@ -334,13 +340,26 @@ def _continued(fresh: TrainState, run: Run) -> TrainState:
 
 
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
+    """The training of a run from its newest checkpoint on; from its first step where it was killed before there was one."""
     run = Run.open(out)
     prepared = prepare(scene, run.config, run.normalisation, run.facts, fresh=False)
-    state, clock = checkpoint.load(run.path / CHECKPOINTS, prepared.state)
-    budget_s = budget_s or run.content.get("budget_s")
+    state, clock, source = prepared.state, {"seconds": 0.0}, run.content.get("from")
+    if checkpoint.steps(run.path / CHECKPOINTS):
+        state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
+    elif source is not None:
+        state = _continued(state, Run.open(Path(source)))
+    _require_room(out, state)
+    run.rewind(int(state.step))
     seconds = clock.pop("seconds")
     counts = {name: int(value) for name, value in clock.items()}
+    budget_s = budget_s or run.content.get("budget_s")
     return _training(run, prepared, state, Clock(run.config.train.steps, budget_s, seconds, **counts), record.read(out))
+
+
+def _require_room(out: Path, state: TrainState) -> None:
+    """Raise KoalaError where the disk has no room for what a training writes: checkpoints, one of them unfinished, and the log."""
+    checkpoints = checkpoint.KEPT + 1 - len(checkpoint.steps(out / CHECKPOINTS))
+    require_room(out, checkpoints * checkpoint.state_bytes(state) + LOOKS * LINE_BYTES, "the checkpoints and the log")
 
 
 def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:

@@ -1,21 +1,20 @@
 """What training minimises: the losses of rendered rays, and those at their first surfaces."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from reconstruct.config import Config
+from reconstruct.config import Config, LossConfig
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.mlp import computed_in
 from reconstruct.numerics.stepfun import resample_blurred
 from reconstruct.rendering.model import Model, Rendered, render
-from reconstruct.sampling.footprint import cloud_of
 from reconstruct.sampling.proposals import Level
 from reconstruct.sampling.sampler import Batch, Sampled
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Rays, over
 from reconstruct.scene.twists import followed
@@ -31,25 +30,10 @@ BLURS = (0.03, 0.003)
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Weights of the losses; see `LossConfig`."""
-
-    charbonnier: float
-    interlevel: float
-    distortion: float
-    hollowness: float
-    hollow_from: float
-    orientation: float
-    predicted_normals: float
-    density_normals: float
-    decay: float
-
-
-@dataclass(frozen=True)
 class Objective:
     """The losses of a batch. Those without a weight are not computed."""
 
-    weights: Weights
+    weights: LossConfig
     place: Place
     surface_rays: int
     """Rays whose first surface is looked for, at most."""
@@ -62,8 +46,7 @@ class Objective:
     def of(cls, config: Config, facts: SceneFacts, place: Place) -> "Objective":
         """As configured, for one scene."""
         normalisation = facts.normalisation
-        wanted = config.losses.in_scene(bounded=normalisation.bounded)
-        weights = Weights(**{field.name: getattr(wanted, field.name) for field in fields(Weights)})
+        weights = config.losses.in_scene(bounded=normalisation.bounded)
         sigma = config.poses.sigma(normalisation.scale)
         return cls(weights, place, config.surface.rays, config.train.precision, sigma, config.poses.prior)
 
@@ -123,7 +106,7 @@ def photometric(
     return {"photometric": jnp.sum(losses.charbonnier(error, width) * share), "mse": jnp.sum(error * error * share)}
 
 
-def surface_point_terms(field: Field, rays: Rays, surface: Surface, weights: Weights, place: Place) -> Terms:
+def surface_point_terms(field: Field, rays: Rays, surface: Surface, weights: LossConfig, place: Place) -> Terms:
     """Orientation and predicted normals at the first surface of each ray, as far as they have a weight."""
     alike = (weights.predicted_normals or weights.density_normals) and field.appearance.predicts_normals
     if not (weights.orientation or alike):

@@ -19,7 +19,6 @@ from reconstruct.sampling.create import sampler_type
 from reconstruct.sampling.sampler import Batch
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Pixels
-from reconstruct.surface.ball import Ball
 from reconstruct.surface.first_surface import Surface
 from reconstruct.surface.second_pass import Place, SecondPass
 from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
@@ -44,15 +43,6 @@ class TrainState(eqx.Module):
 
 
 @dataclass(frozen=True)
-class Blur:
-    """Schedule of the encoding's blur, see `schedules.encoding_blur`."""
-
-    first: float
-    last: float
-    until: float
-
-
-@dataclass(frozen=True)
 class Step:
     """The step for one configuration and one scene. Static choices are made here, before compilation."""
 
@@ -61,22 +51,19 @@ class Step:
     objective: Objective
     second_pass: SecondPass | None
     optimiser: Optimiser
-    blur: Blur
     division: Division = ONE_DEVICE
 
     @classmethod
     def of(cls, config: Config, facts: SceneFacts) -> "Step":
         """As configured, on one device."""
-        train = config.train
         frustum = sampler_type(config.sampler).frustum_of(config.sampler)
         place = Place(facts.normalisation.bounded, extended=frustum != "point")
         return cls(
             config,
             facts,
             Objective.of(config, facts, place),
-            second_pass_of(config, place) if config.surface.enabled else None,
+            SecondPass(place, config.surface) if config.surface.enabled else None,
             Optimiser.of(config, facts),
-            Blur(train.first_blur, train.last_blur, train.blur_until),
         )
 
     def initial(self, key: PRNGKeyArray, possible: NDArray[Any] | None = None, views: int = 0) -> TrainState:
@@ -131,10 +118,11 @@ class Step:
         self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], second: Bool[Array, ""]
     ) -> tuple[TrainState, Terms]:
         """One step."""
-        blur = encoding_blur(progress, first=self.blur.first, last=self.blur.last, until=self.blur.until)
+        train = self.config.train
+        blur = encoding_blur(progress, first=train.first_blur, last=train.last_blur, until=train.blur_until)
         model = state.model.blurred(blur.astype(jnp.float32))
         learned, held = model.split()
-        key, count = jax.random.fold_in(jax.random.key(seed), state.step), self.config.train.accumulate
+        key, count = jax.random.fold_in(jax.random.key(seed), state.step), train.accumulate
         if count == 1:
             gradient, terms, met = self.gradient(model, pixels, key, progress, second)
         else:
@@ -201,19 +189,3 @@ class Step:
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), state.step), UPKEEP)
         sampler = state.model.sampler.upkept(state.model.field, key)
         return eqx.tree_at(lambda s: s.model.sampler, state, sampler)
-
-
-def second_pass_of(config: Config, place: Place) -> SecondPass:
-    """The regularisers as configured."""
-    surface = config.surface
-    return SecondPass(
-        place=place,
-        ball=Ball(surface.samples, surface.reach, surface.sampling, surface.kappa),
-        density=surface.density,
-        normal=surface.normal,
-        bias=surface.bias,
-        variation=surface.variation,
-        density_form=surface.density_form,
-        neighbours=surface.neighbours,
-        neighbour_form=surface.neighbour_form,
-    )

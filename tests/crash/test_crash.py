@@ -16,12 +16,6 @@ ROOT = Path(__file__).parent.parent.parent
 MOST = 100
 """Where an artefact has more distinct states, `make test` tries some, spread over all of them."""
 SHARE = 10
-LOG = "Run._append does not flush, and Run.log raises at zeros or half a line; checkpoint.save leaves flushing to orbax"
-OPEN = {
-    ("power cut", "checkpoints"): LOG,
-    ("reported", "checkpoints"): LOG,
-}
-"""Faults that are known and not mended yet, by test and artefact."""
 REASON = strace.available()
 pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
@@ -100,12 +94,6 @@ def sample(states: list[disk.State]) -> list[disk.State]:
     return states if len(states) <= MOST else states[:: len(states) // SHARE]
 
 
-def expect(request: pytest.FixtureRequest, what: str, run: Recorded) -> None:
-    """Mark a test as expected to fail where its fault is known."""
-    if (what, run.name) in OPEN:
-        request.applymarker(pytest.mark.xfail(strict=True, reason=OPEN[what, run.name]))
-
-
 def by_kill(run: Recorded) -> list[disk.State]:
     return [state for state in run.states if state.variant == "killed"]
 
@@ -118,8 +106,7 @@ def test_repeating_after_a_kill_ends_with_the_same_result(run: Recorded) -> None
     check_recovery(run, sample(by_kill(run)))
 
 
-def test_repeating_after_a_power_cut_ends_with_the_same_result(run: Recorded, request: pytest.FixtureRequest) -> None:
-    expect(request, "power cut", run)
+def test_repeating_after_a_power_cut_ends_with_the_same_result(run: Recorded) -> None:
     check_recovery(run, sample(by_power_cut(run)))
 
 
@@ -131,15 +118,11 @@ def test_repeating_after_a_kill_at_every_prefix_ends_with_the_same_result(run: R
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_repeating_after_a_power_cut_at_every_prefix_ends_with_the_same_result(
-    run: Recorded, request: pytest.FixtureRequest
-) -> None:
-    expect(request, "power cut", run)
+def test_repeating_after_a_power_cut_at_every_prefix_ends_with_the_same_result(run: Recorded) -> None:
     check_recovery(run, by_power_cut(run))
 
 
-def test_what_was_reported_as_done_survives_a_power_cut(run: Recorded, request: pytest.FixtureRequest) -> None:
-    expect(request, "reported", run)
+def test_what_was_reported_as_done_survives_a_power_cut(run: Recorded) -> None:
     tried = [state for state in run.states if state.variant == "dropped" and state.marks]
     wrong = []
     for state in tried:

@@ -11,10 +11,7 @@ import pytest
 
 ALL, SHARE = 10_000, 33
 KINDS, WAYS = 22, 38
-OPEN = {
-    r"checkpoint\.py:|reconstruct/run\.py:|nobody has stored": "checkpoint.load and Run.log: no checksum, no fall-back",
-    r"output/camera_path\.py:": "numbers that are not finite are interpolated",
-}
+OPEN = {r"output/camera_path\.py:": "numbers that are not finite are interpolated"}
 """Faults that are known and not mended yet, as patterns of what `pool.py` says, with where to mend each."""
 
 

@@ -15,11 +15,10 @@ import pytest
 
 from reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
 from reconstruct.field.contraction import contract, contraction_scale, pull_back
-from reconstruct.field.encodings.directional import integrated_directional_encoding
+from reconstruct.field.encodings.directional import integrated_directional_encoding, view_encoding
 from reconstruct.field.encodings.frequencies import Frequencies
 from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
 from reconstruct.field.encodings.simplex import LIFT, VERTICES_PER_UNIT_VOLUME
-from reconstruct.field.encodings.view import view_encoding
 from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
 from reconstruct.numerics import stepfun
 from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear

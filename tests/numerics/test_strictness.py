@@ -16,8 +16,7 @@ from reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_
 from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.rendering.model import Model, render
-from reconstruct.sampling.footprint import Footprint, cloud_of
-from reconstruct.sampling.samples import RaySamples
+from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
 from reconstruct.surface import ball, first_surface, regularisers

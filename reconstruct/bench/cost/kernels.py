@@ -21,8 +21,7 @@ from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 from reconstruct.field.encodings.voxels import VoxelGrid
 from reconstruct.numerics.compiling import jit
-from reconstruct.rendering.compositing import composite, sample_weights
-from reconstruct.rendering.model import Model
+from reconstruct.rendering.model import Model, composite, sample_weights
 from reconstruct.sampling.occupied_steps import OccupiedSteps
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays

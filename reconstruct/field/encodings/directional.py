@@ -1,4 +1,4 @@
-"""Integrated directional encoding (Ref-NeRF, Verbin et al. 2022, equation 8).
+"""Encodings of directions: of views, and the integrated one of reflections (Ref-NeRF, Verbin et al. 2022, equation 8).
 
 Real and imaginary parts of spherical harmonics Y_l^m for l = 1, 2, 4, ..., m = 0..l, each attenuated by
 exp(-l (l + 1) roughness / 2), the expectation under a von Mises-Fisher lobe of that roughness.
@@ -53,3 +53,14 @@ def _legendre_over_sine(z: Float[Array, " n"], wanted: list[int]) -> dict[tuple[
             if degree_l in wanted:
                 result[degree_l, m] = here
     return result
+
+
+def view_channels(degree: int) -> int:
+    """Number of outputs of `view_encoding`."""
+    return 3 + 6 * degree
+
+
+def view_encoding(directions: Float[Array, "3 n"], degree: int) -> Float[Array, "channels n"]:
+    """Unit directions, then sin(2^i d) and cos(2^i d) for i = 0..degree - 1 (NeRF, equation 4, and the direction)."""
+    angles = [directions * 2.0**i for i in range(degree)]
+    return jnp.concatenate([directions, *(jnp.sin(angle) for angle in angles), *(jnp.cos(angle) for angle in angles)])

@@ -7,8 +7,8 @@ from pathlib import Path
 from datasets.core import files
 from datasets.core.errors import UsageError, nearest
 from reconstruct.config import SkipConfig
+from reconstruct.run import SKIPS
 
-SKIPS = "skips.json"
 NAMES = tuple(SkipConfig.model_fields)
 """What can be forced."""
 NOTHING_MORE = "nothing more"

@@ -10,11 +10,10 @@ from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering import pictures
-from reconstruct.rendering.compositing import composite
-from reconstruct.rendering.model import render
+from reconstruct.rendering.model import composite, render
 from reconstruct.rendering.pictures import Renderer, composited_normals
 from reconstruct.run import Run
-from reconstruct.sampling.footprint import cloud_of
+from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.rays import Rays, view_rays
 
 

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from reconstruct.surface.ball import Ball, ball_samples, random_rotations, shell_radii, sphere_directions
+from reconstruct.config import SurfaceConfig
+from reconstruct.surface.ball import ball_samples, random_rotations, shell_radii, sphere_directions
 
 
 @pytest.mark.parametrize("count", [4, 32, 1000])
@@ -72,7 +73,9 @@ def test_random_rotations_are_uniform() -> None:
 
 @pytest.mark.parametrize("sampling", ["lattice", "fibonacci", "random"])
 def test_ball_samples_are_unit_directions_and_radii(sampling: str) -> None:
-    directions, radii = ball_samples(jax.random.key(0), 400, Ball(32, 1.0, sampling))
+    directions, radii = ball_samples(
+        jax.random.key(0), 400, SurfaceConfig.model_validate({"samples": 32, "reach": 1.0, "sampling": sampling})
+    )
     assert directions.shape == (400, 32, 3) and radii.shape == (32,)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-5)
     np.testing.assert_allclose(radii, 1 if sampling == "fibonacci" else shell_radii(32), atol=1e-6)

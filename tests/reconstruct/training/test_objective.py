@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reconstruct.config import LossConfig, SurfaceConfig
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
@@ -17,11 +18,9 @@ from reconstruct.sampling.samples import RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
 from reconstruct.surface import second_pass
-from reconstruct.surface.ball import Ball
 from reconstruct.surface.first_surface import Surface
 from reconstruct.surface.second_pass import Place, SecondPass
 from reconstruct.training import objective
-from reconstruct.training.objective import Weights
 
 SMALL = ["encoding.levels=2", "encoding.log2_size=4", "field.spatial_width=4", "field.view_width=4", "sampler.grid=8"]
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.5))
@@ -74,9 +73,9 @@ def rendered(weights: list[list[float]], rgb: list[list[float]] | None = None) -
     return Rendered(colour, w.sum(-1), dark, dark, jnp.zeros(count), dark, jnp.zeros(count), w)
 
 
-def weights(**changed: float) -> Weights:
-    nothing = dict.fromkeys(Weights.__dataclass_fields__, 0.0)
-    return Weights(**{**nothing, "charbonnier": 1e-3, **changed})
+def weights(**changed: float) -> LossConfig:
+    nothing = dict.fromkeys(LossConfig.model_fields, 0.0)
+    return LossConfig(**{**nothing, "charbonnier": 1e-3, **changed})
 
 
 def test_colours_count_over_the_background_for_used_rays_alone() -> None:
@@ -140,9 +139,12 @@ def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
     assert objective.surface_point_terms(half_space(), rays, surface, weights(), Place(bounded=True)) == {}
 
 
-REGULARISERS = SecondPass(
-    Place(bounded=True), Ball(4, reach=2.0), density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1
-)
+WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)
+REGULARISERS = SecondPass(Place(bounded=True), WANTED)
+
+
+def with_changes(**changes: float) -> SecondPass:
+    return replace(REGULARISERS, surface=WANTED.model_copy(update=changes))
 
 
 @pytest.fixture
@@ -172,12 +174,12 @@ def test_without_a_diffuse_colour_the_colour_itself_varies(rays: Rays, surface: 
 
 def test_the_reach_scales_the_ball(rays: Rays, surface: Surface, fixed_directions: None) -> None:
     """Half the reach: alpha = 1 - exp(-10 * 0.1) = 0.632121."""
-    near = replace(REGULARISERS, ball=Ball(4, reach=1.0)).terms(half_space(), rays, surface, jax.random.key(0))
+    near = with_changes(reach=1.0).terms(half_space(), rays, surface, jax.random.key(0))
     np.testing.assert_allclose(near["density_smoothness"], 0.1 * 0.8 * 0.632121 / 4, rtol=1e-5)
 
 
 def test_regularisers_without_a_weight_are_not_computed(rays: Rays, surface: Surface, fixed_directions: None) -> None:
-    spatial = replace(REGULARISERS, bias=0.0, variation=0.0).terms(half_space(), rays, surface, jax.random.key(0))
-    directional = replace(REGULARISERS, density=0.0, normal=0.0).terms(half_space(), rays, surface, jax.random.key(0))
+    spatial = with_changes(bias=0.0, variation=0.0).terms(half_space(), rays, surface, jax.random.key(0))
+    directional = with_changes(density=0.0, normal=0.0).terms(half_space(), rays, surface, jax.random.key(0))
     assert spatial.keys() == {"density_smoothness", "normal_consistency"}
     assert directional.keys() == {"lambertian_bias", "specular_variation"}
