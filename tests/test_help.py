@@ -20,7 +20,7 @@ PROGRAM = (
 def libraries() -> set[str]:
     """Top-level modules of all dependencies, except those that draw help."""
     required = map(Requirement, distribution("koala-capture").requires or [])
-    wanted = {requirement.name.lower() for requirement in required} - DRAWS_HELP
+    wanted = {requirement.name.lower() for requirement in required} - DRAWS_HELP - {"koala-capture"}  # extras name it
     return {module for module, names in packages_distributions().items() if wanted & {name.lower() for name in names}}
 
 

@@ -15,8 +15,8 @@ format: koala-trajectory
 version: 1
 name: board
 views:
-  - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], turn_deg: [-180, 180], shift: [0.08, 0.06],
-     roll_deg: [0, 90, 180, 270], count: 14}
+  - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], turn_deg: [-180, 180],
+     shift: [0.08, 0.06], roll_deg: [0, 90, 180, 270], count: 14}
 target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
 board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
 camera: {exposure_us: 10000, gain_db: 0, binning: 2, width: 960, height: 540}
@@ -26,21 +26,24 @@ format: koala-trajectory
 version: 1
 name: object
 views:
-  - {kind: hemisphere, target: [0.4, 0.0, 0.1], distance: 0.4, elevation_deg: [25, 65], azimuth_deg: [-180, 180], rings: 2, count: 8,
-     roll_deg: [0, 90, 180, 270]}
+  - {kind: hemisphere, target: [0.4, 0.0, 0.1], distance: 0.4, elevation_deg: [25, 65], azimuth_deg: [-180, 180],
+     rings: 2, count: 8, roll_deg: [0, 90, 180, 270]}
 split: {train: 6, test: 2}
 object: {centre: [0.4, 0.0, 0.1], size: [0.2, 0.2, 0.2]}
 camera: {exposure_us: 10000, binning: 4, width: 64, height: 64}
 """
-SMALL = ("train.steps=600", "encoding.levels=4", "encoding.log2_size=12", "sampler.grid=32", "sampler.outer_grid=16", "sampler.rays=256",
-         "sampler.samples=4096", "surface.enabled=false", "field.density_bias=-1")  # fmt: skip
+SMALL = (
+    "train.steps=600 encoding.levels=4 encoding.log2_size=12 sampler.grid=32 sampler.outer_grid=16 sampler.rays=256 "
+    "sampler.samples=4096 surface.enabled=false field.density_bias=-1"
+).split()
 
 
 def run(package: str, *arguments: object) -> dict[str, Any]:
     """Run one command with --json and return what it printed."""
     code = f"from {package}.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *map(str, arguments), "--json"], capture_output=True, text=True, timeout=280,
-                          env={**os.environ, "KOALA_RENDERER": "scalar_rgb"}, check=False)  # fmt: skip
+    command = [sys.executable, "-c", code, *map(str, arguments), "--json"]
+    environment = {**os.environ, "KOALA_RENDERER": "scalar_rgb"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

@@ -107,6 +107,6 @@ def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) ->
         except ImportError as error:
             if choice == ClientChoice.UR_RTDE:
                 raise StartError(f"ur-rtde is not installed: {error}", StartFailure.MISSING) from None
-    from capture.robots.rtde.koala_client import KoalaClient
+    from capture.robots.koala_client import KoalaClient
 
     return KoalaClient(host, frequency, watchdog_hz)

@@ -11,6 +11,7 @@ Positions in the scene's world coordinates.
 """
 
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,8 @@ from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml
 from datasets.scene import Scene
 
-Vector = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class KeyPose(Schema):

@@ -357,7 +357,7 @@ def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
 
 
 def _require_room(out: Path, state: TrainState) -> None:
-    """Raise KoalaError where the disk has no room for what a training writes: checkpoints, one of them unfinished, and the log."""
+    """Raise KoalaError if the disk has no room for what a training writes: checkpoints, one of them unfinished, and the log."""
     checkpoints = checkpoint.KEPT + 1 - len(checkpoint.steps(out / CHECKPOINTS))
     require_room(out, checkpoints * checkpoint.state_bytes(state) + LOOKS * LINE_BYTES, "the checkpoints and the log")
 

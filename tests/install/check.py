@@ -1,14 +1,15 @@
 """Install Koala for every Python on this machine and use what was installed: `make install-check`.
 
-Each Python gets a fresh virtual environment outside the checkout and a plain, not editable installation of everything that has wheels
-for it. Then the four commands explain themselves, a scene is made and read, a model trains for 20 steps, and the simulated arm records a
-calibration session through the robot client of this installation, from which the camera is calibrated. Standard library only.
+Each Python gets a fresh virtual environment and a plain, not editable installation of everything that has wheels for it, from a copy of
+the checkout. Then the four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm
+records a calibration session through the robot client of this installation; the camera is calibrated from it. Standard library only.
 """
 
 import argparse
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -27,7 +28,7 @@ class CheckFailed(Exception):
 
 
 def pythons() -> dict[str, Path]:
-    """Version ('3.12') to interpreter, for every Python on PATH and in pyenv that is new enough; the newest patch release of each."""
+    """Version ('3.12') to interpreter: every Python on PATH and in pyenv that is new enough, the newest patch release of each."""
     found: dict[tuple[int, ...], Path] = {}
     for path in _candidates():
         try:
@@ -56,11 +57,15 @@ class Installation:
         self.bin = folder / "venv" / "bin"
 
     def install(self, python: Path) -> None:
-        """Create the environment and install the checkout with all extras, at the locked versions where there is a lock."""
+        """Create the environment and install a copy of the checkout with all extras, at the locked versions if there is a lock."""
         self.run(str(python), "-m", "venv", str(self.folder / "venv"))
+        source = self.folder / "source"
+        shutil.copytree(
+            ROOT, source, ignore=shutil.ignore_patterns(".*", "build", "demo", "runs", "koala", "*.egg-info", "__pycache__")
+        )
         lock = ROOT / "constraints" / f"python{self.version}.txt"
         constraint = ["--constraint", str(lock)] if lock.is_file() else []
-        self.run(str(self.bin / "python"), "-m", "pip", "install", "--quiet", "--no-compile", *constraint, f"{ROOT}[all]")
+        self.run(str(self.bin / "python"), "-m", "pip", "install", "--quiet", "--no-compile", *constraint, f"{source}[all]")
 
     def run(self, *command: str) -> str:
         """Standard output of a command. Raises CheckFailed where it fails."""

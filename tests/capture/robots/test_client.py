@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from capture.errors import RigConnectionError
-from capture.robots import client
+from capture.robots import client, koala_client
 from capture.robots.client import StartError, StartFailure, open_client
-from capture.robots.rtde import koala_client
 from capture.robots.ur import UR5e
 from capture.sim.controller.process import SimulatedController
 

@@ -14,7 +14,7 @@ import pytest
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError
 from capture.kinematics import forward
 from capture.robots.client import versioned
-from capture.robots.rtde.koala_client import KoalaClient
+from capture.robots.koala_client import KoalaClient
 from capture.robots.ur import UR5e
 from capture.sim.controller.process import SimulatedController
 from datasets import pose

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
+from capture.robots import koala_client
 from capture.robots.client import StartError, StartFailure
-from capture.robots.rtde import koala_client
-from capture.robots.rtde.koala_client import KoalaClient
+from capture.robots.koala_client import KoalaClient
 from capture.sim.controller.process import SimulatedController
 
 STEP = np.array([0.3, 0.1, -0.1, 0.2, 0.0, 0.1])
