@@ -100,8 +100,8 @@ def paired(figure: str, pairs: np.ndarray) -> Difference:
     """Paired t-test of the (n, 2) means of setups."""
     sample = Sample.of(pairs[:, 1] - pairs[:, 0])
     change = seeds.tested(sample.mean, float(sample.deviation / np.sqrt(sample.count)), sample.count - 1)
-    before, after = pairs.mean(0).tolist()
-    return Difference(EVERYWHERE, figure, before, after, change.low, change.high, change.p, (sample.count,) * 2)
+    (before, after), counts = pairs.mean(0).tolist(), (sample.count, sample.count)
+    return Difference(EVERYWHERE, figure, before, after, change.low, change.high, change.p, counts)
 
 
 def summary(differences: Sequence[Difference]) -> dict[str, Any]:
