@@ -1,5 +1,6 @@
 # make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 10 minutes on 2 cores)
-# make test    the test suite
+# make test    the test suite; of the arm's two clients one for each fault, both where they differ (`both_clients`)
+# make test-all  the slow tests as well: every fault three times with each client, 20 kills in a row
 # make docs    the pages of docs/ as HTML in build/docs
 # make lock    refresh constraints/, the versions that make installs
 # make install-check  install and use Koala with every Python on this machine

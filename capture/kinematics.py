@@ -7,23 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datasets import pose
-from datasets.kinematics import UR5E, Links, forward, jacobian, link_frames
-
-__all__ = [
-    "JOINT_LIMIT",
-    "MAX_JOINT_SPEED",
-    "REACH",
-    "UR5E",
-    "Joints",
-    "Links",
-    "forward",
-    "inverse",
-    "jacobian",
-    "link_frames",
-    "nearest_turn",
-    "singularity",
-    "wrap",
-]
+from datasets.kinematics import UR5E as UR5E
+from datasets.kinematics import Links as Links
+from datasets.kinematics import forward as forward
+from datasets.kinematics import jacobian as jacobian
+from datasets.kinematics import link_frames as link_frames
 
 Joints = NDArray[np.float64]
 
@@ -62,6 +50,17 @@ def _solver() -> Callable[[Joints], Joints]:
         return partial(branches, links=UR5E)
     arm = DhRobot(UR5E.alpha, UR5E.a, UR5E.d)
     return lambda target: np.array(arm.IK(target).Q, np.float64).reshape(-1, 6)
+
+
+def pose_from_six(numbers: ArrayLike) -> Joints:
+    """(4, 4) pose of the six numbers that controllers use: position [m] and rotation vector [rad]."""
+    numbers = np.asarray(numbers, np.float64)
+    return pose.from_rotation_vector(numbers[3:], numbers[:3])
+
+
+def six_from_pose(matrix: Joints) -> Joints:
+    """(6,) position [m] and rotation vector [rad] of a (4, 4) pose."""
+    return np.concatenate([matrix[:3, 3], pose.rotation_vector(matrix)])
 
 
 def wrap(angles: ArrayLike) -> Joints:

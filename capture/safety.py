@@ -30,10 +30,8 @@ class Limits:
         if abs(target[worst]) > self.joint:
             why = f"{np.degrees(target[worst]):.0f} degrees, limit {np.degrees(self.joint):.0f}"
             raise SafetyError(f"joint {worst + 1} would leave its range", why=why, remedy="plan the view with another branch")
-        for name, asked, limit, unit in (
-            ("speed", speed, self.speed, "rad/s"),
-            ("acceleration", acceleration, self.acceleration, "rad/s^2"),
-        ):
+        asked_and_limits = {"speed": (speed, self.speed, "rad/s"), "acceleration": (acceleration, self.acceleration, "rad/s^2")}
+        for name, (asked, limit, unit) in asked_and_limits.items():
             if not 0 < asked <= limit:
                 why = f"{asked:g} {unit}, limit {limit:g}"
                 remedy = f"lower motion.{name} in the trajectory or raise the limit in the rig file"

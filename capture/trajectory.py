@@ -19,7 +19,8 @@ from capture.geometry import Box, PoseDescription
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
 from datasets.board import Board
-from datasets.core.schema import Schema, load_yaml
+from datasets.core.schema import Schema, load_yaml, validate
+from datasets.recording import MANIFEST, Recording
 
 FORMAT, VERSION = "koala-trajectory", 1
 
@@ -39,9 +40,7 @@ class CameraSettings(Schema):
     exposure_us: float = Field(default=10_000.0, gt=0, description="exposure time [us]")
     gain_db: float = Field(default=0.0, ge=0, description="gain [dB]")
     pixel_format: Literal["rgb8", "bayer8", "bayer12"] = Field(
-        default="rgb8",
-        description="what the camera sends: colours, or a raw Bayer mosaic of 8 or 12 bits that is demosaiced on the host. "
-        "Images are stored as sRGB; those of 12 bits as 16-bit files",
+        default="rgb8", description="colours, or a raw Bayer mosaic, demosaiced here; stored as sRGB of 8 bits, bayer12 of 16"
     )
     binning: int = Field(default=1, ge=1, le=16, description="sensor pixels per image pixel, along both axes")
     width: int = Field(default=1920, ge=16, description="image width after binning [px]")
@@ -53,9 +52,7 @@ class CameraSettings(Schema):
 class Motion(Schema):
     """How the arm moves between views and when it counts as still."""
 
-    order: Literal["given", "shortest"] = Field(
-        default="given", description="take the views as listed, or in an order that shortens the session"
-    )
+    order: Literal["given", "shortest"] = Field(default="given", description="take the views as listed, or in a shorter order")
     speed: float = Field(default=0.8, gt=0, le=np.pi, description="speed of the fastest joint [rad/s]")
     acceleration: float = Field(default=1.2, gt=0, le=10, description="acceleration of the fastest joint [rad/s^2]")
     settle_speed: float = Field(default=0.001, gt=0, description="a joint slower than this counts as still [rad/s]")
@@ -64,7 +61,7 @@ class Motion(Schema):
         default=None,
         gt=0,
         lt=1,
-        description="also wait until two consecutive pictures differ by less (RMS, as a share of white); null: do not wait",
+        description="also wait until two pictures in a row differ by less (RMS, share of white); null: no",
     )
     settle_timeout_s: float = Field(default=5.0, gt=0, description="error if the arm is not still this long after the motion [s]")
 
@@ -73,12 +70,8 @@ class Safety(Schema):
     """Where the arm and the camera may not go."""
 
     table_z: float | None = Field(default=0.0, description="z of the table top in the base frame [m]; null: no table")
-    ceiling_z: float | None = Field(
-        default=None, description="z of the ceiling above a hanging arm, usually 0 [m]; null: no ceiling"
-    )
-    clearance_m: float = Field(
-        default=0.02, ge=0, le=0.5, description="distance to keep from table, object and the arm itself [m]"
-    )
+    ceiling_z: float | None = Field(default=None, description="z of the ceiling above a hanging arm, usually 0 [m]; null: none")
+    clearance_m: float = Field(default=0.02, ge=0, le=0.5, description="distance to keep from table, object and arm [m]")
     workspace: Box | None = Field(default=None, description="box that the camera must stay inside; null: no limit")
 
 
@@ -89,15 +82,11 @@ class Trajectory(Schema):
     version: Literal[1] = Field(default=1, description="version of this format")
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$", description="name of the session")
     views: list[Views] = Field(min_length=1, description="groups of views, taken in this order")
-    split: Split | None = Field(
-        default=None, description="training and test views; null: all views train, or the session is a calibration"
-    )
+    split: Split | None = Field(default=None, description="training and test views; null: all train, or it is a calibration")
     camera: CameraSettings = Field(default_factory=CameraSettings, description="exposure, gain and region")
     motion: Motion = Field(default_factory=Motion, description="speed and settling")
     safety: Safety = Field(default_factory=Safety, description="where the arm may not go")
-    up: Literal["+z", "-z"] = Field(
-        default="+z", description="axis of the base that points up: -z for an arm that hangs upside down"
-    )
+    up: Literal["+z", "-z"] = Field(default="+z", description="axis of the base that points up; -z: the arm hangs")
     object: Box | None = Field(default=None, description="volume of the object, which stands at the centre of the bottom face")
     target: Board | None = Field(default=None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(
@@ -157,6 +146,11 @@ class Trajectory(Schema):
             replace(view, name=f"{index:0{digits}d}", split=split)
             for index, (view, split) in enumerate(zip(views, self.splits, strict=True))
         ]
+
+
+def recorded_trajectory(recording: Recording) -> Trajectory:
+    """The trajectory that a recording was made along; raises an error with the key where its manifest is wrong."""
+    return validate(recording.trajectory, Trajectory, where=f"{recording.path / MANIFEST}, trajectory")
 
 
 def load_trajectory(path: Path | str, *, overrides: list[str] | None = None) -> Trajectory:

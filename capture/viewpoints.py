@@ -17,6 +17,7 @@ from datasets import pose
 from datasets.core.schema import Schema
 
 Interval = tuple[float, float]
+SixAngles = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,7 @@ def spread(count: int, chosen: int) -> frozenset[int]:
 
 
 class _Rolled(Schema):
-    roll_deg: list[float] = Field(
-        default=[0.0], min_length=1, description="equally good turns about the view axis; the planner chooses [degrees]"
-    )
+    roll_deg: list[float] = Field(default=[0.0], min_length=1, description="allowed turns about the view axis [degrees]")
 
     @property
     def _rolls(self) -> tuple[float, ...]:
@@ -89,9 +88,7 @@ class HemisphereViews(_Counted):
 
     kind: Literal["hemisphere"] = Field(description="pattern of the views")
     distance: float = Field(gt=0.05, le=2, description="camera to target [m]")
-    elevation_deg: Interval = Field(
-        default=(15.0, 70.0), description="elevation of the lowest and the highest ring above the horizon [degrees]"
-    )
+    elevation_deg: Interval = Field(default=(15.0, 70.0), description="elevation of the lowest and highest ring [degrees]")
     azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range around the vertical, 0 along base x [degrees]")
     rings: int = Field(default=4, ge=1, le=100, description="number of rings")
 
@@ -161,9 +158,7 @@ class TiltedViews(_Counted):
     distance: Interval = Field(default=(0.3, 0.5), description="shortest and longest distance to the target [m]")
     tilt_deg: Interval = Field(default=(0.0, 40.0), description="smallest and largest angle between view and vertical [degrees]")
     turn_deg: Interval = Field(default=(-180.0, 180.0), description="range of the turn about the view axis [degrees]")
-    azimuth_deg: Interval = Field(
-        default=(-180.0, 180.0), description="range of the direction from which the camera looks [degrees]"
-    )
+    azimuth_deg: Interval = Field(default=(-180.0, 180.0), description="range of the camera's direction [degrees]")
     shift: Interval = Field(default=(0.0, 0.0), description="largest shift of the target along x and y [m]")
 
     def generate(self, up: int = 1) -> list[Viewpoint]:
@@ -186,9 +181,7 @@ class CameraPose(Schema):
 
     position: Vector = Field(description="camera position [m]")
     look_at: Vector | None = Field(default=None, description="point in the middle of the image [m]")
-    quaternion_wxyz: tuple[float, float, float, float] | None = Field(
-        default=None, description="orientation of base_from_camera, w x y z"
-    )
+    quaternion_wxyz: tuple[float, float, float, float] | None = Field(default=None, description="orientation, w x y z")
 
     @model_validator(mode="after")
     def _one_orientation(self) -> Self:
@@ -228,9 +221,7 @@ class JointViews(Schema):
     """A list of joint angles."""
 
     kind: Literal["joints"] = Field(description="pattern of the views")
-    joints_deg: list[tuple[float, float, float, float, float, float]] = Field(
-        min_length=1, description="six joint angles of each view [degrees]"
-    )
+    joints_deg: list[SixAngles] = Field(min_length=1, description="six joint angles of each view [degrees]")
 
     @property
     def number(self) -> int:

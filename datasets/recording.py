@@ -10,9 +10,10 @@ A frame counts once its line is complete; an image without a line is recorded ag
 
 import json
 import os
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +21,14 @@ from numpy.typing import NDArray
 from datasets import pose
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
+from datasets.imaging.region import Region
 from datasets.scene import checked_name
 
 FORMAT, VERSION = "koala-recording", 1
 MAX_BYTES = 2**28
 """Larger lists of frames are refused; one of ten thousand frames has a twentieth of this size."""
-_KINDS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("index", "host_time_ns", "device_ticks"), (int,)),
-    **dict.fromkeys(("robot_time_s", "exposure_us", "settle_s"), (int, float)),
-    **dict.fromkeys(("name", "split", "image", "sha256"), (str,)),
-}
+LARGEST = 2**64
+"""Limit of every number in a frame; clocks and counters have at most 64 bits."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 
 
@@ -72,11 +71,11 @@ class Frame:
         try:
             arrays = {"joints": np.asarray(content["joints"], np.float64)}
             arrays["base_from_flange"] = pose.checked(content["base_from_flange"], where=where)
+            for one in fields(cls):
+                kind, given = cast(Any, one.type), content[one.name]
+                if kind in (str, int, float) and (kind(given) != given or (kind is not str and not abs(given) < LARGEST)):
+                    raise ValueError(f"{one.name} is {given!r:.80}")
             frame = cls(**{**content, **arrays})
-            for key, kinds in _KINDS.items():
-                value = getattr(frame, key)
-                if not isinstance(value, kinds) or (float in kinds and not np.isfinite(value)):
-                    raise ValueError(f"{key} is {str(value)[:40]!r}")
         except (TypeError, KeyError, ValueError, OverflowError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
         checked_name(frame.name, where=where)
@@ -125,11 +124,10 @@ class Recording:
         return cls(path, manifest, frames)
 
     def append(self, frame: Frame) -> None:
-        """Add a frame; returns once it is on the disk. Its image must exist already."""
+        """Add a frame; returns once it is on the disk. Its image must exist already, and its name be on the disk."""
         path = self.path / FRAMES
-        begun = path.exists()
-        line = json.dumps(frame.to_json(), allow_nan=False) + "\n"
-        with open(path, "r+b" if begun else "w+b") as file:
+        line, new = json.dumps(frame.to_json(), allow_nan=False) + "\n", not path.exists()
+        with open(path, "w+b" if new else "r+b") as file:
             for _ in self.frames:
                 file.readline()
             file.seek(file.tell())
@@ -137,14 +135,43 @@ class Recording:
             file.write(line.encode())
             file.flush()
             os.fsync(file.fileno())
-        if not begun:
+        if new:
             files.flush(self.path)
         self.frames.append(frame)
 
+    def discard(self, names: Collection[str]) -> list[str]:
+        """Remove frames, so that they can be taken again; returns the names of those that existed.
+
+        Their lines are removed first, in one step, then their images. A kill in between leaves an image without a line, as a
+        kill during a capture does.
+        """
+        removed = [frame for frame in self.frames if frame.name in names]
+        if removed:
+            lines = zip(_lines(self.path / FRAMES), self.frames, strict=False)
+            files.write_text(self.path / FRAMES, "".join(f"{line}\n" for line, frame in lines if frame.name not in names))
+        self.frames[:] = [frame for frame in self.frames if frame.name not in names]
+        for frame in removed:
+            self.image_path(frame).unlink(missing_ok=True)
+        return [frame.name for frame in removed]
+
     @property
     def trajectory(self) -> dict[str, Any]:
-        """The resolved trajectory of the request."""
-        return self.manifest["trajectory"]
+        """The resolved trajectory of the request. Raises DatasetError where the manifest has none."""
+        trajectory = self.manifest.get("trajectory")
+        if not isinstance(trajectory, dict):
+            raise DatasetError("the manifest has no trajectory", where=self.path / MANIFEST, remedy="record it again")
+        return trajectory
+
+    def part(self, name: str) -> dict[str, Any]:
+        """What the manifest says of the robot, the camera or another part; empty where it says nothing."""
+        content = self.manifest.get(name)
+        return content if isinstance(content, dict) else {}
+
+    @property
+    def region(self) -> Region | None:
+        """The region of the sensor that the images show; None where the manifest does not say it."""
+        content = self.part("camera").get("region")
+        return None if content is None else Region.from_json(content, where=f"{self.path / MANIFEST}, camera, region")
 
     def image_path(self, frame: Frame) -> Path:
         """Path of a frame's image."""

@@ -1,5 +1,10 @@
 """The `reconstruct` command. Commands are defined beside the code that they call and registered here."""
 
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
 from datasets.core import console
 from reconstruct.bench import commands as bench_commands
 from reconstruct.options import Preset
@@ -19,10 +24,37 @@ def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
     console.report({"models": rows}, as_json=as_json, text=models_text(rows))
 
 
+def view(
+    path: Annotated[Path, Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
+    mesh: Annotated[Path | None, Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
+    port: console.Port = 8080,
+    as_json: console.Json = False,
+) -> None:
+    """Explore a run in the browser, during training or afterwards."""
+    from datasets.page import open_page
+    from reconstruct.backend import cache_compilations
+    from reconstruct.run import RUN, Run
+
+    cache_compilations()
+    with open_page(path.name, port) as page:
+        if (path / RUN).is_file():
+            from reconstruct.page.run_page import show
+
+            show(page, Run.open(path), mesh=mesh)
+        else:
+            from datasets.formats import load_scene
+            from datasets.page.view import show as show_scene
+
+            show_scene(page, path, load_scene(path), quick=True)
+        console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
+        page.serve()
+
+
 app.command()(train_command.train)
 app.command()(models)
 app.add_typer(study_commands.app)
 app.add_typer(output_commands.app)
+app.command()(view)
 app.add_typer(bench_commands.app, name="bench")
 
 

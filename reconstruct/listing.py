@@ -9,8 +9,7 @@ from pydantic.fields import FieldInfo
 
 from reconstruct.config import Config
 
-CHOSEN_ELSEWHERE = ("model", "preset")
-"""Keys of a configuration that have options of their own."""
+CHOSEN_ELSEWHERE = ("model", "preset")  # keys of a configuration that have options of their own
 
 
 def settings(config: Config) -> list[dict[str, Any]]:

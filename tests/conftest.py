@@ -1,9 +1,11 @@
 """Shared by the tests of every package: real data where it exists, small synthetic scenes, and browser windows."""
 
+import importlib.util
 import os
 import shutil
 import signal
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -58,10 +60,27 @@ LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e
 PINHOLE = Camera(96, 72, 90.0, 90.0, 48.0, 36.0)
 
 
+CLIENTS = ["ur_rtde", "koala"] if importlib.util.find_spec("rtde_control") else ["koala"]
+"""The clients of the arm's controller that are installed: the vendor's has no wheel for some Pythons and platforms."""
+
+
+@pytest.fixture(params=CLIENTS)
+def client(request: pytest.FixtureRequest) -> str:
+    """Each client in turn; without the mark `both_clients`, all but one of them are left to `make test-all`."""
+    return request.param
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order tests by file, `LONG` first."""
+    """Order tests by file, `LONG` first. Of a test that runs with any client, one is chosen by its name, the other is slow."""
     ranks = {ROOT / name: rank for rank, name in enumerate(LONG)}
     items.sort(key=lambda item: ranks.get(item.path, len(LONG)))
+    for item in items:
+        parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+        if "client" in parameters and not item.get_closest_marker("both_clients"):
+            name = item.nodeid.replace(parameters["client"], "")
+            if parameters["client"] != CLIENTS[zlib.crc32(name.encode()) % len(CLIENTS)]:
+                item.add_marker("slow")
 
 
 @pytest.fixture

@@ -65,10 +65,8 @@ class Basler:
             self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
         except pylon.GenericException as error:
             self._close()
-            remedy = "close other programs that use it, or plug it in again"
-            raise RigConnectionError(
-                "camera could not be set up", where=self._name(), why=_first_line(error), remedy=remedy
-            ) from None
+            why, remedy = _first_line(error), "close other programs that use it, or plug it in again"
+            raise RigConnectionError("camera could not be set up", where=self._name(), why=why, remedy=remedy) from None
         except BaseException:
             self._close()
             raise
@@ -162,17 +160,14 @@ class Basler:
         if wanted.binning > 1 or _has(camera, "BinningHorizontal"):
             self._set("BinningHorizontal", wanted.binning)
             self._set("BinningVertical", wanted.binning)
-        self._set("OffsetX", 0)
-        self._set("OffsetY", 0)
-        self._set("Width", wanted.width)
-        self._set("Height", wanted.height)
+        for name, value in (("OffsetX", 0), ("OffsetY", 0), ("Width", wanted.width), ("Height", wanted.height)):
+            self._set(name, value)
         self._set("OffsetX", _centred(wanted.offset_x, self._sensor_edge("Width"), wanted.width, camera.OffsetX.Inc))
         self._set("OffsetY", _centred(wanted.offset_y, self._sensor_edge("Height"), wanted.height, camera.OffsetY.Inc))
         self._set(self._exposure_name, wanted.exposure_us, tolerance=0.01 * wanted.exposure_us + 1)
         self._set("Gain", wanted.gain_db, tolerance=0.05)
-        self._set("TriggerSelector", "FrameStart")
-        self._set("TriggerMode", "On")
-        self._set("TriggerSource", "Software")
+        for name, value in (("Selector", "FrameStart"), ("Mode", "On"), ("Source", "Software")):
+            self._set(f"Trigger{name}", value)
 
     def _sensor_edge(self, name: str) -> int:
         """Binned width or height of the sensor [px]. The emulation has no fixed sensor size; we use that of the simulated rig."""

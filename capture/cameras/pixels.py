@@ -13,11 +13,7 @@ RGB8 = ("RGB8", "RGB8Packed")
 """Eight-bit colour: the name in USB cameras, and the name in GigE cameras and the emulation."""
 PATTERNS = ("RG", "GB", "BG", "GR")
 """Colours of the first two pixels of the mosaic's first row."""
-CANDIDATES = {
-    "rgb8": RGB8,
-    "bayer8": tuple(f"Bayer{pattern}8" for pattern in PATTERNS),
-    "bayer12": tuple(f"Bayer{pattern}12" for pattern in PATTERNS),
-}
+CANDIDATES = {"rgb8": RGB8} | {f"bayer{bits}": tuple(f"Bayer{pattern}{bits}" for pattern in PATTERNS) for bits in (8, 12)}
 """GenICam names for each value of `camera.pixel_format`. A colour sensor offers only one of the patterns."""
 
 
@@ -46,13 +42,9 @@ def colours(raw: Pixels, name: str) -> Pixels:
     import cv2
 
     # OpenCV names a pattern after the second and third pixel of the second row: the opposite corner of ours
-    codes = {
-        "RG": cv2.COLOR_BayerBG2RGB_EA,
-        "GB": cv2.COLOR_BayerGR2RGB_EA,
-        "BG": cv2.COLOR_BayerRG2RGB_EA,
-        "GR": cv2.COLOR_BayerGB2RGB_EA,
-    }
-    linear = np.asarray(cv2.demosaicing(np.ascontiguousarray(raw), codes[name[5:7]]), raw.dtype)
+    opposite = {"RG": "BG", "GB": "GR", "BG": "RG", "GR": "GB"}[name[5:7]]
+    code = getattr(cv2, f"COLOR_Bayer{opposite}2RGB_EA")
+    linear = np.asarray(cv2.demosaicing(np.ascontiguousarray(raw), code), raw.dtype)
     if name.endswith("12"):
         return _encode(4095, 65535)[np.minimum(linear, 4095)].astype(np.uint16)
     return _encode(255, 255)[linear].astype(np.uint8)

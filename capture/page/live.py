@@ -31,9 +31,8 @@ class LiveView:
         self._folder = session.page.gui.add_folder("Newest frame", order=-1)
         with self._folder:
             self._words = session.page.gui.add_markdown("*none yet*")
-            self._card = session.page.gui.add_image(
-                np.full((4, 4, 3), 255, np.uint8), visible=False, format="jpeg", jpeg_quality=90
-            )
+            white = np.full((4, 4, 3), 255, np.uint8)
+            self._card = session.page.gui.add_image(white, visible=False, format="jpeg", jpeg_quality=90)
 
     def offer_stop(self, stop: Callable[[], None]) -> None:
         """Add the button that stops the arm."""

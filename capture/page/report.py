@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from capture.recording import check
 from capture.recording.focus import sharpness
+from capture.trajectory import recorded_trajectory
 from datasets.core import files
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
@@ -92,10 +93,10 @@ def _head(page: ReportPage, recording: Recording, findings: list[check.Finding])
         ("views", Number(len(frames), digits=0)),
         ("findings", Number(len(wrong), digits=0)),
         ("from first to last", Number(seconds, "s", digits=0)),
-        ("exposure", Number(1e-3 * float(recording.trajectory["camera"]["exposure_us"]), "ms")),
+        ("exposure", Number(1e-3 * recorded_trajectory(recording).camera.exposure_us, "ms")),
     ]
     scene = recording.manifest.get("scene")
-    simulated = f", scene {scene}, seed {recording.manifest['seed']}" if scene else ""
+    simulated = f", scene {scene}, seed {recording.manifest.get('seed')}" if scene else ""
     page.headline(figures, f"{recording.path}{simulated}")
 
 
@@ -148,11 +149,7 @@ def over_time(measured: list[Measured]) -> str:
 
 def _rig(page: ReportPage, recording: Recording) -> None:
     page.section("Robot, camera and software")
-    described = {"software": recording.manifest.get("software", "")}
+    described = [(key, recording.manifest.get(key, "")) for key in ("started", "software")]
     for part in ("robot", "camera"):
-        described |= {
-            f"{part}: {key}": value
-            for key, value in recording.manifest.get(part, {}).items()
-            if isinstance(value, str | int | float)
-        }
-    page.table(("what", "value"), [(key, str(value)) for key, value in described.items()])
+        described += [(f"{part}: {key}", value) for key, value in recording.part(part).items()]
+    page.table(("what", "value"), [(key, str(value)) for key, value in described if isinstance(value, str | int | float)])

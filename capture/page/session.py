@@ -65,9 +65,8 @@ class CaptureView:
         if obstacles.object_corners is not None:
             low, high = obstacles.object_corners
             shapes.add_box(page, "/object/edges", obstacles.object_corners, colour=shapes.COLOURS["box"])
-            page.scene.add_box(
-                "/object/volume", shapes.COLOURS["box"], tuple(high - low), position=(low + high) / 2, opacity=0.15
-            )
+            middle, size = (low + high) / 2, tuple(high - low)
+            page.scene.add_box("/object/volume", shapes.COLOURS["box"], size, position=middle, opacity=0.15)
         if obstacles.workspace_corners is not None:
             shapes.add_box(page, "/safety", obstacles.workspace_corners, colour=SAFETY)
         if len(self.timeline.seconds) > 1:

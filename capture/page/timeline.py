@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from capture import kinematics
 from capture.errors import UnreachableError
 from capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
-from capture.trajectory import Trajectory
+from capture.trajectory import Trajectory, recorded_trajectory
 from datasets.recording import Recording
 
 WAIT_S = 1.0
@@ -108,7 +108,7 @@ def of_recording(recording: Recording, flange_from_camera: NDArray[np.float64]) 
     frames = sorted(recording.frames, key=lambda frame: frame.robot_time_s)
     if not frames:
         return Timeline(np.zeros(0), np.zeros((0, 6)), (), ("no views have been taken yet",))
-    trajectory = Trajectory.model_validate(recording.trajectory)
+    trajectory = recorded_trajectory(recording)
     clock = np.array([frame.robot_time_s for frame in frames]) - frames[0].robot_time_s
     seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory)
     stops = []

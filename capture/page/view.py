@@ -16,7 +16,7 @@ from capture.page.session import CaptureView
 from capture.page.timeline import of_planned, of_recording, of_trajectory
 from capture.planning import PlannedView
 from capture.rig.description import RigDescription, recorded_rig
-from capture.trajectory import Trajectory, load_trajectory
+from capture.trajectory import Trajectory, load_trajectory, recorded_trajectory
 from datasets.page import Page
 from datasets.recording import Recording
 
@@ -38,8 +38,8 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
     """
     if Path(path).is_dir():
         recording = Recording.open(path)
-        trajectory = Trajectory.model_validate(recording.trajectory)
-        mount = recorded_rig(recording.manifest).flange_from_camera.matrix()
+        trajectory = recorded_trajectory(recording)
+        mount = recorded_rig(recording).flange_from_camera.matrix()
         complete = len(recording.frames) == len(trajectory.viewpoints())
         timeline = of_recording(recording, mount) if complete else of_trajectory(trajectory, mount)
     else:
@@ -53,25 +53,10 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
 
 
 def watch(
-    page: Page,
-    path: Path,
-    trajectory: Trajectory,
-    flange_from_camera: Array,
-    planned: list[PlannedView],
-    *,
-    stop: Callable[[], None],
+    page: Page, path: Path, trajectory: Trajectory, mount: Array, planned: list[PlannedView], *, stop: Callable[[], None]
 ) -> None:
-    """Show a recording on a page while it is made.
-
-    Args:
-        page: the page to draw on.
-        path: folder of the future recording.
-        trajectory: what is captured.
-        flange_from_camera: (4, 4) nominal mount [m].
-        planned: its plan.
-        stop: called by the stop button.
-    """
-    shown = CaptureView(page, trajectory, flange_from_camera, of_planned(trajectory, planned, flange_from_camera))
-    live = LiveView(shown, path, flange_from_camera)
+    """Show a recording on a page while it is made. The stop button calls `stop`; `mount` is the nominal (4, 4) [m]."""
+    shown = CaptureView(page, trajectory, mount, of_planned(trajectory, planned, mount))
+    live = LiveView(shown, path, mount)
     live.offer_stop(stop)
     page.in_background(live.follow)

@@ -149,26 +149,18 @@ def plot_settling(points: list[SettlePoint], path: Path) -> None:
 
 def summary(points: list[SettlePoint], overheads: NDArray[np.float64], rate_hz: float) -> dict[str, Any]:
     """All results as one plain dictionary."""
+    ms = 1e3 * overheads
     return {
         "state_rate_hz": round(rate_hz, 1),
-        "overhead_ms": {
-            "median": 1e3 * float(np.median(overheads)),
-            "worst": 1e3 * float(overheads.max()),
-            "frames": len(overheads) + 1,
-        },
+        "overhead_ms": {"median": float(np.median(ms)), "worst": float(ms.max()), "frames": len(ms) + 1},
         "settling": [vars(point) for point in points],
     }
 
 
 def lines(found: dict[str, Any]) -> list[str]:
     """`summary` as text, line by line."""
-    overhead, points = found["overhead_ms"], found["settling"]
-    return [
-        f"states: {found['state_rate_hz']:.0f} Hz",
-        f"overhead: median {overhead['median']:.1f} ms, worst {overhead['worst']:.1f} ms",
-        "delay of the exposure after the motion:",
-        *(
-            f"  {1e3 * one['delay_s']:5.0f} ms: sharpness {100 * one['sharpness']:5.1f} %, camera off by {one['off_mm']:.3f} mm"
-            for one in points
-        ),
-    ]
+    median, worst = found["overhead_ms"]["median"], found["overhead_ms"]["worst"]
+    states, overhead = f"states: {found['state_rate_hz']:.0f} Hz", f"overhead: median {median:.1f} ms, worst {worst:.1f} ms"
+    line = "  {:5.0f} ms: sharpness {:5.1f} %, camera off by {:.3f} mm"
+    points = [line.format(1e3 * one["delay_s"], 100 * one["sharpness"], one["off_mm"]) for one in found["settling"]]
+    return [states, overhead, "delay of the exposure after the motion:", *points]

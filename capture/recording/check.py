@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture.recording.focus import luminance, sharpness
-from capture.trajectory import Trajectory
+from capture.trajectory import Trajectory, recorded_trajectory
 from datasets.core import files
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
-from datasets.imaging.region import Region
 from datasets.recording import FRAMES, Frame, Recording
 
 OVER_SHARE, UNDER_LIGHT = 0.15, 0.03
@@ -57,7 +56,8 @@ def check(path: Path, *, done: Callable[[int, int], None] = lambda count, total:
         KoalaError: `path` is not a recording, or its files cannot be read.
     """
     recording = Recording.open(path)
-    findings = [*_counts(recording), *_times(recording.frames), *_settings(recording)]
+    trajectory = recorded_trajectory(recording)
+    findings = [*_counts(recording, trajectory), *_times(recording.frames), *_settings(recording, trajectory)]
     sharp: dict[str, float] = {}
     for count, frame in enumerate(recording.frames, 1):
         pixels, found = _picture(recording, frame)
@@ -75,25 +75,8 @@ def to_take_again(findings: list[Finding]) -> list[str]:
     return sorted({finding.frame for finding in findings if finding.frame and finding.again})
 
 
-def discard(path: Path, names: list[str]) -> list[str]:
-    """Remove frames from a recording, so that `capture run --resume` retakes them; returns those that existed.
-
-    Their lines are removed first, in one step, then their images. A kill in between leaves an image without a line, as a
-    kill during a capture does.
-    """
-    recording = Recording.open(path)
-    lines = (recording.path / FRAMES).read_text(encoding="utf-8").split("\n")[: len(recording.frames)] if recording.frames else []
-    kept = [line for line, frame in zip(lines, recording.frames, strict=True) if frame.name not in names]
-    gone = [frame for frame in recording.frames if frame.name in names]
-    if gone:
-        files.write_text(recording.path / FRAMES, "".join(f"{line}\n" for line in kept))
-    for frame in gone:
-        recording.image_path(frame).unlink(missing_ok=True)
-    return [frame.name for frame in gone]
-
-
-def _counts(recording: Recording) -> list[Finding]:
-    wanted = [view.name for view in Trajectory.model_validate(recording.trajectory).viewpoints()]
+def _counts(recording: Recording, trajectory: Trajectory) -> list[Finding]:
+    wanted = [view.name for view in trajectory.viewpoints()]
     there = Counter(frame.name for frame in recording.frames)
     findings = [Finding("was never taken", name) for name in wanted if name not in there]
     findings += [
@@ -122,8 +105,8 @@ def _times(frames: list[Frame]) -> list[Finding]:
     return findings
 
 
-def _settings(recording: Recording) -> list[Finding]:
-    wanted = float(recording.trajectory["camera"]["exposure_us"])
+def _settings(recording: Recording, trajectory: Trajectory) -> list[Finding]:
+    wanted = trajectory.camera.exposure_us
     return [
         Finding("has another exposure time", frame.name, f"{frame.exposure_us:g} us, requested {wanted:g} us")
         for frame in recording.frames
@@ -142,8 +125,8 @@ def _picture(recording: Recording, frame: Frame) -> tuple[Any, list[Finding]]:
         light = images.read(path)
     except KoalaError as error:
         return None, [Finding("its image cannot be read", frame.name, error.what)]
-    region = Region.from_json(recording.manifest["camera"]["region"], where=recording.path)
-    if light.shape[:2] != (region.height, region.width):
+    region = recording.region
+    if region is not None and light.shape[:2] != (region.height, region.width):
         sizes = f"{light.shape[1]}x{light.shape[0]}, not {region.width}x{region.height}"
         return None, [Finding("its image has another size", frame.name, sizes)]
     return np.rint(light * 65535).astype(np.uint16), []
@@ -160,11 +143,8 @@ def _exposure(name: str, pixels: NDArray[Any]) -> list[Finding]:
     if white > OVER_SHARE:
         return [Finding("is over-exposed", name, f"{100 * white:.0f} % of the pixels are white; lower camera.exposure_us")]
     if bright < UNDER_LIGHT:
-        return [
-            Finding(
-                "is under-exposed", name, f"99 % of the pixels are below {100 * bright:.1f} % of white; raise camera.exposure_us"
-            )
-        ]
+        why = f"99 % of the pixels are below {100 * bright:.1f} % of white; raise camera.exposure_us"
+        return [Finding("is under-exposed", name, why)]
     return []
 
 

@@ -1,22 +1,27 @@
 """Moves a rig along a trajectory and writes a recording frame by frame, so that it can be stopped and resumed anywhere."""
 
+import errno
 import shutil
 import time
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from capture.errors import MotionError
+from capture.errors import CaptureError, MotionError
 from capture.measurements import Image, Pixels
 from capture.planning import Obstacles, PlannedView, connect, plan
+from capture.recording.manifest import manifest_of, require_same_session
 from capture.recording.writer import Advance, Writer
-from capture.rig.description import recorded_rig
 from capture.rig.opening import Rig
 from capture.trajectory import Motion, Trajectory
 from datasets.core.errors import UsageError
+from datasets.core.space import require_room
 from datasets.recording import IMAGES, MANIFEST, TRUTH, Frame, Recording
+
+FRAME_BYTES = 16_384
+"""Room for the line of a frame, and for what a file takes beyond its pixels."""
+TRUTH_BYTES = 4 * 11
+"""Room per pixel for the maps of a simulated test view: normals, depth, opacity, two parts of the light."""
 
 
 def record(
@@ -43,10 +48,21 @@ def record(
 
     Raises:
         UsageError: `out` contains something other than this session.
-        CaptureError: an error of the rig or the plan; the arm stands still, and `out` can be resumed.
+        KoalaError: the disk has no room for the views; nothing has moved.
+        CaptureError: an error of the rig or the plan, or a full disk; the arm stands still, and `out` can be resumed.
     """
     planned = plan(trajectory, rig.flange_from_camera) if planned is None else planned
-    recording = _open(trajectory, rig, Path(out), resume)
+    out = Path(out)
+    try:
+        return _record(trajectory, rig, _open(trajectory, rig, out, resume, planned), planned, advance)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        remedy = "free some space; the same command with --resume continues"
+        raise CaptureError("the disk is full", where=out, why="complete views are kept", remedy=remedy) from error
+
+
+def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: list[PlannedView], advance: Advance) -> Recording:
     obstacles = Obstacles.of(trajectory, rig.flange_from_camera)
     taken = {frame.name for frame in recording.frames}
     numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
@@ -73,32 +89,20 @@ def _expose(
     recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, motion: Motion
 ) -> tuple[Frame, Pixels]:
     """Take the picture of one view from the current pose. The hash of the frame is still missing."""
-    name, split = view.viewpoint.name, view.viewpoint.split
-    if rig.ground_truth is not None:
-        rig.ground_truth.prepare(index)
+    name, split, truth = view.viewpoint.name, view.viewpoint.split, rig.ground_truth
+    if truth is not None:
+        truth.prepare(index)
     state = rig.robot.state()
     image = rig.camera.grab()
     if motion.settle_difference is not None:
         image = _still(rig, image, motion, name)
         state = rig.robot.state()
     settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
-    if rig.ground_truth is not None:
-        rig.ground_truth.save_truth(recording.path / TRUTH, name, split)
-    frame = Frame(
-        index=index,
-        name=name,
-        split=split,
-        image=f"{IMAGES}/{name}.png",
-        base_from_flange=state.base_from_flange,
-        joints=state.joints,
-        robot_time_s=state.robot_time_s,
-        host_time_ns=image.host_time_ns,
-        device_ticks=image.device_ticks,
-        exposure_us=image.exposure_us,
-        settle_s=settle_s,
-        sha256="",
-    )
-    return frame, image.pixels
+    if truth is not None:
+        truth.save_truth(recording.path / TRUTH, name, split)
+    arm = (state.base_from_flange, state.joints, state.robot_time_s)
+    exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
+    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, sha256=""), image.pixels
 
 
 def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
@@ -114,12 +118,9 @@ def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
         if difference < (motion.settle_difference or 0.0):
             return image
         if time.monotonic() > deadline:
-            raise MotionError(
-                "the picture does not come to rest",
-                where=f"view {name}",
-                why=f"two in a row differ by {difference:.4f}, limit {motion.settle_difference:g}",
-                remedy="look for something that moves or flickers, or raise motion.settle_difference",
-            )
+            why = f"two in a row differ by {difference:.4f}, limit {motion.settle_difference:g}"
+            remedy = "look for something that moves or flickers, or raise motion.settle_difference"
+            raise MotionError("the picture does not come to rest", where=f"view {name}", why=why, remedy=remedy)
 
 
 def picture_difference(first: Pixels, second: Pixels) -> float:
@@ -128,19 +129,30 @@ def picture_difference(first: Pixels, second: Pixels) -> float:
     return float(np.sqrt(np.mean((first.astype(np.float32) - second.astype(np.float32)) ** 2))) / white
 
 
-def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool) -> Recording:
-    manifest = _manifest(trajectory, rig)
+def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool, planned: list[PlannedView]) -> Recording:
+    """The recording to write, new or resumed, on a disk with room for every view that is missing in it."""
     if resume:
         _sweep(out)
-    if not resume or not out.exists():
-        return Recording.create(out, manifest)
-    recording = Recording.open(out)
-    kept = _identity(recording.manifest)
-    for key, value in _identity(_comparable(manifest)).items():
-        if kept[key] != value:
-            remedy = "resume with the original arguments, or choose another --out"
-            raise UsageError(f"was taken with another {key}", where=out, why="a recording has one session", remedy=remedy)
-    return recording
+    old = Recording.open(out) if resume and out.exists() else None
+    if old is not None:
+        require_same_session(old, trajectory, rig)
+        lost = [frame.name for frame in old.frames if not old.image_path(frame).is_file()]
+        if len(lost) == len(old.frames) > 1:
+            remedy = f"bring {IMAGES} back (an unmounted disk?), or choose another --out"
+            raise UsageError("all its images are missing", where=out, why=f"{len(lost)} views", remedy=remedy)
+        old.discard(lost)
+    taken = {frame.name for frame in old.frames} if old else set()
+    missing = [view.viewpoint.split for view in planned if view.viewpoint.name not in taken]
+    require_room(out, _size(trajectory, missing, truth=rig.ground_truth is not None), "the pictures")
+    return old or Recording.create(out, manifest_of(trajectory, rig))
+
+
+def _size(trajectory: Trajectory, splits: list[str], *, truth: bool) -> int:
+    """Largest number of bytes that pictures take, and with `truth` the maps of test views."""
+    camera = trajectory.camera
+    picture = camera.width * camera.height * (6 if camera.pixel_format == "bayer12" else 3) + FRAME_BYTES
+    maps = camera.width * camera.height * TRUTH_BYTES * truth
+    return len(splits) * picture + splits.count("test") * maps
 
 
 def _sweep(out: Path) -> None:
@@ -154,45 +166,3 @@ def _sweep(out: Path) -> None:
         path.unlink()
     if MANIFEST not in names and not any((out / IMAGES).glob("*")):
         shutil.rmtree(out)
-
-
-def _identity(manifest: dict[str, Any]) -> dict[str, Any]:
-    """What must not change when a recording is resumed.
-
-    Address and client of the controller do not matter, nor do defaults that were added since.
-    """
-    description = recorded_rig(manifest)
-    anywhere = description.robot.model_copy(update={"host": "anywhere", "client": "auto"})
-    return {
-        "trajectory": Trajectory.model_validate(manifest["trajectory"]),
-        "rig": description.model_copy(update={"robot": anywhere, "simulation": None}),
-        "scene": manifest.get("scene"),
-        "seed": manifest.get("seed"),
-    }
-
-
-def _manifest(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
-    """Everything that `calib` and `datasets build` need in addition to the frames."""
-    volume = trajectory.object
-    box = volume and {"centre": list(volume.centre), "size": list(volume.size), "box": volume.corners.tolist()}
-    return {
-        "name": trajectory.name,
-        "software": f"koala-capture {version('koala-capture')}",
-        "scene": None,
-        "seed": None,
-        **rig.extra,
-        "trajectory": trajectory.model_dump(mode="json"),
-        "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
-        "camera": rig.camera.description(),
-        "robot": rig.robot.description(),
-        "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
-        "board": trajectory.target.to_json() if trajectory.target else None,
-        "object": box,
-    }
-
-
-def _comparable(value: Any) -> Any:
-    """The value after a round trip through JSON."""
-    import json
-
-    return json.loads(json.dumps(value, default=lambda array: np.asarray(array).tolist()))

@@ -1,7 +1,7 @@
 """Repeats the joint path of a recording and measures how far each pose is from the recorded one."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from capture.errors import CaptureError
 from capture.planning import Obstacles, connect
 from capture.rig.description import recorded_rig
 from capture.rig.protocols import Robot
-from capture.trajectory import Trajectory
+from capture.trajectory import recorded_trajectory
 from datasets import pose
 from datasets.core import files
 from datasets.recording import TRUTH, Recording
@@ -37,10 +37,6 @@ class Deviation:
         true = "" if self.true_mm is None else f", truly {self.true_mm:.3f} mm"
         return f"{self.translation_mm:.3f} mm, {self.rotation_deg:.4f} degrees, joints {self.joints_deg:.4f} degrees{true}"
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain dictionary of the fields."""
-        return asdict(self)
-
 
 def replay(
     recording: Recording,
@@ -62,8 +58,8 @@ def replay(
     """
     if not recording.frames:
         raise CaptureError("the recording has no frames", where=recording.path, remedy="record something first")
-    trajectory = Trajectory.model_validate(recording.trajectory)
-    obstacles = Obstacles.of(trajectory, recorded_rig(recording.manifest).flange_from_camera.matrix())
+    trajectory = recorded_trajectory(recording)
+    obstacles = Obstacles.of(trajectory, recorded_rig(recording).flange_from_camera.matrix())
     true_poses = _true_poses(recording) if truth is not None else {}
     motion, deviations = trajectory.motion, []
     for frame in recording.frames:

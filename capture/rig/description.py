@@ -1,13 +1,14 @@
 """Rig files: the address of the arm, its camera, and how the camera is mounted."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from capture.geometry import PoseDescription
-from datasets.core.schema import Schema, load_yaml
+from datasets.core.schema import Schema, load_yaml, validate
+from datasets.recording import MANIFEST, Recording
 
 
 class RobotDescription(Schema):
@@ -28,14 +29,13 @@ class CameraDescription(Schema):
 
     model: Literal["basler"] = Field(default="basler", description="kind of camera")
     serial: str = Field(default="", description="serial number; empty: the only connected camera")
+    lens: str = Field(default="", description="focal length, aperture and focus, in your words; empty: not compared")
 
 
 class SimulationDescription(Schema):
     """A running simulated controller, as `capture sim` writes it. A real rig has none."""
 
-    side_port: int = Field(
-        ge=1, le=65535, description="port of the side channel of the simulation, which reports the true pose of the arm"
-    )
+    side_port: int = Field(ge=1, le=65535, description="port of the side channel, which reports the true pose of the arm")
     scene: str = Field(default="gold_head", description="scene in front of the camera")
     seed: int = Field(default=0, ge=0, description="random seed")
 
@@ -53,9 +53,10 @@ class RigDescription(Schema):
     simulation: SimulationDescription | None = Field(default=None, description="only for a simulated rig; null: a real rig")
 
 
-def recorded_rig(manifest: dict[str, Any]) -> RigDescription:
-    """The rig that a recording was made with, from its manifest; the default rig where the manifest has none."""
-    return RigDescription.model_validate({key: value for key, value in manifest.get("rig", {}).items() if key != "name"})
+def recorded_rig(recording: Recording) -> RigDescription:
+    """The rig that a recording was made with; the default rig where its manifest has none."""
+    content = {key: value for key, value in recording.part("rig").items() if key != "name"}
+    return validate(content, RigDescription, where=f"{recording.path / MANIFEST}, rig")
 
 
 def load_rig(path: Path | str) -> RigDescription:

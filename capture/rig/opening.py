@@ -139,10 +139,8 @@ def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, 
     from datasets.core import files
 
     files.refuse_existing(path)
-    content = {
-        "robot": {"host": controller.host},
-        "simulation": {"side_port": controller.side_port, "scene": scene, "seed": seed},
-    }
+    simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
+    content = {"robot": {"host": controller.host}, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))
 
 

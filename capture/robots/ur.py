@@ -6,12 +6,14 @@ The parent keeps every deadline, watches the stream of states, and has a dashboa
 import logging
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError
+from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
 from capture.robots.client import ClientChoice, StartFailure
 from capture.robots.dashboard import Dashboard
@@ -116,10 +118,8 @@ class UR5e:
             raise self._fault("no state arrives from the robot", RigConnectionError)
         if not sample.content["connected"]:  # the client goes on returning the last values
             raise self._fault("the connection to the robot was lost", RigConnectionError)
-        numbers = np.asarray(sample.content["tcp_pose"])
-        base_from_tcp = pose.from_rotation_vector(numbers[3:], numbers[:3])
         return RobotState(
-            base_from_flange=base_from_tcp @ self._tcp_from_flange,
+            base_from_flange=pose_from_six(sample.content["tcp_pose"]) @ self._tcp_from_flange,
             joints=np.asarray(sample.content["joints"]),
             joint_speeds=np.asarray(sample.content["joint_speeds"]),
             robot_time_s=float(sample.content["robot_time_s"]),
@@ -172,7 +172,7 @@ class UR5e:
     def _describe(self, dashboard: Dashboard, client: str, tcp_offset: list[float]) -> None:
         if len(tcp_offset) != 6:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
-        self._tcp_from_flange = pose.inverse(pose.from_rotation_vector(tcp_offset[3:], tcp_offset[:3]))
+        self._tcp_from_flange = pose.inverse(pose_from_six(tcp_offset))
         self._description = {
             "model": "UR5e",
             "host": self.host,
@@ -190,14 +190,10 @@ class UR5e:
             raise self._refused(link)
         distance = float(np.abs(target - start).max())
         left_s = 1.5 * (distance / speed + speed / acceleration) + 3.0  # at full speed
-        sample, heard = None, time.monotonic()
-        before = heard
-        while True:
-            newer = link.next_sample(sample, timeout_s=0.05)
-            now = time.monotonic()
-            heard, sample = (now, newer) if newer is not None else (heard, sample)
+        sample, before = None, time.monotonic()
+        for newer in self._samples(link):
+            sample, now = newer or sample, time.monotonic()
             left_s, before = left_s - (now - before) * self._speed_fraction(sample), now
-            self._watch(link, sample, now - heard)
             if sample is not None and sample.content["operation"] != answer["operation_before"] and not sample.content["moving"]:
                 return
             if left_s < 0:
@@ -232,24 +228,29 @@ class UR5e:
 
     def _settle(self, target: NDArray[np.float64]) -> None:
         """Return once the arm is still and at the target."""
-        link, begun, sample, still_since = self._connected(), time.monotonic(), None, None
-        heard = begun
+        begun, still_since = time.monotonic(), None
+        for sample in self._samples(self._connected()):
+            if sample is not None:
+                moment = sample.content["robot_time_s"]
+                still = np.abs(sample.content["joint_speeds"]).max() < self.settling.speed
+                still_since = (moment if still_since is None else still_since) if still else None
+                if still_since is not None and moment - still_since >= self.settling.time_s:
+                    missed = float(np.abs(np.asarray(sample.content["joints"]) - target).max())
+                    if missed > self.tolerance:
+                        raise self._fault(f"the arm stopped {np.degrees(missed):.3f} degrees from its target")
+                    return
+            if time.monotonic() - begun > self.settling.timeout_s + self.settling.time_s:
+                raise self._fault("the arm does not come to rest")
+
+    def _samples(self, link: ChildLink) -> Iterator[Sample | None]:
+        """Every new sample, None where none came for a moment; raises where a motion cannot continue."""
+        sample, heard = None, time.monotonic()
         while True:
             newer = link.next_sample(sample, timeout_s=0.05)
             now = time.monotonic()
             heard, sample = (now, newer) if newer is not None else (heard, sample)
             self._watch(link, sample, now - heard)
-            if newer is not None:
-                moment = newer.content["robot_time_s"]
-                still = np.abs(newer.content["joint_speeds"]).max() < self.settling.speed
-                still_since = (moment if still_since is None else still_since) if still else None
-                if still_since is not None and moment - still_since >= self.settling.time_s:
-                    break
-            if now - begun > self.settling.timeout_s + self.settling.time_s:
-                raise self._fault("the arm does not come to rest")
-        missed = float(np.abs(np.asarray(newer.content["joints"]) - target).max())
-        if missed > self.tolerance:
-            raise self._fault(f"the arm stopped {np.degrees(missed):.3f} degrees from its target")
+            yield newer
 
     def _watch(self, link: ChildLink, sample: Sample | None, silence_s: float) -> None:
         """Raise where a motion cannot continue."""
@@ -259,14 +260,11 @@ class UR5e:
             raise self._fault("the connection to the robot broke down", RigConnectionError)
         if silence_s > self.deadlines.stale_s + (0.0 if sample is not None else 0.3):  # the first may still be on its way
             raise self._fault("the robot's data stream stands still", RigConnectionError)
-        if sample is None:
-            return
-        content = sample.content
-        if _unsafe(sample):
+        if sample is not None and _unsafe(sample):
             raise self._fault("the robot was stopped for safety")
-        if not content["connected"]:
+        if sample is not None and not sample.content["connected"]:
             raise self._fault("the connection to the robot was lost", RigConnectionError)
-        if not content["running"]:
+        if sample is not None and not sample.content["running"]:
             raise self._fault("the robot's program was stopped or paused")
 
     def _stopped_error(self) -> CaptureError:

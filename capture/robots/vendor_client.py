@@ -9,17 +9,9 @@ from rtde_receive import RTDEReceiveInterface
 from capture.robots.client import StartError, StartFailure, State, versioned
 
 START_S = 2.0
-VARIABLES = [
-    "timestamp",
-    "actual_q",
-    "actual_qd",
-    "actual_TCP_pose",
-    "robot_mode",
-    "safety_mode",
-    "safety_status_bits",
-    "runtime_state",
-    "target_speed_fraction",
-]
+VARIABLES = (
+    "timestamp actual_q actual_qd actual_TCP_pose robot_mode safety_mode safety_status_bits runtime_state target_speed_fraction"
+).split()
 
 
 class VendorClient:

@@ -32,20 +32,12 @@ class RigTruth:
     def draw(cls, nominal_flange_from_camera: NDArray[np.float64], seed: int) -> Self:
         """The rig of a seed, independent of the scene."""
         rng = np.random.default_rng([seed, 7])
-        focal = FOCAL_PX * (1 + rng.normal(0, 0.004))
-        camera = Camera(
-            SENSOR_WIDTH,
-            SENSOR_HEIGHT,
-            fx=focal,
-            fy=focal * (1 + rng.normal(0, 2e-4)),
-            cx=SENSOR_WIDTH / 2 + rng.normal(0, 10),
-            cy=SENSOR_HEIGHT / 2 + rng.normal(0, 10),
-            k1=-0.11 + rng.normal(0, 0.01),
-            k2=0.06 + rng.normal(0, 0.005),
-            p1=rng.normal(0, 8e-4),
-            p2=rng.normal(0, 8e-4),
-            k3=-0.012,
-        )
+        fx = FOCAL_PX * (1 + rng.normal(0, 0.004))
+        fy = fx * (1 + rng.normal(0, 2e-4))
+        cx, cy = (edge / 2 + rng.normal(0, 10) for edge in (SENSOR_WIDTH, SENSOR_HEIGHT))
+        k1, k2 = -0.11 + rng.normal(0, 0.01), 0.06 + rng.normal(0, 0.005)
+        p1, p2 = rng.normal(0, 8e-4), rng.normal(0, 8e-4)
+        camera = Camera(SENSOR_WIDTH, SENSOR_HEIGHT, fx, fy, cx, cy, k1=k1, k2=k2, p1=p1, p2=p2, k3=-0.012)
         error = pose.from_rotation_vector(HAND_EYE_TURN_RAD * _direction(rng), HAND_EYE_SHIFT_M * _direction(rng))
         return cls(camera, nominal_flange_from_camera @ error)
 

@@ -1,7 +1,8 @@
 """Shared by the readers of foreign formats: missing files, image sizes, background and bounds."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -43,6 +44,14 @@ class Gathering:
             raise error
         self.problems.append(error)
 
+    @contextmanager
+    def collecting(self) -> Iterator[None]:
+        """Collect an error that ends the block, or raise it."""
+        try:
+            yield
+        except KoalaError as error:
+            self.complain(error)
+
     def file(self, path: Path, *, where: object) -> Path:
         """`path`, which begins with the folder; raises DatasetError where it leaves it, also through a symbolic link."""
         return files.within(self.folder, path, where=where)
@@ -81,14 +90,10 @@ class Gathering:
             self.complain(DatasetError("only some views have a mask", where=self.folder, why=why, remedy=remedy))
             self.views = [replace(view, mask=None) for view in self.views]
         for view in self.views:
-            try:
+            with self.collecting():
                 checked_name(view.name, where=self.folder / listed_in)
-            except DatasetError as error:
-                self.complain(error)
-        try:
+        with self.collecting():
             listed_once([view.name for view in self.views], where=self.folder / listed_in)
-        except DatasetError as error:
-            self.complain(error)
         return tuple(self.views)
 
 

@@ -35,9 +35,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     for split in present:
         _gather(gathering, split)
     views = gathering.finished(listed_in="transforms_*.json")
-    stored = sidecar.read(folder)
-    if stored is not None:
-        return sidecar.restore(stored, views, folder, notes=tuple(gathering.notes))
+    if (known := sidecar.read(folder)) is not None:
+        return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
     if not any(view.split == "test" for view in views):
         train = splits.hold_out([view for view in views if view.split == "train"], hold_out)
         views = (*train, *(view for view in views if view.split != "train"))
@@ -49,7 +48,7 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
     content = files.read_json(files.within(gathering.folder, source))
     for frame in opengl.frames_of(content, where=source):
         where = f"{source}, {frame['file_path']}"
-        try:
+        with gathering.collecting():
             image = opengl.image_path(gathering.folder, frame["file_path"], where=where)
             if image is None:
                 gathering.missing.append(frame["file_path"])
@@ -59,8 +58,6 @@ def _gather(gathering: assemble.Gathering, split: str) -> None:
             truth = {key: gathering.file(path, where=where) for key, path in named if path.is_file()}
             name = image.relative_to(gathering.folder).with_suffix("").as_posix()
             gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, truth=truth))
-        except KoalaError as error:
-            gathering.complain(error)
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) -> str:

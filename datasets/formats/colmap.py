@@ -68,7 +68,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     stored: dict[str, StoredImage] = {}
     for image in sorted(model.images, key=lambda image: image.name):
         where = f"{place / 'images'}, {image.name}"
-        try:
+        with gathering.collecting():
             picture = gathering.file(home / image.name, where=where)
             if not picture.is_file():
                 gathering.missing.append(image.name)
@@ -81,8 +81,6 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
             gathering.views.append(View(name, camera, matrix, "train", picture, mask))
             stored[name] = image
             pixels[name] = image.pixels * [camera.width / full.width, camera.height / full.height]
-        except KoalaError as error:
-            gathering.complain(error)
     if (folder / llff.FILE).is_file():
         gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {place.relative_to(folder)} holds more")
     views = gathering.finished(listed_in=f"{place.name}/images")

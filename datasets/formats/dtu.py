@@ -51,7 +51,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     gathering = assemble.Gathering(folder, problems)
     for index, picture in enumerate(pictures):
         where = f"{source}, world_mat_{index} ({picture.name})"
-        try:
+        with gathering.collecting():
             if f"world_mat_{index}" not in stored:
                 raise DatasetError("camera is missing", where=where, remedy="one world_mat for each image, in the order of names")
             size = images.size(gathering.file(picture, where=where))
@@ -63,11 +63,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
                 gathering.notes.append(
                     f"{source.name} is for images of {full}, {home} holds {camera.width}x{camera.height}: intrinsics are scaled"
                 )
-        except KoalaError as error:
-            gathering.complain(error)
     views = gathering.finished(listed_in=home)
-    known = sidecar.read(folder)
-    if known is not None:
+    if (known := sidecar.read(folder)) is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
     scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "dtu")
     return _in_sphere(scene, stored["scale_mat_0"]) if "scale_mat_0" in stored else scene

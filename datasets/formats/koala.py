@@ -111,10 +111,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
         raise DatasetError("holds no list of views", where=source)
     assemble.listed_once([entry["name"] for entry in views if isinstance(entry, dict) and "name" in entry], where=source)
     for index, entry in enumerate(views):
-        try:
+        with gathering.collecting():
             gathering.views.append(_loaded_view(entry, folder, where=f"{source}, view {index}"))
-        except KoalaError as error:
-            gathering.complain(error)
     scene = sidecar.scene_of(content, gathering.finished(listed_in=FILE), where=source)
     if images_folder is not None:
         scene = scene.with_views(tuple(_resized(view, folder, images_folder) for view in scene.views))

@@ -49,18 +49,15 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     gathering = assemble.Gathering(folder, problems)
     masks = _masks(folder, chosen, pictures)
     for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
-        try:
+        with gathering.collecting():
             where = f"{folder / FILE}, row {number} ({picture.name})"
             matrix, camera = _posed(gathering, row, gathering.file(picture, where=where), where=where)
             mask = gathering.file(mask, where=where) if mask else None
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
-        except KoalaError as error:
-            gathering.complain(error)
     views = gathering.finished(listed_in=chosen)
     if (folder / "sparse" / "0").is_dir() and not (folder / "sparse" / "0" / "images.bin").is_file():
         gathering.notes.append("sparse/0 has no images.bin: its COLMAP model is not used")
-    known = sidecar.read(folder)
-    if known is not None:
+    if (known := sidecar.read(folder)) is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
     near_far = (rows[:, 15].min(), rows[:, 16].max())
     return assemble.scene(gathering, splits.hold_out(views, hold_out), "llff", near_far=near_far)

@@ -47,10 +47,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     gathering = assemble.Gathering(folder, problems)
     stated = _splits(content, where=source)
     for frame in sorted(opengl.frames_of(content, where=source), key=lambda frame: frame["file_path"]):
-        try:
+        with gathering.collecting():
             _gather(gathering, content, frame, stated, images_folder)
-        except KoalaError as error:
-            gathering.complain(error)
     views = gathering.finished(listed_in=FILE)
     points = _points(folder, content, where=source)
     known = sidecar.read(folder)

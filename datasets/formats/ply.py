@@ -19,11 +19,7 @@ LONGEST_HEADER, MAX_BYTES = 2**16, 2**31
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
-    """(n, 3) vertices.
-
-    Raises:
-        DatasetError: it is no such file, it is cut off, or a vertex is not finite.
-    """
+    """(n, 3) vertices. Raises DatasetError where it is no such file, it is cut off, or a vertex is not finite."""
     data = files.read_regular(path, MAX_BYTES, suffixes=(".ply",))
     header = re.match(rb"ply\r?\n(.*?)end_header\r?\n", data[:LONGEST_HEADER], re.DOTALL)
     if header is None:

@@ -38,11 +38,7 @@ def facts(scene: Scene) -> dict[str, Any]:
 
 
 def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object) -> Scene:
-    """Scene from `facts` and views.
-
-    Raises:
-        DatasetError: a fact is missing or impossible.
-    """
+    """Scene from `facts` and views. Raises DatasetError where a fact is missing or impossible."""
     try:
         near, far = float(content["near"]), np.inf if content["far"] is None else float(content["far"])
         box = np.asarray(content["box"], np.float64).reshape(2, 3)

@@ -1,7 +1,8 @@
 """A page in the browser, served on 127.0.0.1 only, complete in itself, and stopped by Ctrl-C within a second.
 
 The browser loads one file with everything in it and then talks to this process through a web socket. Nothing is loaded from other
-hosts, and other hosts cannot connect; requests of other sites' pages are refused. From another computer: `ssh -L 8080:127.0.0.1:8080 HOST`.
+hosts, and other hosts cannot connect; requests of other sites' pages are refused. From another computer:
+`ssh -L 8080:127.0.0.1:8080 HOST`.
 """
 
 import contextlib

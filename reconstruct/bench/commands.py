@@ -3,28 +3,28 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Context, Option, Typer
 
 from datasets.core import console
 from reconstruct.options import ModelName
 
-app = typer.Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
+app = Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
 
 
 @app.callback()
 def bench_command(
-    context: typer.Context,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder to write; an interrupted benchmark is resumed.")] = None,
-    suite: Annotated[str, typer.Option(help="quick: ten minutes on two cores; full: most of a day.")] = "quick",
-    peer: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Results of other programs, to be drawn as well.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder with the real scenes; default: the usual places.")] = None,
-    scenes: Annotated[list[str] | None, typer.Option("--scene", help="Scene to include; repeatable.")] = None,
-    scales: Annotated[list[float] | None, typer.Option("--scale", help="Scale of the images to include; repeatable.")] = None,
-    models: Annotated[list[str] | None, typer.Option("--model", help="Model to include; repeatable.")] = None,
-    presets: Annotated[list[str] | None, typer.Option("--preset", help="Preset to include; repeatable.")] = None,
-    budgets: Annotated[list[float] | None, typer.Option("--budget", help="Seconds of training to include; repeatable.")] = None,
-    seeds: Annotated[list[int] | None, typer.Option("--seed", help="Seed to include; repeatable.")] = None,
-    plan_only: Annotated[bool, typer.Option("--plan", help="List the trials without training.")] = False,
+    context: Context,
+    out: Annotated[Path | None, Option("--out", help="Folder to write; an interrupted benchmark is resumed.")] = None,
+    suite: Annotated[str, Option(help="quick: ten minutes on two cores; full: most of a day.")] = "quick",
+    peer: Annotated[Path | None, Option(metavar="FILE.csv", help="Results of other programs, to be drawn as well.")] = None,
+    data: Annotated[Path | None, Option(help="Folder with the real scenes; default: the usual places.")] = None,
+    scenes: Annotated[list[str] | None, Option("--scene", help="Scene to include; repeatable.")] = None,
+    scales: Annotated[list[float] | None, Option("--scale", help="Scale of the images to include; repeatable.")] = None,
+    models: Annotated[list[str] | None, Option("--model", help="Model to include; repeatable.")] = None,
+    presets: Annotated[list[str] | None, Option("--preset", help="Preset to include; repeatable.")] = None,
+    budgets: Annotated[list[float] | None, Option("--budget", help="Seconds of training to include; repeatable.")] = None,
+    seeds: Annotated[list[int] | None, Option("--seed", help="Seed to include; repeatable.")] = None,
+    plan_only: Annotated[bool, Option("--plan", help="List the trials without training.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Train frozen scenes under time budgets; write error, speed and memory as CSV and as an HTML report."""
@@ -56,9 +56,9 @@ def bench_command(
 
 @app.command("compare")
 def compare_command(
-    before: Annotated[Path, typer.Argument(metavar="A", help="Folder of a benchmark.")],
-    after: Annotated[Path, typer.Argument(metavar="B", help="Folder of another benchmark.")],
-    everything: Annotated[bool, typer.Option("--all", help="Also list differences within the noise.")] = False,
+    before: Annotated[Path, Argument(metavar="A", help="Folder of a benchmark.")],
+    after: Annotated[Path, Argument(metavar="B", help="Folder of another benchmark.")],
+    everything: Annotated[bool, Option("--all", help="Also list differences within the noise.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """List the differences between two benchmarks that exceed the noise of repeated seeds."""
@@ -82,7 +82,7 @@ def compare_command(
 @app.command("machine")
 def machine_command(
     model: ModelName = "surfnerf",
-    limits_only: Annotated[bool, typer.Option("--limits", help="Measure the machine only, no kernels.")] = False,
+    limits_only: Annotated[bool, Option("--limits", help="Measure the machine only, no kernels.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Measure this machine's limits, and how close each kernel of a training step comes to them."""
@@ -107,12 +107,12 @@ def machine_command(
 
 @app.command("scenes")
 def scenes_command(
-    out: Annotated[Path, typer.Option("--out", help="Folder to write; existing scenes in it are kept.")],
-    names: Annotated[list[str] | None, typer.Option("--scene", help="Scene to render; repeatable.")] = None,
-    size: Annotated[int, typer.Option(min=16, max=2000, help="Width and height of the images in pixels.")] = 200,
-    train: Annotated[int, typer.Option(min=2, help="Number of training views.")] = 60,
-    test: Annotated[int, typer.Option(min=1, help="Number of test views.")] = 20,
-    layout: Annotated[str, typer.Option("--format", help="Format of the folders: koala, blender or llff.")] = "koala",
+    out: Annotated[Path, Option("--out", help="Folder to write; existing scenes in it are kept.")],
+    names: Annotated[list[str] | None, Option("--scene", help="Scene to render; repeatable.")] = None,
+    size: Annotated[int, Option(min=16, max=2000, help="Width and height of the images in pixels.")] = 200,
+    train: Annotated[int, Option(min=2, help="Number of training views.")] = 60,
+    test: Annotated[int, Option(min=1, help="Number of test views.")] = 20,
+    layout: Annotated[str, Option("--format", help="Format of the folders: koala, blender or llff.")] = "koala",
     as_json: console.Json = False,
 ) -> None:
     """Render the shiny scenes, whose shape and light are known exactly."""

@@ -34,13 +34,10 @@ class Difference:
     figure: str
     before: float
     after: float
-    low: float
-    """Lower end of the confidence interval of after - before."""
+    low: float  # lower end of the confidence interval of after - before
     high: float
-    p: float
-    """p-value; NaN if it is unknown."""
-    count: tuple[int, int]
-    """Number of seeds of each benchmark; of setups, for the mean over all."""
+    p: float  # p-value; NaN if it is unknown
+    count: tuple[int, int]  # number of seeds of each benchmark; of setups, for the mean over all
 
     @property
     def change(self) -> float:
@@ -103,10 +100,8 @@ def paired(figure: str, pairs: np.ndarray) -> Difference:
     """Paired t-test of the (n, 2) means of setups."""
     sample = Sample.of(pairs[:, 1] - pairs[:, 0])
     change = seeds.tested(sample.mean, float(sample.deviation / np.sqrt(sample.count)), sample.count - 1)
-    before, after = pairs.mean(0)
-    return Difference(
-        EVERYWHERE, figure, float(before), float(after), change.low, change.high, change.p, (sample.count, sample.count)
-    )
+    before, after = pairs.mean(0).tolist()
+    return Difference(EVERYWHERE, figure, before, after, change.low, change.high, change.p, (sample.count,) * 2)
 
 
 def summary(differences: Sequence[Difference]) -> dict[str, Any]:

@@ -46,8 +46,7 @@ class Records:
     def rows(self) -> list[Row]:
         """All complete lines, unknown values as None. A last line without its end, left by a kill, is ignored.
 
-        Raises:
-            DatasetError: the columns differ.
+        Raises DatasetError: the columns differ.
         """
         text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
         whole = text[: text.rfind("\n") + 1]

@@ -16,10 +16,10 @@ from reconstruct.output import metric_names
 
 REPORT = "index.html"
 METRICS = ("psnr", "ssim", "normal_mae_alpha_acc_deg", "normal_mae_deg", "normal_pred_mae_alpha_acc_deg", "depth_rmse_mm")
-COLUMNS = (*METRICS, "chamfer_mm", "seconds")
-"""Metrics in the table of all points."""
+COLUMNS = (*METRICS, "chamfer_mm", "seconds")  # metrics in the table of all points
 RATES = ("steps", "rays_per_s", "samples_per_s", "peak_memory_mb")
 RATE_HEADINGS = ("steps", "rays/s", "samples/s", "memory [MB]")
+SPEEDS = (("training rays", "rays_per_s", "rays_per_s", "1/s"), ("rendering a view", "view_s", "seconds", "s"))
 
 
 def write(out: Path, peers: Sequence[Row] = (), *, made_by: Sequence[str] = ()) -> Path:
@@ -59,10 +59,8 @@ def _about(rows: Sequence[Row]) -> str:
     machines = sorted({f"{row['machine']}, {row['cores']:g} cores" for row in rows})
     loads = [row["load"] for row in rows if row["load"] is not None]
     load = f"; load between {min(loads):.1f} and {max(loads):.1f} when trials started" if loads else ""
-    return (
-        f"{'; '.join(machines)}{load}. Each point is one training with schedules that end with its budget. "
-        "The budget counts training steps only, not reading, compiling or evaluating."
-    )
+    budget = "The budget counts training steps only, not reading, compiling or evaluating."
+    return f"{'; '.join(machines)}{load}. Each point is one training with schedules that end with its budget. {budget}"
 
 
 def _targets(page: ReportPage, rows: Sequence[Row]) -> None:
@@ -80,9 +78,8 @@ def _targets(page: ReportPage, rows: Sequence[Row]) -> None:
 
 
 def _curves(page: ReportPage, rows: Sequence[Row], peers: Sequence[Row]) -> None:
-    page.section(
-        "Error against time", "Lines: mean over seeds. Bars: best to worst seed. Grey: the Pareto front of these trainings."
-    )
+    legend = "Lines: mean over seeds. Bars: best to worst seed. Grey: the Pareto front of these trainings."
+    page.section("Error against time", legend)
     for (scene, scale), block in groups(rows, "scene", "scale").items():
         page.heading(f"{scene}{'' if scale == 1 else f' at scale {scale:g}'}")
         page.drawing(drawings.pareto(block, [peer for peer in peers if (peer["scene"], peer["scale"]) == (scene, scale)]))
@@ -117,10 +114,7 @@ def _peers(page: ReportPage, rows: Sequence[Row], peers: Sequence[Row]) -> None:
     for peer in peers:
         scene = f"{peer['scene']} at {peer['scale']:g}"
         same = [row for row in rows if (row["scene"], row["scale"]) == (peer["scene"], peer["scale"])]
-        for what, theirs, ours, unit in (
-            ("training rays", "rays_per_s", "rays_per_s", "1/s"),
-            ("rendering a view", "view_s", "seconds", "s"),
-        ):
+        for what, theirs, ours, unit in SPEEDS:
             values = [row[ours] for row in same if row[ours]]
             if peer[theirs] and values:
                 own = float(np.median(values))

@@ -25,8 +25,7 @@ from reconstruct.bench.suite import Trial
 
 RECORDS, PROFILES, SCENES = "records.csv", "profiles.json", "bench"
 PROFILES_FORMAT, PROFILES_VERSION = "koala-bench-profiles", 1
-PATIENCE_S = 900.0
-"""Time limit of a trial beyond its budget: reading, compiling, evaluating."""
+PATIENCE_S = 900.0  # time limit of a trial beyond its budget: reading, compiling, evaluating
 
 
 def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict[str, Any]:

@@ -18,8 +18,7 @@ from reconstruct.bench.scenes.shiny import SCENES
 QUALITY, COST, PROFILE = "quality", "cost", "profile"
 """Kinds of trials: error after a budget; time and memory for a number of images; profile of a step."""
 BUDGETS_S = (15.0, 30.0, 60.0, 120.0, 300.0)
-REAL = ("lego400", "mold_gold_cape")
-"""Scenes that are used if they are found."""
+REAL = ("lego400", "mold_gold_cape")  # scenes that are used if they are found
 
 
 @dataclass(frozen=True)
@@ -28,10 +27,8 @@ class Trial:
 
     kind: str
     scene: str
-    scale: float
-    """Images are resampled by this factor."""
-    views: int
-    """Number of training views; 0 for all."""
+    scale: float  # images are resampled by this factor
+    views: int  # number of training views; 0 for all
     model: str
     preset: str
     budget_s: float
@@ -52,8 +49,7 @@ class Trial:
 class Block:
     """All combinations of the listed values."""
 
-    scenes: tuple[tuple[str, float], ...]
-    """Name and scale."""
+    scenes: tuple[tuple[str, float], ...]  # name and scale
     models: tuple[str, ...] = ("surfnerf",)
     presets: tuple[str, ...] = ("fast",)
     budgets_s: tuple[float, ...] = BUDGETS_S
@@ -64,10 +60,7 @@ class Block:
     def trials(self) -> list[Trial]:
         """The trials, shortest first and seed by seed, so that an interrupted benchmark has results."""
         every = product(self.seeds, self.budgets_s, self.scenes, self.models, self.presets, self.views)
-        return [
-            Trial(self.kind, name, scale, views, model, preset, budget, seed)
-            for seed, budget, (name, scale), model, preset, views in every
-        ]
+        return [Trial(self.kind, *scene, views, model, preset, budget, s) for s, budget, scene, model, preset, views in every]
 
 
 SHINY = tuple((name, 1.0) for name in SCENES)
@@ -104,8 +97,7 @@ class Choice:
 def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     """The selected trials of a suite. Models and budgets that it lacks are added.
 
-    Raises:
-        UsageError: unknown suite or scene, or no trial has that scale or preset.
+    Raises UsageError: unknown suite or scene, or no trial has that scale or preset.
     """
     if suite not in SUITES:
         raise UsageError(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))

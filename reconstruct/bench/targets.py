@@ -40,12 +40,9 @@ class Outcome:
     """A target and the value that was reached."""
 
     target: Target
-    reached: float | None
-    """Mean over the measured scenes and seeds."""
-    scenes: tuple[str, ...]
-    """The measured ones."""
-    seeds: int
-    """Smallest number of seeds over these scenes."""
+    reached: float | None  # mean over the measured scenes and seeds
+    scenes: tuple[str, ...]  # the measured ones
+    seeds: int  # smallest number of seeds over these scenes
 
     @property
     def met(self) -> bool | None:

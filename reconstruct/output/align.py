@@ -26,24 +26,18 @@ from reconstruct.scene.poses import corrected
 from reconstruct.scene.rays import Rays, over, read_scaled, view_rays
 from reconstruct.scene.twists import moved
 
-PIXELS = 2048
-"""Maximum number of pixels used for the alignment; at most half of the view's."""
-STEPS = 30
-"""Maximum number of steps, accepted or not."""
-SETTLED = 1e-3
-"""The alignment ends with a step shorter than this [standard deviation of the pose]."""
-HUBER = 2.0
-"""Errors beyond this many standard deviations count linearly."""
+PIXELS = 2048  # maximum number of pixels used for the alignment; at most half of the view's
+STEPS = 30  # maximum number of steps, accepted or not
+SETTLED = 1e-3  # the alignment ends with a step shorter than this [standard deviation of the pose]
+HUBER = 2.0  # errors beyond this many standard deviations count linearly
 
 
 @dataclass(frozen=True)
 class Aligned:
     """A view with an aligned pose."""
 
-    view: View
-    """The view with the new pose."""
-    pixels: int
-    """Number of pixels used for the alignment."""
+    view: View  # the view with the new pose
+    pixels: int  # number of pixels used for the alignment
     steps: int
 
 

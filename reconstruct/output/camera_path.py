@@ -45,8 +45,7 @@ class PathFile(Schema):
 def from_file(path: Path) -> tuple[list[NDArray[np.float64]], float]:
     """`world_from_camera` of each frame, and frames per second.
 
-    Raises:
-        UsageError: the file is missing or invalid, or a camera would look along its up direction.
+    Raises UsageError: the file is missing or invalid, or a camera would look along its up direction.
     """
     content = load_yaml(path, PathFile)
     return frames_of(content, where=path), content.fps

@@ -1,24 +1,43 @@
-"""Commands for a trained run: figures, eval, render, view, film, mesh, report."""
+"""Commands for a trained run: figures, eval, render, film, mesh, report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option, Typer
 
 from datasets.core import console
-from reconstruct.options import CameraPath, NewFolder, RunFolder, Split, StandsOn
+from reconstruct.options import NewFolder, RunFolder
 
 if TYPE_CHECKING:
     from reconstruct.output.trained_model import TrainedModel
 
-app = typer.Typer()
+app = Typer()
+
+
+def _side(name: str | None) -> str | None:
+    """A side of the object's box, or none."""
+    from datasets.core.errors import UsageError
+    from reconstruct.output.mesh.isolation import SIDES
+
+    if name is not None and name not in SIDES:
+        raise UsageError(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
+    return name
+
+
+Split = Annotated[str, Option("--split", help="Views to use: train, val or test.")]
+CameraPath = Annotated[
+    Path | None, Option("--path", metavar="FILE.yaml", help="Camera path to render along, as written by 'reconstruct view'.")
+]
+_ON = "Side of the box that the object stands on, e.g. -z."
+_REMOVES = "Removes the table top, and whatever enters the box through other sides, from the mesh."
+StandsOn = Annotated[str | None, Option("--stands-on", metavar="SIDE", callback=_side, help=f"{_ON} {_REMOVES}")]
 
 
 @app.command()
 def figures(
     run: RunFolder,
     out: NewFolder,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the short training for the figure of ray weights.")] = 600,
+    steps: Annotated[int, Option(min=1, help="Steps of the short training for the figure of ray weights.")] = 600,
     as_json: console.Json = False,
 ) -> None:
     """Draw the figures of the paper's supplement from the code and a trained run."""
@@ -30,18 +49,14 @@ def figures(
 
 @app.command("eval")
 def eval_command(
-    run: Annotated[Path | None, typer.Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")] = None,
+    run: Annotated[Path | None, Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")] = None,
     split: Split = "test",
-    renders: Annotated[
-        Path | None, typer.Option(help="Folder of another program's images, to evaluate instead of a run.")
-    ] = None,
-    scene: Annotated[str | None, typer.Option(help="With --renders: scene that the images show.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.json", help="With --renders: file to write.")] = None,
-    align: Annotated[
-        bool, typer.Option("--align", help="Evaluate again after aligning the pose of each view to the model.")
-    ] = False,
+    renders: Annotated[Path | None, Option(help="Folder of another program's images, to evaluate instead of a run.")] = None,
+    scene: Annotated[str | None, Option(help="With --renders: scene that the images show.")] = None,
+    out: Annotated[Path | None, Option("--out", metavar="FILE.json", help="With --renders: file to write.")] = None,
+    align: Annotated[bool, Option("--align", help="Evaluate again after aligning the pose of each view to the model.")] = False,
     lpips: Annotated[
-        Path | None, typer.Option(metavar="WEIGHTS.npz", help="Compute LPIPS (AlexNet) with these weights, see docs/numbers.md.")
+        Path | None, Option(metavar="WEIGHTS.npz", help="Compute LPIPS (AlexNet) with these weights, see docs/numbers.md.")
     ] = None,
     stands_on: StandsOn = None,
     as_json: console.Json = False,
@@ -78,42 +93,14 @@ def render(run: RunFolder, out: NewFolder, split: Split = "test", path: CameraPa
 
 
 @app.command()
-def view(
-    path: Annotated[Path, typer.Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
-    mesh: Annotated[Path | None, typer.Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
-    port: console.Port = 8080,
-    as_json: console.Json = False,
-) -> None:
-    """Explore a run in the browser, during training or afterwards."""
-    from datasets.page import open_page
-    from reconstruct.backend import cache_compilations
-    from reconstruct.run import RUN, Run
-
-    cache_compilations()
-    with open_page(path.name, port) as page:
-        if (path / RUN).is_file():
-            from reconstruct.page.run_page import show
-
-            show(page, Run.open(path), mesh=mesh)
-        else:
-            from datasets.formats import load_scene
-            from datasets.page.view import show as show_scene
-
-            show_scene(page, path, load_scene(path), quick=True)
-        console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
-        page.serve()
-
-
-@app.command()
 def film(
     run: RunFolder,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4", help="File to write; must be new.")],
+    out: Annotated[Path, Option("--out", metavar="FILE.mp4", help="File to write; must be new.")],
     path: CameraPath = None,
-    frames: Annotated[int, typer.Option(min=1, help="Without --path: number of frames of the orbit.")] = 120,
-    fps: Annotated[float, typer.Option(min=0.1, max=240, help="Without --path: frames per second.")] = 30.0,
+    frames: Annotated[int, Option(min=1, help="Without --path: number of frames of the orbit.")] = 120,
+    fps: Annotated[float, Option(min=0.1, max=240, help="Without --path: frames per second.")] = 30.0,
     shown: Annotated[
-        list[str] | None,
-        typer.Option("--channel", help="rgb, diffuse, specular, normals, depth_view, ...; repeatable, side by side."),
+        list[str] | None, Option("--channel", help="rgb, diffuse, specular, normals, depth_view, ...; repeatable, side by side.")
     ] = None,
     as_json: console.Json = False,
 ) -> None:
@@ -131,21 +118,17 @@ def film(
 @app.command()
 def mesh(
     run: RunFolder,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="File to write: FILE.ply, FILE.glb or FILE.obj; must be new.")
-    ],
-    resolution: Annotated[
-        int, typer.Option(min=16, max=768, help="Grid points along the longest side of the object's box.")
-    ] = 256,
+    out: Annotated[Path, Option("--out", metavar="FILE", help="File to write: FILE.ply, FILE.glb or FILE.obj; must be new.")],
+    resolution: Annotated[int, Option(min=16, max=768, help="Grid points along the longest side of the object's box.")] = 256,
     level: Annotated[
-        float, typer.Option(min=0.001, max=0.999, help="Share of light that 1/128 of the box absorbs at the surface.")
+        float, Option(min=0.001, max=0.999, help="Share of light that 1/128 of the box absorbs at the surface.")
     ] = 0.5,
-    watertight: Annotated[bool, typer.Option("--watertight", help="Close the surface where it leaves the box.")] = False,
-    faces: Annotated[int | None, typer.Option(min=4, help="Target number of triangles.")] = None,
-    points: Annotated[int | None, typer.Option(min=1, help="Write this many surface points (PLY) instead of triangles.")] = None,
+    watertight: Annotated[bool, Option("--watertight", help="Close the surface where it leaves the box.")] = False,
+    faces: Annotated[int | None, Option(min=4, help="Target number of triangles.")] = None,
+    points: Annotated[int | None, Option(min=1, help="Write this many surface points (PLY) instead of triangles.")] = None,
     stands_on: StandsOn = None,
     follow: Annotated[
-        bool, typer.Option("--follow-normals/--density-only", help="Refine the surface to follow the predicted normals.")
+        bool, Option("--follow-normals/--density-only", help="Refine the surface to follow the predicted normals.")
     ] = True,
     as_json: console.Json = False,
 ) -> None:
@@ -173,7 +156,7 @@ def report(
     run: RunFolder,
     out: NewFolder,
     calibration: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Calibration whose accuracy the report includes.")
+        Path | None, Option(metavar="FILE.json", help="Calibration whose accuracy the report includes.")
     ] = None,
     as_json: console.Json = False,
 ) -> None:

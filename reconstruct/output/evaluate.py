@@ -35,10 +35,8 @@ ALIGNED = {
     "steps": "steps of the method of Levenberg and Marquardt",
 }
 """Definitions for aligned views."""
-ALIGNED_SHOWN = ("psnr", "ssim", "lpips")
-"""Metrics of aligned views in the summary."""
-TRUE_SURFACE = "truth/object.ply"
-"""True mesh [m] of the object in a simulated scene."""
+ALIGNED_SHOWN = ("psnr", "ssim", "lpips")  # metrics of aligned views in the summary
+TRUE_SURFACE = "truth/object.ply"  # true mesh [m] of the object in a simulated scene
 
 
 def evaluate(
@@ -51,8 +49,7 @@ def evaluate(
         align: also evaluate after aligning the pose of each view to the model.
         stands_on: side of the box that the object stands on, for its mesh, see `extraction.extract`.
 
-    Raises:
-        UsageError: the scene has no such views.
+    Raises UsageError: the scene has no such views.
     """
     views = trained.scene.split(split)
     start = time.perf_counter()
@@ -97,10 +94,8 @@ def _aligned(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) 
             shown.advance()
     measured = _measured(trained, [one.view for one in found], lpips)
     moved = [poses.change(view, one.view, trained.scene.box) for view, one in zip(views, found, strict=True)]
-    per_view = [
-        {**values, **change, "pixels": one.pixels, "steps": one.steps}
-        for values, change, one in zip(measured, moved, found, strict=True)
-    ]
+    work = [{"pixels": one.pixels, "steps": one.steps} for one in found]
+    per_view = [values | change | one for values, change, one in zip(measured, moved, work, strict=True)]
     return {"mean": mean(measured), "per_view": per_view, "definitions": ALIGNED | poses.DEFINITIONS}
 
 
@@ -161,12 +156,10 @@ def compare(
         metric: whether depths are in metres.
         lpips: also compute the perceptual distance.
     """
-    found: dict[str, float | None] = {
-        "psnr": metrics.psnr(shown["rgb"], truth["rgb"]),
-        "ssim": metrics.ssim(shown["rgb"], truth["rgb"]),
-    }
+    pair = shown["rgb"], truth["rgb"]
+    found: dict[str, float | None] = {"psnr": metrics.psnr(*pair), "ssim": metrics.ssim(*pair)}
     if lpips is not None:
-        found["lpips"] = lpips(shown["rgb"], truth["rgb"])
+        found["lpips"] = lpips(*pair)
     opacity = shown.get("opacity", np.ones_like(truth["rgb"][..., :1]))
     alpha = truth.get("alpha", np.ones_like(opacity))
     for name, channel in {"normal": "normals", "normal_pred": "normals_pred"}.items():
@@ -200,12 +193,8 @@ def definitions() -> dict[str, str]:
 
 def mean(measured: list[dict[str, Any]]) -> dict[str, float | None]:
     """Mean of each metric over the views that have it."""
-    found: dict[str, float | None] = {}
-    for name in metrics.DEFINITIONS:
-        values = [view[name] for view in measured if view.get(name) is not None]
-        if values:
-            found[name] = float(np.mean(values))
-    return found
+    columns = {name: [view[name] for view in measured if view.get(name) is not None] for name in metrics.DEFINITIONS}
+    return {name: float(np.mean(values)) for name, values in columns.items() if values}
 
 
 def table(result: dict[str, Any]) -> str:

@@ -27,15 +27,13 @@ from datasets.imaging import images
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.pictures import Picture
 
-EXR = {"depth", "normals_exr"}
-"""Channels written as EXR, unscaled."""
+EXR = {"depth", "normals_exr"}  # channels written as EXR, unscaled
 
 
 def render(trained: TrainedModel, out: Path, *, split: str = "test") -> dict[str, Any]:
     """Render the views of one split into the new folder `out`, all or none.
 
-    Raises:
-        UsageError: the scene has no such views, or `out` is not empty.
+    Raises UsageError: the scene has no such views, or `out` is not empty.
     """
     files.refuse_existing(out)
     views = trained.scene.split(split)
@@ -48,8 +46,7 @@ def render_along(trained: TrainedModel, frames: Sequence[NDArray[np.float64]], o
 
     Files are named by frame number, from 0000.
 
-    Raises:
-        UsageError: `out` is not empty.
+    Raises UsageError: `out` is not empty.
     """
     files.refuse_existing(out)
     view = trained.scene.views[0]

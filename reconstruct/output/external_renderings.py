@@ -26,8 +26,7 @@ SINGLE = ("normals_pred", "depth", "opacity", "diffuse", "specular")
 FOLDERS = {"rgb": ("rgb", "."), "normals": ("normals_exr", "normals"), **{name: (name,) for name in SINGLE}}
 """Folders of each map; the first match is used."""
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
-MAPS = {"depth": 1, "opacity": 1}
-"""Channels of a map; the others have three."""
+MAPS = {"depth": 1, "opacity": 1}  # channels of a map; the others have three
 
 
 def measure(

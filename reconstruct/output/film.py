@@ -16,7 +16,6 @@ from reconstruct.output.export import EXR, brightness_of_depth, channels
 from reconstruct.output.trained_model import TrainedModel
 
 CHANNELS = ("rgb", "diffuse", "specular", "normals", "normals_pred", "depth_view", "opacity", "roughness")
-"""Channels for `shown`."""
 
 
 def film(
@@ -24,8 +23,7 @@ def film(
 ) -> dict[str, Any]:
     """Render `world_from_camera` poses with the first view's camera and write them to `out`.
 
-    Raises:
-        UsageError: an unknown channel, or `out` does not end in .mp4 or exists.
+    Raises UsageError: an unknown channel, or `out` does not end in .mp4 or exists.
     """
     for name in shown:
         if name not in CHANNELS:

@@ -29,16 +29,13 @@ Picture = Float[np.ndarray, "height width 3"]
 class Layer:
     """One convolution of AlexNet, and the pooling before it."""
 
-    name: str
-    """Name of its weights in the file."""
+    name: str  # name of its weights in the file
     inputs: int
     outputs: int
-    size: int
-    """Side of the square kernel [px]."""
+    size: int  # side of the square kernel [px]
     stride: int
     padding: int
-    pooled: bool
-    """Whether max pooling (3x3, stride 2) comes first."""
+    pooled: bool  # whether max pooling (3x3, stride 2) comes first
 
 
 LAYERS = (
@@ -56,10 +53,8 @@ WEIGHTS: dict[str, tuple[int, ...]] = {
 """Names and shapes of the required arrays; others in the file are ignored."""
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Normalisation of colours in -1..1 before the first layer, from the published program."""
-SMALLEST = 31
-"""Smallest image side for which every layer has a pixel."""
-SHORTEST = 1e-10
-"""Added to the length of features before the division."""
+SMALLEST = 31  # smallest image side for which every layer has a pixel
+SHORTEST = 1e-10  # added to the length of features before the division
 
 
 class Lpips(eqx.Module):
@@ -69,8 +64,7 @@ class Lpips(eqx.Module):
     biases: tuple[Float[Array, " outputs"], ...]
     shares: tuple[Float[Array, " outputs"], ...]
     """Weight of each channel's squared difference, per layer; at least 0."""
-    file: str = eqx.field(static=True, default="")
-    """File of the weights."""
+    file: str = eqx.field(static=True, default="")  # file of the weights
     sha256: str = eqx.field(static=True, default="")
     """Hash of that file: only values with the same hash are comparable."""
 
@@ -86,9 +80,8 @@ class Lpips(eqx.Module):
         advice = "make it as docs/numbers.md says"
         for name, shape in WEIGHTS.items():
             if name not in found:
-                raise UsageError(
-                    "does not hold the weights of LPIPS with AlexNet", where=path, why=f"no array {name}", remedy=advice
-                )
+                problem = "does not hold the weights of LPIPS with AlexNet"
+                raise UsageError(problem, where=path, why=f"no array {name}", remedy=advice)
             array = found[name]
             if array.shape != shape or array.dtype.kind != "f":
                 why = f"{array.shape} of {array.dtype}, not {shape}"

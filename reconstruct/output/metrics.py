@@ -13,19 +13,14 @@ from numpy.typing import NDArray
 Picture = Float[np.ndarray, "height width channels"]
 Map = Float[np.ndarray, "height width 1"]
 
-_ANGLE, _WEIGHTS = (
-    "mean angle between {} and true normals, weighted by {}",
-    ("true alpha times rendered opacity", "true alpha only"),
-)
+_ANGLE = "mean angle between {} and true normals, weighted by {}"
+_WEIGHTS = ("true alpha times rendered opacity", "true alpha only")
+_LPIPS = "learned perceptual distance of the same images (Zhang et al. 2018): AlexNet, version 0.1, mean over pixels, summed over"
 _PART = "PSNR of the {} part in clipped sRGB, over the object (true alpha > 0.5; everything if alpha is unknown)"
 DEFINITIONS = {
     "psnr": ("dB", "-10 log10 of the mean squared error of clipped sRGB, over white where the image has an alpha"),
     "ssim": ("", "structural similarity of the same images: Gaussian window 11x11, sigma 1.5, mean over pixels and channels"),
-    "lpips": (
-        "",
-        "learned perceptual distance of the same images (Zhang et al. 2018): AlexNet, version 0.1, mean over pixels, summed over "
-        "layers; lpips_weights has the SHA-256 of the weights",
-    ),
+    "lpips": ("", f"{_LPIPS} layers; lpips_weights has the SHA-256 of the weights"),
     "normal_mae_alpha_acc_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[0]) + "; normals from the density's gradient"),
     "normal_mae_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[1]) + "; normals from the density's gradient"),
     "normal_pred_mae_alpha_acc_deg": ("deg", _ANGLE.format("predicted", _WEIGHTS[0])),
@@ -39,8 +34,7 @@ DEFINITIONS = {
 }
 """Unit and meaning of each metric of a view."""
 
-BEST_MSE = 1e-10
-"""Lower bound of the mean squared error: 100 dB."""
+BEST_MSE = 1e-10  # lower bound of the mean squared error: 100 dB
 
 
 def psnr(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = None) -> float | None:

@@ -33,16 +33,11 @@ from reconstruct.surface.first_surface import first_surface
 from reconstruct.surface.regularisers import direction_likeness
 from reconstruct.training.loop import start
 
-STEPS = 600
-"""Steps of the short training for B.1."""
-STATES = 6
-"""States of that training that are drawn."""
-SAMPLES = 96
-"""Samples along the ray."""
-HEMISPHERE = 2048
-"""Directions over the sphere for C.1."""
-POINTS = 3
-"""Surface points drawn in C.1."""
+STEPS = 600  # steps of the short training for B.1
+STATES = 6  # states of that training that are drawn
+SAMPLES = 96  # samples along the ray
+HEMISPHERE = 2048  # directions over the sphere for C.1
+POINTS = 3  # surface points drawn in C.1
 
 
 def draw_all(trained: TrainedModel, out: Path, *, steps: int = STEPS) -> dict[str, Any]:
@@ -164,9 +159,8 @@ def draw_weights(steps: Sequence[int], depth: NDArray, weights: NDArray, first: 
         axes.step(depth, weights[index], where="mid", color="#2f6fde")
         axes.axvline(float(depth[first[index]]), color="#d98324", label="first surface")
         axes.axhline(np.median(weights[index]), color="grey", linestyle="--", linewidth=0.8, label="median weight")
-        axes.set(
-            title=f"step {step}", xlabel="distance along the ray [scene unit]", ylim=(0, max(1.05 * weights[index].max(), 1e-3))
-        )
+        top = max(1.05 * weights[index].max(), 1e-3)
+        axes.set(title=f"step {step}", xlabel="distance along the ray [scene unit]", ylim=(0, top))
     figure.axes[-1].legend(fontsize=8)
     figure.axes[0].set_ylabel("weight")
     return figure

@@ -25,7 +25,6 @@ from reconstruct.scene import poses
 from reconstruct.training.skipping import record
 
 VIEWS = 4
-"""Number of test views in the report."""
 CALIBRATION_ERRORS = {
     "hand_eye_mm": "hand-eye pose, position",
     "hand_eye_deg": "hand-eye pose, angle",
@@ -53,8 +52,7 @@ def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) 
     Args:
         calibration: file of 'calib handeye' to report the accuracy of, against the truth if the recording was simulated.
 
-    Raises:
-        UsageError: `out` is not empty.
+    Raises UsageError: `out` is not empty.
     """
     files.refuse_existing(out)
     calibrated = _calibration_scores(calibration)
@@ -185,11 +183,9 @@ def _calibration_scores(path: Path | None) -> list[Measurement]:
 
 def _headline(run: Run, result: dict[str, Any]) -> tuple[list[tuple[str, Number]], str]:
     """The main results, and the views that they were measured on."""
-    shown = [
-        (label, Number(result["mean"][name], unit(name), digits=digits))
-        for name, (label, digits) in HEADLINE.items()
-        if result["mean"].get(name) is not None
-    ]
+    mean = result["mean"]
+    known = [name for name in HEADLINE if mean.get(name) is not None]
+    shown = [(HEADLINE[name][0], Number(mean[name], unit(name), digits=HEADLINE[name][1])) for name in known]
     if result.get("mesh"):
         shown.append((NAMES["chamfer_mm"], Number(result["mesh"]["chamfer_mm"], "mm", digits=2)))
     log = run.log()

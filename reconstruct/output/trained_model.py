@@ -20,11 +20,9 @@ class TrainedModel:
     """The newest state of a run."""
 
     run: Run
-    scene: Scene
-    """With refined poses of the training views, if the run refined them."""
+    scene: Scene  # with refined poses of the training views, if the run refined them
     model: Model
-    step: int
-    """Steps of the training."""
+    step: int  # steps of the training
     renderer: Renderer
 
     @classmethod

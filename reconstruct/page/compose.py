@@ -16,29 +16,23 @@ from reconstruct.scene.rays import over
 
 Values = dict[str, NDArray[np.float32]]
 
-NORMALS = "normals"
-"""The channel that requires a second pass through the field."""
+NORMALS = "normals"  # the channel that requires a second pass through the field
 SHADED = ("rgb", "diffuse", "specular", NORMALS)
 CHANNELS = (
     {name: name for name in SHADED} | {"normals (predicted)": "normals_pred"} | {n: n for n in ("depth", "opacity", "roughness")}
 )
 """Names on the page, and the renderer's names."""
-OPAQUE = 0.5
-"""Opacity above which a pixel hides what is behind it."""
-BEHIND_ALL = 160.0
-"""Depth of pixels that hide nothing: the page's depth ends at 167."""
+OPAQUE = 0.5  # opacity above which a pixel hides what is behind it
+BEHIND_ALL = 160.0  # depth of pixels that hide nothing: the page's depth ends at 167
 
 
 @dataclass(frozen=True)
 class Viewpoint:
     """The camera of a browser."""
 
-    world_from_camera: NDArray[np.float64]
-    """(4, 4), OpenCV camera axes."""
-    fov: float
-    """Vertical field of view [rad]."""
-    aspect: float
-    """Width by height."""
+    world_from_camera: NDArray[np.float64]  # (4, 4), OpenCV camera axes
+    fov: float  # vertical field of view [rad]
+    aspect: float  # width by height
 
     def camera(self, rays: int) -> Camera:
         """A pinhole camera with about `rays` pixels."""

@@ -16,12 +16,9 @@ from datasets.page import Page, shapes
 from reconstruct.output.camera_path import KeyPose, PathFile, frames_of
 from reconstruct.page.render_loop import viewpoint_of
 
-COLOUR = (230, 120, 20)
-"""sRGB of the path."""
-NONE: str = "none"
-"""The only entry of an empty list of stops."""
-LEG_S, FPS = 2.0, 30.0
-"""Time between two stops [s], and frames per second."""
+COLOUR = (230, 120, 20)  # sRGB of the path
+NONE: str = "none"  # the only entry of an empty list of stops
+LEG_S, FPS = 2.0, 30.0  # time between two stops [s], and frames per second
 
 
 class PathEditor:

@@ -11,8 +11,7 @@ from datasets import pose
 from datasets.page import Page
 from reconstruct.page.compose import Viewpoint
 
-LEVELS = (2048, 8192, 32768, 131072, 524288)
-"""Rays per picture, from coarse to fine."""
+LEVELS = (2048, 8192, 32768, 131072, 524288)  # rays per picture, from coarse to fine
 Cancelled = Callable[[], bool]
 Paint = Callable[[viser.ClientHandle, Viewpoint, int, Cancelled], None]
 """Render a viewpoint with a number of rays and show the picture in a browser, unless it is cancelled."""
@@ -22,8 +21,7 @@ Paint = Callable[[viser.ClientHandle, Viewpoint, int, Cancelled], None]
 class _Browser:
     client: viser.ClientHandle
     moves: int = 0
-    done: int = 0
-    """Number of levels shown from the current viewpoint."""
+    done: int = 0  # number of levels shown from the current viewpoint
 
 
 class RenderLoop:

@@ -22,18 +22,8 @@ from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
 from reconstruct.output.mesh import reading
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.page.compose import (
-    CHANNELS,
-    NORMALS,
-    Values,
-    Viewpoint,
-    enlarged,
-    hiding_depth,
-    nearest_view,
-    picture_of,
-    warped,
-    wiped,
-)
+from reconstruct.page import compose
+from reconstruct.page.compose import Values, Viewpoint
 from reconstruct.page.path_editor import PathEditor
 from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoint_of
 from reconstruct.page.status import curves, is_training, skips_text, status_text
@@ -46,17 +36,13 @@ if TYPE_CHECKING:
 
 SLICE = 2048
 """Rays per call of the renderer, after which a picture can be cancelled; one compiled program serves all sizes."""
-WIDTH = 640
-"""Smallest width of the pictures that are sent; coarse ones are enlarged [px]."""
-POLL_S = 1.0
-"""Seconds between checks for a new checkpoint."""
+WIDTH = 640  # smallest width of the pictures that are sent; coarse ones are enlarged [px]
+POLL_S = 1.0  # seconds between checks for a new checkpoint
 MESH_RESOLUTION = 128
-PATH = "path.yaml"
-"""File of the path editor in the run's folder."""
+PATH = "path.yaml"  # file of the path editor in the run's folder
 DEPTHS = (0.01, 50.0)
 """Camera distances [world unit] whose depths the browser resolves; its depth goes to 167 in steps of 1e-5."""
-NOTHING = "nothing"
-"""Channel that shows only cameras and mesh."""
+NOTHING = "nothing"  # channel that shows only cameras and mesh
 logger = logging.getLogger(__name__)
 
 
@@ -85,11 +71,10 @@ class RunPage:
     def _panel(self) -> None:
         gui = self.page.gui
         self._state = gui.add_markdown("*waiting for a checkpoint*")
-        self.channel = gui.add_dropdown("channel", (*CHANNELS, NOTHING))
+        self.channel = gui.add_dropdown("channel", (*compose.CHANNELS, NOTHING))
         self.sharpest = gui.add_slider("sharpness", 1, len(LEVELS), 1, 4)
-        self.sharpest_training = gui.add_slider(
-            "sharpness while it trains", 0, len(LEVELS), 1, 2, hint="a lower value leaves more time for training"
-        )
+        hint = "a lower value leaves more time for training"
+        self.sharpest_training = gui.add_slider("sharpness while it trains", 0, len(LEVELS), 1, 2, hint=hint)
         self.pace = gui.add_slider("training while I move [%]", 0, 100, 10, 30, hint="0 pauses it, 100 does not slow it down")
         self.wipe = gui.add_checkbox("wipe against the nearest training image", False)
         self.share = gui.add_slider("wipe at", 0.0, 1.0, 0.01, 0.5)
@@ -99,9 +84,8 @@ class RunPage:
         furthest, step = rounded_up(2 * self.reach)
         unit = " [m]" if self.scene.metric else ""
         self.cut = gui.add_slider(f"cut away nearer than{unit}", 0.0, furthest, step, 0.0)
-        self.beyond = gui.add_slider(
-            f"cut away beyond{unit}", 0.0, furthest, step, furthest, hint="the maximum cuts nothing away"
-        )
+        hint = "the maximum cuts nothing away"
+        self.beyond = gui.add_slider(f"cut away beyond{unit}", 0.0, furthest, step, furthest, hint=hint)
         for element in (self.cut, self.beyond):
             element.on_update(lambda event: self._changed())
         self.cameras = gui.add_checkbox("cameras", True)
@@ -144,11 +128,9 @@ class RunPage:
         shapes.add_box(self.page, "/bounds", self.scene.box, colour=shapes.COLOURS["box"])
         self._frusta = []
         for view in self.scene.views:
-            name, style = (
-                f"/cameras/{view.split}/{view.name}",
-                {"colour": shapes.colour_of(view.split), "length": 0.08 * self.reach},
-            )
-            handle = shapes.add_camera(self.page, name, view.world_from_camera, view.camera, **style)
+            name, colour = f"/cameras/{view.split}/{view.name}", shapes.colour_of(view.split)
+            pose, length = view.world_from_camera, 0.08 * self.reach
+            handle = shapes.add_camera(self.page, name, pose, view.camera, colour=colour, length=length)
             handle.on_click(lambda event, view=view: self._chosen(event.client, view))
             self._frusta.append(handle)
         if mesh is not None:
@@ -175,7 +157,7 @@ class RunPage:
 
     def _go(self, client: viser.ClientHandle | None) -> None:
         if client is not None:
-            self._chosen(client, nearest_view(viewpoint_of(client), self.train_views, self.reach))
+            self._chosen(client, compose.nearest_view(viewpoint_of(client), self.train_views, self.reach))
 
     def _extract(self) -> None:
         """Extract and show the surface of the current model."""
@@ -220,14 +202,14 @@ class RunPage:
         channel = self.channel.value
         if channel == NOTHING:
             return
-        values = self.render(viewpoint, rays, normals=CHANNELS[channel] == NORMALS, cancelled=cancelled)
+        values = self.render(viewpoint, rays, normals=compose.CHANNELS[channel] == compose.NORMALS, cancelled=cancelled)
         if values is None or cancelled():
             return
-        picture = enlarged(picture_of(channel, values), WIDTH)
+        picture = compose.enlarged(compose.picture_of(channel, values), WIDTH)
         if self.wipe.value:
-            picture = wiped(picture, self._photograph_from(viewpoint, picture), self.share.value)
+            picture = compose.wiped(picture, self._photograph_from(viewpoint, picture), self.share.value)
         shown = (255 * picture + 0.5).astype(np.uint8)
-        depth = hiding_depth(values) if DEPTHS[0] < self.reach < DEPTHS[1] else None
+        depth = compose.hiding_depth(values) if DEPTHS[0] < self.reach < DEPTHS[1] else None
         with self._sending:
             if self.channel.value == channel:
                 client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
@@ -235,12 +217,12 @@ class RunPage:
 
     def _photograph_from(self, viewpoint: Viewpoint, like: NDArray[np.float32]) -> NDArray[np.float32]:
         """The nearest training image warped to a viewpoint, of the size of another picture."""
-        view = nearest_view(viewpoint, self.train_views, self.reach)
+        view = compose.nearest_view(viewpoint, self.train_views, self.reach)
         if self._photograph is None or self._photograph[0] != view.name:
             self._photograph = (view.name, view.read())
         height, width = like.shape[:2]
         camera = viewpoint.camera(width * height).scaled(width, height)
-        return warped(viewpoint, camera, view, self._photograph[1])
+        return compose.warped(viewpoint, camera, view, self._photograph[1])
 
     def follow(self) -> None:
         """Load new checkpoints and update the curves until the page ends."""

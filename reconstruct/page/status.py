@@ -11,8 +11,7 @@ from reconstruct import checkpoint
 from reconstruct.run import CHECKPOINTS, LOG, Run
 from reconstruct.training.skipping import record
 
-QUIET_S = 300.0
-"""A training without output for this long counts as stopped."""
+QUIET_S = 300.0  # a training without output for this long counts as stopped
 
 
 def is_training(run: Run) -> bool:
@@ -49,9 +48,7 @@ def curves(log: list[dict[str, Any]]) -> tuple[tuple[NDArray[np.float64], ...], 
 def skips_text(run: Run) -> str:
     """Skips of a training as Markdown, with evidence, saving and cost, then what was kept and why; empty without a list."""
     skips = record.read(run.path)
-    lines = [
-        f"- **{record.in_words(skip.name)}** skipped: {skip.evidence}  \n  *saves {skip.saving}; cost: {skip.cost}*"
-        for skip in skips
-        if skip.skipped
-    ]
-    return "\n".join([*lines, *(f"- {record.in_words(skip.name)} kept: {skip.evidence}" for skip in skips if not skip.skipped)])
+    words = {skip.name: record.in_words(skip.name) for skip in skips}
+    cost = "- **{}** skipped: {}  \n  *saves {}; cost: {}*"
+    lines = [cost.format(words[skip.name], skip.evidence, skip.saving, skip.cost) for skip in skips if skip.skipped]
+    return "\n".join([*lines, *(f"- {words[skip.name]} kept: {skip.evidence}" for skip in skips if not skip.skipped)])

@@ -10,6 +10,7 @@ An interrupted study is resumed; further cells and seeds can be added.
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +32,8 @@ from reconstruct.studies.seeds import seed_folder, welch
 FORMAT, VERSION = "koala-study", 2
 STUDY = "study.json"
 DRAWN = ("psnr", "normal_mae_alpha_acc_deg")
-"""Columns of the figure."""
 LOSSES = ("density", "normal", "bias", "variation")
-PUBLISHED, REFNERF = SurfaceConfig(), LossConfig()
-"""Their default weights."""
+PUBLISHED, REFNERF = SurfaceConfig(), LossConfig()  # their default weights
 NO_PASS = "surface.enabled=false"
 Cells = dict[str, tuple[str, ...]]
 
@@ -43,12 +42,9 @@ Cells = dict[str, tuple[str, ...]]
 class Study:
     """Trainings of an ablation."""
 
-    recipe: Recipe
-    """Common to all cells."""
-    seeds: tuple[int, ...]
-    """Each cell is trained with each seed."""
-    cells: Cells
-    """Overrides of each cell by name."""
+    recipe: Recipe  # common to all cells
+    seeds: tuple[int, ...]  # each cell is trained with each seed
+    cells: Cells  # overrides of each cell by name
 
 
 def grid(base: Config) -> Cells:
@@ -100,8 +96,7 @@ def plan(
 ) -> Study:
     """The study of the wanted cells (default: all of `grid`; always with the base) and seeds (default: the model's own).
 
-    Raises:
-        UsageError: unknown scene, model, setting or cell, or a seed given twice.
+    Raises UsageError: unknown scene, model, setting or cell, or a seed given twice.
     """
     recipe = Recipe(str(find(scene).resolve()), model, preset, tuple(overrides), budget_s)
     base = recipe.config()
@@ -116,17 +111,15 @@ def plan(
 def run(study: Study, out: Path) -> dict[str, Any]:
     """Run every cell with every seed that is not finished, then write the table, the figure and the report.
 
-    Raises:
-        UsageError: `out` holds something else, or a study of something else.
+    Raises UsageError: `out` holds something else, or a study of something else.
     """
     cells = {name: list(changes) for name, changes in study.cells.items()}
     settings = study.recipe.content("scene", "model", "preset", "overrides", "budget_s")
     cells = open_study(out / STUDY, kind=FORMAT, version=VERSION, settings=settings, members={"cells": cells})["cells"]
-    jobs = [
-        Job(out / CELLS / folder_name(name) / seed_folder(seed), study.recipe, (*changes, f"train.seed={seed}"))
-        for seed in study.seeds
-        for name, changes in study.cells.items()
-    ]
+    jobs = []
+    for seed, (name, changes) in product(study.seeds, study.cells.items()):
+        place = out / CELLS / folder_name(name) / seed_folder(seed)
+        jobs.append(Job(place, study.recipe, (*changes, f"train.seed={seed}")))
     run_all(jobs, "ablating")
     rows = [replace(row, label=name) for name, row in _finished(cells, out).items()]
     columns = results_table.chosen_columns(rows)
@@ -174,14 +167,13 @@ def _number(row: Row, name: str) -> Number:
 def _command(study: Study, cells: Mapping[str, Sequence[str]], out: Path) -> str:
     """The command line that makes a study."""
     recipe = study.recipe
-    options = [] if recipe.budget_s is None else [f"--budget {recipe.budget_s:g}"]
+    options = [f"--model {recipe.model} --preset {recipe.preset}"]
+    options += [] if recipe.budget_s is None else [f"--budget {recipe.budget_s:g}"]
     options += [f"--set {shlex.quote(override)}" for override in recipe.overrides]
     options += [f"--seed {seed}" for seed in study.seeds]
     if not set(cells) >= set(grid(recipe.config())):
         options += [f"--cell {shlex.quote(name)}" for name in cells if name != BASE]
-    return " ".join(
-        [f"reconstruct ablate {recipe.scene} --model {recipe.model} --preset {recipe.preset}", *options, f"--out {out}"]
-    )
+    return " ".join([f"reconstruct ablate {recipe.scene}", *options, f"--out {out}"])
 
 
 def _uncertainty(rows: Sequence[Row]) -> str:

@@ -3,22 +3,20 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option, Typer
 
 from datasets.core import console
 from reconstruct.options import Budget, ModelName, Preset, SceneName, SceneNames, Seeds, Settings, StudyFolder
 
-app = typer.Typer()
+app = Typer()
 
 
 @app.command()
 def table(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Evaluated runs.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="File to write: FILE.md, FILE.csv or FILE.tex.")
-    ] = None,
-    columns: Annotated[list[str] | None, typer.Option("--column", help="Metric to show; repeatable.")] = None,
-    per_image: Annotated[bool, typer.Option("--per-image", help="Write one row per image instead of one per run.")] = False,
+    runs: Annotated[list[Path], Argument(metavar="RUN...", help="Evaluated runs.")],
+    out: Annotated[Path | None, Option("--out", metavar="FILE", help="File to write: FILE.md, FILE.csv or FILE.tex.")] = None,
+    columns: Annotated[list[str] | None, Option("--column", help="Metric to show; repeatable.")] = None,
+    per_image: Annotated[bool, Option("--per-image", help="Write one row per image instead of one per run.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Compare the metrics of runs in the paper's layout. Runs that differ only in their seed share a row."""
@@ -40,10 +38,10 @@ def ablate(
     model: ModelName = "surfnerf",
     preset: Preset = "fast",
     budget: Budget = None,
-    cells: Annotated[list[str] | None, typer.Option("--cell", help="Cell to train besides the base; repeatable.")] = None,
+    cells: Annotated[list[str] | None, Option("--cell", help="Cell to train besides the base; repeatable.")] = None,
     set_: Settings = None,
     seeds: Seeds = None,
-    plan_only: Annotated[bool, typer.Option("--plan", help="List the cells and their changes without training.")] = False,
+    plan_only: Annotated[bool, Option("--plan", help="List the cells and their changes without training.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Train a model repeatedly with one change at a time; write a table and a figure."""
@@ -62,7 +60,7 @@ def ablate(
 def skips(
     scenes: SceneNames,
     out: StudyFolder,
-    names: Annotated[list[str] | None, typer.Option("--skip", metavar="NAME", help="Skip to measure; repeatable.")] = None,
+    names: Annotated[list[str] | None, Option("--skip", metavar="NAME", help="Skip to measure; repeatable.")] = None,
     model: ModelName = "surfnerf",
     preset: Preset = "fast",
     set_: Settings = None,
@@ -80,14 +78,14 @@ def skips(
 @app.command()
 def sweep(
     out: StudyFolder,
-    scenes: Annotated[list[str], typer.Option("--scene", help="Scene folder, as for 'train'; repeatable.")],
-    models: Annotated[list[str], typer.Option("--model", help="Model, see 'reconstruct models'; repeatable.")],
+    scenes: Annotated[list[str], Option("--scene", help="Scene folder, as for 'train'; repeatable.")],
+    models: Annotated[list[str], Option("--model", help="Model, see 'reconstruct models'; repeatable.")],
     preset: Preset = "fast",
     budget: Budget = None,
     set_: Settings = None,
     seeds: Seeds = None,
-    ray: Annotated[bool, typer.Option("--ray", help="Run as Ray tasks (extra 'sweep').")] = False,
-    address: Annotated[str | None, typer.Option("--address", help="Ray cluster to use; default: this machine.")] = None,
+    ray: Annotated[bool, Option("--ray", help="Run as Ray tasks (extra 'sweep').")] = False,
+    address: Annotated[str | None, Option("--address", help="Ray cluster to use; default: this machine.")] = None,
     as_json: console.Json = False,
 ) -> None:
     """Train and evaluate every model on every scene; write a table."""

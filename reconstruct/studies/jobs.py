@@ -18,23 +18,19 @@ from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS, RUN
 from reconstruct.training.loop import train
 
-CELLS = "cells"
-"""Folder of the trainings of a study with named cells."""
-BASE = "base"
-"""Cell without changes."""
+CELLS = "cells"  # folder of the trainings of a study with named cells
+BASE = "base"  # cell without changes
 
 
 @dataclass(frozen=True)
 class Recipe:
     """Scene, model and budget of a training."""
 
-    scene: str
-    """Path of the scene."""
+    scene: str  # path of the scene
     model: str
     preset: str
     overrides: tuple[str, ...] = ()
-    budget_s: float | None = None
-    """Seconds of training; None for the configuration's steps."""
+    budget_s: float | None = None  # seconds of training; None for the configuration's steps
 
     def config(self, changes: Sequence[str] = ()) -> Config:
         """The configuration, with further overrides. Raises UsageError for an unknown model, preset or setting."""
@@ -50,11 +46,9 @@ class Recipe:
 class Job:
     """One training and its evaluation."""
 
-    path: Path
-    """Folder of the run."""
+    path: Path  # folder of the run
     recipe: Recipe
-    changes: tuple[str, ...] = ()
-    """Further overrides."""
+    changes: tuple[str, ...] = ()  # further overrides
 
     @property
     def done(self) -> bool:
@@ -84,22 +78,14 @@ def run_all(jobs: Sequence[Job], title: str) -> None:
 
 
 def chosen_seeds(base: Config, seeds: Sequence[int]) -> tuple[int, ...]:
-    """The given seeds, or the configuration's own.
-
-    Raises:
-        UsageError: a seed is given twice.
-    """
+    """The given seeds, or the configuration's own. Raises UsageError: a seed is given twice."""
     if len(set(seeds)) < len(seeds):
         raise UsageError("a seed is given twice", where="--seed", why=" ".join(map(str, seeds)), remedy="give each once")
     return tuple(seeds) or (base.train.seed,)
 
 
 def scenes_by_name(scenes: Sequence[str]) -> dict[str, str]:
-    """Paths of scenes by the names of their folders.
-
-    Raises:
-        UsageError: a scene does not exist, or two have the same name.
-    """
+    """Paths of scenes by the names of their folders. Raises UsageError: a scene does not exist, or two have the same name."""
     places = [find(scene).resolve() for scene in scenes]
     if len({place.name for place in places}) < len(places):
         raise UsageError("two scenes have the same name", why=", ".join(place.name for place in places), remedy="rename a folder")
@@ -118,8 +104,7 @@ def open_study(
     Returns:
         The content of the file.
 
-    Raises:
-        UsageError: a setting differs, or the folder holds something else.
+    Raises UsageError: a setting differs, or the folder holds something else.
     """
     before: dict[str, Any] = {}
     if path.is_file():

@@ -93,8 +93,7 @@ class _Measured:
 def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
     """A row for the seeds of each training, or one per image of each run, in the order of the runs, grouped by scene.
 
-    Raises:
-        UsageError: not a run, or not evaluated.
+    Raises UsageError: not a run, or not evaluated.
     """
     measured = [_Measured.open(path) for path in runs]
     rows, labels = [], set()
@@ -113,11 +112,7 @@ def rows_of_runs(runs: Sequence[Path], *, per_image: bool = False) -> list[Row]:
 
 
 def row_of_seeds(runs: Sequence[Path]) -> Row:
-    """The row of runs that differ only in their seed.
-
-    Raises:
-        UsageError: they differ in more, or one was not evaluated.
-    """
+    """The row of runs that differ only in their seed. Raises UsageError: they differ in more, or one was not evaluated."""
     rows = rows_of_runs(runs)
     if len(rows) > 1:
         why, advice = "they differ in settings, budget or device", "remove the older runs, or choose another --out"
@@ -130,17 +125,11 @@ def over_seeds(rows: Sequence[Row]) -> Row:
     if len(rows) == 1:
         return rows[0]
     columns = {name: [row.values.get(name) for row in rows] for name in rows[0].values}
-    samples = {
-        name: Sample.of([value for value in column if value is not None])
-        for name, column in columns.items()
-        if None not in column
-    }
-    return replace(
-        rows[0],
-        values={name: samples[name].mean if name in samples else None for name in columns},
-        deviations={name: sample.deviation for name, sample in samples.items()},
-        seeds=len(rows),
-    )
+    complete = {name: [value for value in column if value is not None] for name, column in columns.items()}
+    samples = {name: Sample.of(column) for name, column in complete.items() if len(column) == len(rows)}
+    values = {name: samples[name].mean if name in samples else None for name in columns}
+    deviations = {name: sample.deviation for name, sample in samples.items()}
+    return replace(rows[0], values=values, deviations=deviations, seeds=len(rows))
 
 
 def _by_recipe(measured: Sequence[_Measured]) -> list[list[_Measured]]:

@@ -19,11 +19,7 @@ COLUMNS = ("psnr", "ssim", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg"
 
 
 def chosen_columns(rows: Sequence[Row], wanted: Sequence[str] = ()) -> list[str]:
-    """The wanted columns, or `COLUMNS`, less those without any value.
-
-    Raises:
-        UsageError: a wanted column is unknown.
-    """
+    """The wanted columns, or `COLUMNS`, less those without any value. Raises UsageError: a wanted column is unknown."""
     for name in wanted:
         if name not in SHORT_NAMES:
             raise UsageError(f"there is no metric '{name}'", where="--column", remedy=nearest(name, SHORT_NAMES))
@@ -91,11 +87,7 @@ FORMATS: dict[str, Callable[[Sequence[Row], Sequence[str]], str]] = {".md": mark
 
 
 def write(rows: Sequence[Row], columns: Sequence[str], out: Path) -> None:
-    """Write a table in the format that the suffix of `out` names.
-
-    Raises:
-        UsageError: unknown suffix, or `out` exists.
-    """
+    """Write a table in the format that the suffix of `out` names. Raises UsageError: unknown suffix, or `out` exists."""
     if out.suffix not in FORMATS:
         raise UsageError(f"tables are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(FORMATS)}")
     files.refuse_existing(out)

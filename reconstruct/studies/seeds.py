@@ -21,8 +21,7 @@ class Sample:
     """A metric of trainings that differ only in their seed."""
 
     mean: float
-    deviation: float
-    """Standard deviation over seeds; NaN for one seed."""
+    deviation: float  # standard deviation over seeds; NaN for one seed
     count: int
 
     @classmethod
@@ -37,11 +36,9 @@ class Change:
     """Difference of two means."""
 
     value: float
-    low: float
-    """Ends of the confidence interval; NaN if unknown."""
+    low: float  # ends of the confidence interval; NaN if unknown
     high: float
-    p: float
-    """p-value; NaN if unknown."""
+    p: float  # p-value; NaN if unknown
 
 
 def welch(before: Sample, after: Sample) -> Change:

@@ -24,8 +24,7 @@ from reconstruct.training.skipping import record
 
 FORMAT, VERSION = "koala-skips", 1
 COMPARISON = "comparison.json"
-WORST_DB, WORST_DEG = 0.1, 0.2
-"""A skip with a higher cost than this on any scene is off by default."""
+WORST_DB, WORST_DEG = 0.1, 0.2  # a skip with a higher cost than this on any scene is off by default
 NORMALS = "normal_mae_alpha_acc_deg"
 
 
@@ -35,12 +34,9 @@ class Result:
 
     scene: str
     name: str
-    applied: bool
-    """Whether the skip applied to the scene."""
-    psnr: tuple[float, float]
-    """Kept, skipped [dB]."""
-    normal_mae_deg: tuple[float, float] | None
-    """Kept, skipped; None without true normals."""
+    applied: bool  # whether the skip applied to the scene
+    psnr: tuple[float, float]  # kept, skipped [dB]
+    normal_mae_deg: tuple[float, float] | None  # kept, skipped; None without true normals
     step_ms: tuple[float, float]
     """Kept, skipped: time of a step, from the fastest tenth of the training."""
 
@@ -81,8 +77,7 @@ def run(
 ) -> list[Result]:
     """Run every cell that is not finished, then write the table.
 
-    Raises:
-        UsageError: unknown scene, skip, model or setting; or `out` holds something else, or a comparison with other settings.
+    Raises UsageError: unknown scene, skip, model or setting; or `out` holds something else, or a comparison with other settings.
     """
     wanted, places = cells(names), scenes_by_name(scenes)
     recipes = {name: Recipe(path, model, preset, tuple(overrides)) for name, path in places.items()}
@@ -119,19 +114,13 @@ def step_ms(run: Path) -> float:
 
 def rows(results: Sequence[Result]) -> list[dict[str, Any]]:
     """The results as plain values."""
-    return [
-        {
-            "scene": r.scene,
-            "skip": r.name,
-            "applied": r.applied,
-            "cost_db": round(r.cost_db, 3),
-            "cost_deg": None if r.cost_deg is None else round(r.cost_deg, 2),
-            "kept_ms": round(r.step_ms[0], 1),
-            "skipped_ms": round(r.step_ms[1], 1),
-            "cheap": r.cheap,
-        }
-        for r in results
-    ]
+    found = []
+    for r in results:
+        about = {"scene": r.scene, "skip": r.name, "applied": r.applied}
+        cost = {"cost_db": round(r.cost_db, 3), "cost_deg": None if r.cost_deg is None else round(r.cost_deg, 2)}
+        kept_ms, skipped_ms = (round(ms, 1) for ms in r.step_ms)
+        found.append({**about, **cost, "kept_ms": kept_ms, "skipped_ms": skipped_ms, "cheap": r.cheap})
+    return found
 
 
 def markdown(results: Sequence[Result]) -> str:

@@ -8,6 +8,7 @@ An interrupted sweep is resumed; further scenes, models and seeds can be added.
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +37,10 @@ def plan(
 ) -> list[Job]:
     """Every model on every scene with every seed, or the model's own; seed by seed, so that the table is complete early.
 
-    Raises:
-        UsageError: an unknown scene, model or setting, a seed given twice, or two scenes of the same name.
+    Raises UsageError: an unknown scene, model or setting, a seed given twice, or two scenes of the same name.
     """
-    recipes = {
-        (name, model): Recipe(path, model, preset, tuple(overrides), budget_s)
-        for name, path in scenes_by_name(scenes).items()
-        for model in models
-    }
+    pairs = product(scenes_by_name(scenes).items(), models)
+    recipes = {(name, model): Recipe(path, model, preset, tuple(overrides), budget_s) for (name, path), model in pairs}
     of_model = {recipe.model: chosen_seeds(recipe.config(), seeds) for recipe in recipes.values()}
     return [
         Job(out / name / model / seed_folder(seed), recipe, (f"train.seed={seed}",))

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from datasets.core import console
 from reconstruct.options import Budget, ModelName, Preset, Settings
@@ -12,37 +12,35 @@ from reconstruct.options import Budget, ModelName, Preset, Settings
 def train(
     scene: Annotated[
         str | None,
-        typer.Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
+        Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder to write; must be new unless --resume is given.")] = None,
+    out: Annotated[Path | None, Option("--out", help="Folder to write; must be new unless --resume is given.")] = None,
     model: ModelName = "surfnerf",
     preset: Preset = "fast",
     budget: Budget = None,
     set_: Settings = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume the run in --out.")] = False,
-    from_: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Run whose weights to start from.")] = None,
-    finetune: Annotated[bool, typer.Option("--finetune", help="With --from: train on with the surface regularisers.")] = False,
-    rays: Annotated[
-        int | None, typer.Option(min=256, help="Rays per step; learning rate and steps follow by the linear scaling rule.")
-    ] = None,
+    resume: Annotated[bool, Option("--resume", help="Resume the run in --out.")] = False,
+    from_: Annotated[Path | None, Option("--from", metavar="RUN", help="Run whose weights to start from.")] = None,
+    finetune: Annotated[bool, Option("--finetune", help="With --from: train on with the surface regularisers.")] = False,
+    rays: Annotated[int | None, Option(min=256, help="Rays per step; learning rate and steps follow by linear scaling.")] = None,
     no_skip: Annotated[
-        list[str] | None, typer.Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.")
+        list[str] | None, Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.")
     ] = None,
-    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also log to TensorBoard (extra 'tensorboard').")] = False,
+    tensorboard: Annotated[bool, Option("--tensorboard", help="Also log to TensorBoard (extra 'tensorboard').")] = False,
     coordinator: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="HOST:PORT", envvar="JAX_COORDINATOR_ADDRESS", help="Address of the first process of a distributed training."
         ),
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(min=1, envvar="JAX_NUM_PROCESSES", help="With --coordinator: number of processes.")
+        int | None, Option(min=1, envvar="JAX_NUM_PROCESSES", help="With --coordinator: number of processes.")
     ] = None,
     process: Annotated[
-        int | None, typer.Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: index of this process, from 0.")
+        int | None, Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: index of this process, from 0.")
     ] = None,
     list_settings: Annotated[
-        bool, typer.Option("--list-settings", help="List every --set key with type, default and meaning, then exit.")
+        bool, Option("--list-settings", help="List every --set key with type, default and meaning.")
     ] = False,
     as_json: console.Json = False,
 ) -> None:

@@ -106,7 +106,8 @@ def _record(sources: Path, folder: Path, report: Report = lambda name: None) -> 
 def _recorded(folder: Path) -> Any:
     recording = Recording.open(folder / "recording")
     assert all(files.sha256(recording.image_path(frame)) == frame.sha256 for frame in recording.frames)
-    return [(frame.name, frame.sha256, frame.joints.tolist()) for frame in recording.frames], recording.manifest
+    manifest = {key: value for key, value in recording.manifest.items() if key != "started"}
+    return [(frame.name, frame.sha256, frame.joints.tolist()) for frame in recording.frames], manifest
 
 
 def _frames_kept(folder: Path) -> set[str]:

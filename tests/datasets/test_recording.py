@@ -69,6 +69,13 @@ def test_damage_in_the_middle_names_the_line(recording: Recording) -> None:
         ({"joints": [1, 2]}, "six finite"),
         ({"image": "../../x.png"}, "leaves the folder"),
         ({"colour": 1}, "not complete"),
+        ({"name": 7}, "name is 7"),
+        ({"split": None}, "split is None"),
+        ({"index": "2"}, "index is '2'"),
+        ({"device_ticks": 10**40}, "device_ticks is 1000"),
+        ({"exposure_us": float("nan")}, "exposure_us is nan"),
+        ({"settle_s": float("inf")}, "settle_s is inf"),
+        ({"host_time_ns": []}, "not complete"),
     ],
 )
 def test_impossible_frames_are_refused(recording: Recording, change: dict, words: str) -> None:

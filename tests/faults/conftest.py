@@ -1,6 +1,5 @@
 """A session on a simulated rig that runs already, so that something can go wrong with it in the middle."""
 
-import importlib.util
 import json
 import sys
 import threading
@@ -107,13 +106,6 @@ class Session:
         for order in orders:
             dashboard.ask(order)
         dashboard.close()
-
-
-@pytest.fixture(params=["ur_rtde", "koala"])
-def client(request: pytest.FixtureRequest) -> str:
-    if request.param == "ur_rtde" and importlib.util.find_spec("rtde_control") is None:
-        pytest.skip("ur-rtde is not installed: it has no wheel for this Python and platform")
-    return request.param
 
 
 @pytest.fixture

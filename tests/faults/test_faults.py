@@ -1,4 +1,4 @@
-"""Every fault three times in one recording, with either client.
+"""Every fault in the middle of a recording: once with one client, and among the slow tests three times with each.
 
 Checks what the user sees, where the arm is left, and that `--resume` finishes with no frame lost or taken twice.
 """
@@ -89,13 +89,8 @@ FAULTS = {
 }
 
 
-LONG = "controller silent"
-"""Takes three deadlines one after the other: three times in a row only among the slow tests."""
-
-
-@pytest.mark.parametrize(
-    ("name", "times"), [*((name, 3) for name in FAULTS if name != LONG), (LONG, 1), pytest.param(LONG, 3, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("times", [1, pytest.param(3, marks=[pytest.mark.slow, pytest.mark.both_clients])])
+@pytest.mark.parametrize("name", FAULTS)
 def test_in_a_row(session: Session, name: str, times: int) -> None:
     fault = FAULTS[name]
     for repetition in range(times):

@@ -99,7 +99,6 @@ def test_a_hundred_connections_at_once_half_open_and_slow(controller: SimulatedC
     good.close()
 
 
-@pytest.mark.xfail(strict=True, reason="ControllerServer.dashboard writes answers without waiting until they are read")
 def test_a_client_that_never_reads_is_cut_off(controller: SimulatedController) -> None:
     good, before = clients.Connection(controller.host), memory(controller)
     for port, message in ((clients.DASHBOARD, (b"x" * 60_000 + b"\n") * 400), (clients.RTDE, clients.packet(ord("v")) * 300_000)):
@@ -117,9 +116,6 @@ def test_a_client_that_never_reads_is_cut_off(controller: SimulatedController) -
     good.close()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="ControllerServer.script keeps everything until a line 'end'", raises=pytest.fail.Exception
-)
 def test_a_program_without_an_end_is_refused(controller: SimulatedController) -> None:
     good, before = clients.Connection(controller.host), memory(controller)
     with socket.create_connection((controller.host, clients.SCRIPT), PATIENCE_S) as endless:

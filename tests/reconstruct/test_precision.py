@@ -76,9 +76,9 @@ def test_a_short_training_comes_to_the_same_error(both: dict[str, tuple[TrainSta
 def test_colours_are_those_of_single_precision(both: dict[str, tuple[TrainState, np.ndarray]]) -> None:
     """The same parameters and rays in both.
 
-    Two networks of two products one after the other, each rounding its factors to 2^-8 of values of order one: 4 x 2 x 2^-8 =
-    0.03 of what the sigmoid, slope 1/4, and sRGB, slope up to 3 for what is not dark, make a colour of: 0.025. Densities differ by as
-    much of themselves, weights by less. On average roundings have both signs.
+    Two networks of two products in sequence each round their factors to 2^-8 of values of order one: 4 x 2 x 2^-8 = 0.03
+    before the sigmoid (slope 1/4) and sRGB (slope up to 3 for colours that are not dark), hence 0.025. The relative error of
+    densities is as large, that of weights smaller. On average roundings have both signs.
     """
     field, rng = both["float32"][0].model.field, np.random.default_rng(0)
     origins = rng.normal(size=(200, 3))

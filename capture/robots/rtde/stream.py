@@ -36,7 +36,7 @@ class RtdeStream:
         self.connected = True
         self._buffer = bytearray()
         self._outputs = Recipe(outputs)
-        self._inputs = [Recipe(names) for names in inputs]
+        self._inputs = [Recipe(names, is_input=True) for names in inputs]
         self._link = socket.create_connection((host, PORT), REPLY_S)
         try:
             self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

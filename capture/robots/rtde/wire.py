@@ -1,4 +1,4 @@
-"""RTDE version 2: framing, and how values are packed. All numbers are big-endian. Our client and the simulated controller use it.
+"""RTDE: framing, and how values are packed. All numbers are big-endian. Our client and the simulated controller use it.
 
 A packet is uint16 size (header included), uint8 type, payload (Universal Robots, "Real-Time Data Exchange guide").
 """
@@ -9,55 +9,55 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
-PROTOCOL_VERSION, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA = (ord(letter) for letter in "VvOISPU")
+PROTOCOL_VERSION, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA, TEXT = (ord(letter) for letter in "VvOISPUM")
+VERSIONS = (1, 2)
 
 MAX_DATA = 2**16 - 5
 """Bytes of values that fit into a packet."""
 
-_CODES = {
-    "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
-    "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
-}  # fmt: skip
+_CODES = {"BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d"}
+_CODES |= {"VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i"}
 
-_VECTORS = (
-    "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current joint_control_output "
-    "actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed joint_temperatures "
-    "actual_joint_voltage payload_inertia actual_current_as_torque ft_raw_wrench external_force_torque"
-)
-_DOUBLES = (
-    "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
+
+def _types(**names: str) -> dict[str, str]:
+    return {name: kind for kind, listed in names.items() for name in listed.split()}
+
+
+OUTPUT_TYPES = _types(
+    VECTOR6D="target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
+    "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed "
+    "joint_temperatures actual_joint_voltage payload_inertia actual_current_as_torque ft_raw_wrench",
+    DOUBLE="timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
     "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 standard_analog_output0 "
-    "standard_analog_output1 payload speed_slider_fraction standard_analog_output_0 standard_analog_output_1"
+    "standard_analog_output1 payload",
+    INT32="robot_mode safety_mode",
+    UINT32="runtime_state robot_status_bits safety_status_bits",
+    UINT64="actual_digital_input_bits actual_digital_output_bits",
+    VECTOR3D="actual_tool_accelerometer payload_cog",
+    VECTOR6INT32="joint_mode",
 )
-_OTHERS = {
-    "INT32": "robot_mode safety_mode",
-    "UINT32": "runtime_state robot_status_bits safety_status_bits speed_slider_mask",
-    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
-    "UINT8": "standard_analog_output_mask standard_analog_output_type",
-    "VECTOR3D": "actual_tool_accelerometer payload_cog",
-    "VECTOR6INT32": "joint_mode",
-}
-TYPES: dict[str, str] = {
-    **dict.fromkeys(_VECTORS.split(), "VECTOR6D"),
-    **dict.fromkeys(_DOUBLES.split(), "DOUBLE"),
-    **{name: kind for kind, names in _OTHERS.items() for name in names.split()},
-    **{f"{kind}_digital_output{mask}": "UINT8" for kind in ("standard", "configurable", "tool") for mask in ("", "_mask")},
-}
-"""Every variable that a client may name, and its type, except registers."""
+INPUT_TYPES = _types(
+    UINT8="standard_digital_output standard_digital_output_mask configurable_digital_output configurable_digital_output_mask "
+    "tool_digital_output tool_digital_output_mask standard_analog_output_mask standard_analog_output_type",
+    UINT32="speed_slider_mask",
+    DOUBLE="speed_slider_fraction standard_analog_output_0 standard_analog_output_1",
+    VECTOR6D="external_force_torque",
+)
+"""The variables that a client may read, and those that it may set, with their types; registers come on top."""
 
 _REGISTER = re.compile(r"(input|output)_(int|double|bit)_register_(\d{1,3})$")
 
 
 @lru_cache(1024)
-def type_of(name: str) -> str:
-    """RTDE type of a variable; NOT_FOUND where there is none of that name."""
+def type_of(name: str, *, is_input: bool = False) -> str:
+    """RTDE type of a variable that a client reads or, `is_input`, sets; NOT_FOUND where there is none of that name."""
     register = _REGISTER.match(name)
-    if register:
-        kind, number = register[2], int(register[3])
-        return (
-            {"int": "INT32", "double": "DOUBLE", "bit": "BOOL"}[kind] if number < (128 if kind == "bit" else 48) else "NOT_FOUND"
-        )
-    return TYPES.get(name, "NOT_FOUND")
+    if register is None:
+        return (INPUT_TYPES if is_input else OUTPUT_TYPES).get(name, "NOT_FOUND")
+    kind, number = register[2], int(register[3])
+    if number >= (128 if kind == "bit" else 48) or (is_input and register[1] != "input"):
+        return "NOT_FOUND"
+    return {"int": "INT32", "double": "DOUBLE", "bit": "BOOL"}[kind]
 
 
 @lru_cache(1024)
@@ -68,11 +68,11 @@ def register_of(name: str) -> tuple[str, int] | None:
 
 
 class Recipe:
-    """A list of variables that travel together."""
+    """A list of variables that travel together: to a client or, `is_input`, from it."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], *, is_input: bool = False) -> None:
         self.names = list(names)
-        self.types = [type_of(name) for name in self.names]
+        self.types = [type_of(name, is_input=is_input) for name in self.names]
         self.packing = struct.Struct(">" + "".join(_CODES[kind] for kind in self.types if kind in _CODES))
 
     @property
@@ -102,6 +102,14 @@ class Recipe:
 def packet(kind: int, payload: bytes = b"") -> bytes:
     """One framed packet."""
     return struct.pack(">HB", len(payload) + 3, kind) + payload
+
+
+def text_message(text: str, version: int) -> bytes:
+    """The packet by which a controller tells its clients of an error."""
+    message, source = text.encode()[:250], b"controller"
+    if version == 1:
+        return packet(TEXT, b"\x01" + message)
+    return packet(TEXT, bytes([len(message)]) + message + bytes([len(source)]) + source + b"\x01")
 
 
 def split_packets(buffer: bytearray) -> Iterator[tuple[int, bytes]]:

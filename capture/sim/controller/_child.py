@@ -30,7 +30,7 @@ def _random_host() -> str:
 
 async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
     """Open all ports on the address `wanted`, or on a free loopback address; returns it and the side channel's port."""
-    handlers = {RTDE_PORT: server.rtde, SCRIPT_PORT: server.script, DASHBOARD_PORT: server.dashboard}
+    handlers = {RTDE_PORT: server.serve_rtde, SCRIPT_PORT: server.serve_script, DASHBOARD_PORT: server.serve_dashboard}
     ports = ", ".join(map(str, handlers))
     for host in [wanted] if wanted else [*(_random_host() for _ in range(50)), ONLY_HOST]:
         opened = []

@@ -1,47 +1,17 @@
 """The dashboard server's protocol: one line in, one line out."""
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from capture.sim.controller.arm import Arm, RobotMode, Safety
 
+if TYPE_CHECKING:
+    from capture.sim.controller.server import ControllerServer
+
 GREETING = "Connected: Universal Robots Dashboard Server"
 SERIAL = "20235500001"
-_SAFETY_STATUS = {
-    Safety.NORMAL: "NORMAL",
-    Safety.PROTECTIVE_STOP: "PROTECTIVE_STOP",
-    Safety.ROBOT_EMERGENCY_STOP: "ROBOT_EMERGENCY_STOP",
-}
 
 
-class Controller(Protocol):
-    """What the dashboard uses of the controller."""
-
-    arm: Arm
-    version: tuple[int, int, int, int]
-
-    @property
-    def program_running(self) -> bool:
-        """Whether a program runs and is not paused."""
-        ...
-
-    @property
-    def program_paused(self) -> bool:
-        """Whether a program is paused."""
-        ...
-
-    def stop_program(self) -> None:
-        """End the program; the arm slows down."""
-
-    def pause_program(self) -> bool:
-        """Pause the program; False where none ran."""
-        ...
-
-    def play_program(self) -> bool:
-        """Resume a paused program; False where none was paused."""
-        ...
-
-
-def reply(controller: Controller, line: str) -> str:
+def reply(controller: "ControllerServer", line: str) -> str:
     """Answer to one command."""
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running
@@ -53,8 +23,8 @@ def reply(controller: Controller, line: str) -> str:
         "is in remote control": "true",
         "running": f"Program running: {str(running).lower()}",
         "robotmode": f"Robotmode: {arm.mode.name}",
-        "safetystatus": f"Safetystatus: {_SAFETY_STATUS[arm.safety]}",
-        "safetymode": f"Safetymode: {_SAFETY_STATUS[arm.safety]}",
+        "safetystatus": f"Safetystatus: {arm.safety.name}",
+        "safetymode": f"Safetymode: {arm.safety.name}",
         "programstate": f"{state} rtde_control.urp",
         "get loaded program": "Loaded program: /programs/rtde_control.urp",
     }
@@ -87,4 +57,4 @@ def _act(arm: Arm, word: str) -> str:
         return "Brake releasing"
     if word.startswith(("popup", "close")):
         return {"close popup": "closing popup", "close safety popup": "closing safety popup"}.get(word, "showing popup")
-    return f"could not understand: '{word}'"
+    return f"could not understand: '{word[:100]}'"

@@ -5,45 +5,24 @@ Each is computed at most once, and only where a connection's recipe contains it:
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from capture.robots.rtde import wire
-from capture.sim.controller.arm import Arm, RobotMode, Safety
+from capture.sim.controller.arm import RobotMode, Safety
 from capture.sim.controller.profiles import Joints
-from capture.sim.controller.script import ControlProgram
+
+if TYPE_CHECKING:
+    from capture.sim.controller.server import ControllerServer
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
-
-
-class Controller(Protocol):
-    """What outputs are computed from."""
-
-    arm: Arm
-    program: ControlProgram | None
-    digital_outputs: int
-
-    @property
-    def program_running(self) -> bool:
-        """Whether a program runs and is not paused."""
-        ...
-
-    @property
-    def program_paused(self) -> bool:
-        """Whether a program is paused."""
-        ...
-
-    def tcp_pose(self, joints: Joints) -> NDArray[np.float64]:
-        """(6,) position [m] and rotation vector [rad] of the tool at (6,) joint angles."""
-        ...
+SAFETY_BITS = {Safety.NORMAL: 1, Safety.PROTECTIVE_STOP: 1 << 2 | 1 << 10, Safety.ROBOT_EMERGENCY_STOP: 0b11 << 6 | 1 << 10}
+"""Normal, protective stop, emergency stop of the robot and of the system, stopped for safety."""
 
 
 class Outputs:
     """The variables at the controller's time `now` [s], by name; those that never change are zero."""
 
-    def __init__(self, controller: Controller, now: float) -> None:
+    def __init__(self, controller: "ControllerServer", now: float) -> None:
         self.controller, self.arm, self.now = controller, controller.arm, now
 
     def __getitem__(self, name: str) -> Any:
@@ -69,30 +48,6 @@ class Outputs:
         """(6,) angles and speeds that the encoders measure."""
         return self.arm.actual(self.now)
 
-    @property
-    def runtime_state(self) -> int:
-        """Of the program."""
-        controller = self.controller
-        return RUNNING_STATE if controller.program_running else PAUSED_STATE if controller.program_paused else STOPPED_STATE
-
-    @property
-    def robot_status_bits(self) -> int:
-        """Power on, program running."""
-        return int(self.arm.mode is RobotMode.RUNNING) | int(self.controller.program_running) << 1
-
-    @property
-    def safety_status_bits(self) -> int:
-        """Normal, protective stop, emergency stop of the robot and of the system, stopped for safety."""
-        safety = self.arm.safety
-        emergency = safety is Safety.ROBOT_EMERGENCY_STOP
-        return (
-            int(safety is Safety.NORMAL)
-            | int(safety is Safety.PROTECTIVE_STOP) << 2
-            | int(emergency) << 6
-            | int(emergency) << 7
-            | int(safety is not Safety.NORMAL) << 10
-        )
-
 
 _CHANGING: dict[str, Callable[[Outputs], Any]] = {
     "timestamp": lambda at: at.now,
@@ -106,9 +61,11 @@ _CHANGING: dict[str, Callable[[Outputs], Any]] = {
     "robot_mode": lambda at: int(at.arm.mode),
     "safety_mode": lambda at: int(at.arm.safety),
     "joint_mode": lambda at: [253] * 6,
-    "runtime_state": lambda at: at.runtime_state,
-    "robot_status_bits": lambda at: at.robot_status_bits,
-    "safety_status_bits": lambda at: at.safety_status_bits,
+    "runtime_state": lambda at: (
+        RUNNING_STATE if at.controller.program_running else PAUSED_STATE if at.controller.program_paused else STOPPED_STATE
+    ),
+    "robot_status_bits": lambda at: int(at.arm.mode is RobotMode.RUNNING) | at.controller.program_running << 1,
+    "safety_status_bits": lambda at: SAFETY_BITS[at.arm.safety],
     "speed_scaling": lambda at: at.arm.speed_fraction,
     "target_speed_fraction": lambda at: at.arm.speed_fraction,
     "actual_main_voltage": lambda at: 48.0,

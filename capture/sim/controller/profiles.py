@@ -57,20 +57,17 @@ class Move:
         way = self.goal - self.start
         distance = float(np.abs(way).max())
         ramp, cruise = self._times
-        rest = np.zeros(6)
-        if distance == 0 or time >= 2 * ramp + cruise:
-            return self.goal, rest, rest
-        if time <= 0:
-            return self.start, rest, rest
+        left = 2 * ramp + cruise - time
+        if distance == 0 or left <= 0 or time <= 0:
+            return self.start if distance and time <= 0 else self.goal, np.zeros(6), np.zeros(6)
         if time < ramp:
             travelled, speed, acceleration = self.acceleration * time**2 / 2, self.acceleration * time, self.acceleration
         elif time <= ramp + cruise:
             speed, acceleration = self.acceleration * ramp, 0.0
             travelled = speed * (time - ramp / 2)
         else:
-            left = 2 * ramp + cruise - time
-            travelled = distance - self.acceleration * left**2 / 2
             speed, acceleration = self.acceleration * left, -self.acceleration
+            travelled = distance - self.acceleration * left**2 / 2
         direction = way / distance
         return self.start + direction * travelled, direction * speed, direction * acceleration
 

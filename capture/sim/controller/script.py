@@ -1,10 +1,11 @@
 """What can be seen from outside of the control program that a client uploads; the vendor's and ours share these registers.
 
 The client writes a command number into input_int_register_0 and its arguments into the registers after it; the program
-answers 1 (ready) and 2 (done) in output_int_register_0 and results in the other output registers. A new command is one
-more function with `@command(number)`.
+answers 1 (ready) and 2 (done) in output_int_register_0 and results in the other output registers. `ACTIONS` and `ANSWERS`
+are the commands that are simulated; any other one ends the program with the reason.
 """
 
+import logging
 import re
 from collections.abc import Callable, Generator
 
@@ -12,38 +13,69 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture import kinematics
+from capture.kinematics import Joints, pose_from_six, six_from_pose
 from capture.sim.controller.arm import Arm, Safety
 from capture.sim.controller.profiles import Line
 from datasets import pose
 
+log = logging.getLogger(__name__)
 READY, DONE, END = 1, 2, 255
-Handler = Callable[["ControlProgram", float], "Generator[None] | None"]
-COMMANDS: dict[int, Handler] = {}
-EVERY_CYCLE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
+REGISTERS = 48
+"""Of each kind and direction."""
+MAX_PROGRAM = 1 << 18
+"""Bytes; the vendor's program has 50,000, and a path adds 100 per point."""
+EVERY_CYCLE = frozenset({58})
 """Commands that are carried out in every cycle while they are in the register, and never answered with done."""
+_OFFSET = re.compile(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d{1,20})")
+_REGISTER_CALL = re.compile(r"(?:read_input|write_output)_(integer|float|boolean)_register\(\s*(\d{1,20})")
 
 
-def command(*numbers: int) -> Callable[[Handler], Handler]:
-    """Register the function as the body of these commands; a generator blocks the program until it ends."""
+class ProgramError(Exception):
+    """The program cannot go on."""
 
-    def register(handler: Handler) -> Handler:
-        COMMANDS.update(dict.fromkeys(numbers, handler))
-        return handler
 
-    return register
+def is_whole(text: bytes | bytearray) -> bool:
+    """Whether a program has arrived up to its last line, "end"."""
+    return text.endswith(b"\n") and text[-80:].rstrip().endswith(b"\nend")
+
+
+def refusal_of_part(text: bytes | bytearray, *, ended: bool) -> str:
+    """Why what has arrived on the script port can become no program; empty: it can. `ended`: nothing follows."""
+    begun = text.lstrip()
+    if len(text) > MAX_PROGRAM:
+        return f"a program has more than {MAX_PROGRAM} bytes and no end"
+    if begun and (ended or b"\n" in begun) and not begun.startswith((b"def ", b"#")):
+        return f"not simulated: the line {begun[:60].splitlines()[0].decode('latin-1')!r}; a program begins with 'def'"
+    return "a program without its last line, 'end'" if begun and ended else ""
+
+
+def refusal(text: str) -> str:
+    """Why a program is not simulated; empty: it is the control program of a client that uses simulated registers."""
+    offset = _OFFSET.search(text)
+    if offset is None:
+        return "not simulated: a program other than the control program of a client"
+    if int(offset[1]) not in (0, REGISTERS // 2):
+        return f"not simulated: a control program with registers from {offset[1]} on"
+    for kind, number in _REGISTER_CALL.findall(text):
+        if kind == "boolean" or int(number) >= REGISTERS:
+            return f"not simulated: {kind} register {number}, which the program uses"
+    return ""
 
 
 class ControlProgram:
-    """One uploaded program with its registers. `offset` is 24 where the client uses the upper registers."""
+    """One uploaded program with its registers. `offset` is 24 where the client uses the upper registers.
 
-    def __init__(self, arm: Arm, text: str) -> None:
-        self.arm = arm
-        found = re.search(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d+)", text)
-        self.offset = 24 if found and found[1] == "24" else 0
+    `report` receives the reason where the program ends by an error.
+    """
+
+    def __init__(self, arm: Arm, text: str, report: Callable[[str], None] = log.warning) -> None:
+        self.arm, self._report = arm, report
+        offset = _OFFSET.search(text)
+        self.offset = 24 if offset and offset[1] == "24" else 0
         self.running, self.paused, self.now = True, False, 0.0
         self.watchdog_s: float | None = None
-        self.input_ints, self.input_doubles = [0] * 48, [0.0] * 48
-        self.output_ints, self.output_doubles = [0] * 48, [0.0] * 48
+        self.input_ints, self.input_doubles = [0] * REGISTERS, [0.0] * REGISTERS
+        self.output_ints, self.output_doubles = [0] * REGISTERS, [0.0] * REGISTERS
         self._executing = False
         self._body: Generator[None] | None = None
         self._operation, self._writes, self._moving = 0, 0, False
@@ -57,12 +89,10 @@ class ControlProgram:
         start = self.offset + first
         return np.array(self.input_doubles[start : start + count])
 
-    def answer(self, values: object = (), flag: int | bool | None = None) -> None:
-        """Write the result registers."""
-        numbers = np.asarray(values, np.float64).ravel()
-        self.output_doubles[self.offset : self.offset + len(numbers)] = numbers.tolist()
-        if flag is not None:
-            self.output_ints[self.offset + 1] = int(flag)
+    @property
+    def joints(self) -> Joints:
+        """(6,) angles that the encoders measure now [rad]."""
+        return self.arm.actual(self.now)[0]
 
     def cycle(self, now: float) -> None:
         """What the program does in one cycle at controller time `now` [s]."""
@@ -71,29 +101,26 @@ class ControlProgram:
             return
         if self._moving and not self.arm.moving(now):
             self.report_operation(running=False)
+        number = self.int_argument(0)
         if self._body is not None:
             self._resume()
-            return
-        number = self.int_argument(0)
-        if number == 0:
+        elif number == 0:
             self._executing = False
             self._state(READY)
         elif number == END:
             self.end(now)
-        elif number in EVERY_CYCLE:
-            if number in COMMANDS:
-                COMMANDS[number](self, now)
-            self._state(READY)
-        elif not self._executing:
-            self._executing = True
-            self._body = COMMANDS[number](self, now) if number in COMMANDS else None
-            if self.running:  # a program that fails never says done
-                self._resume()
+        elif number in EVERY_CYCLE or not self._executing:
+            self._execute(number)
 
     def end(self, now: float) -> None:
         """The program ends; the arm slows down."""
         self.running, self.paused, self._body = False, False, None
         self.arm.stop(3.0, now)
+
+    def fail(self, reason: str) -> None:
+        """The program ends by an error and never says done."""
+        self.end(self.now)
+        self._report(f"the program was ended: {reason}")
 
     def report_operation(self, *, running: bool, started: bool = False) -> None:
         """Report the asynchronous motion to the client: id in bits 24-30, writes in 16-22, running in 15."""
@@ -101,6 +128,31 @@ class ControlProgram:
         self._operation = (self._operation + started) % 128
         self._writes = (self._writes + 1) % 128
         self.output_ints[self.offset + 2] = self._operation << 24 | self._writes << 16 | int(running) << 15
+
+    def _execute(self, number: int) -> None:
+        try:
+            if number in ACTIONS:
+                self._body = ACTIONS[number](self)
+            elif number in ANSWERS:
+                self._answer(ANSWERS[number](self))
+            else:
+                raise ProgramError(f"command {number} is not simulated")
+        except ProgramError as error:
+            self.fail(str(error))
+            return
+        if number in EVERY_CYCLE:
+            self._state(READY)
+        else:
+            self._executing = True
+            self._resume()
+
+    def _answer(self, result: Joints | bool) -> None:
+        """Write the result registers: a flag, six numbers, or those of a (4, 4) pose."""
+        if isinstance(result, bool):
+            self.output_ints[self.offset + 1] = int(result)
+        else:
+            numbers = six_from_pose(result) if result.ndim == 2 else result
+            self.output_doubles[self.offset : self.offset + 6] = numbers.tolist()
 
     def _resume(self) -> None:
         if self._body is not None:
@@ -115,36 +167,22 @@ class ControlProgram:
         self.output_ints[self.offset] = value
 
 
-@command(1, 4)
-def _move_joints(program: ControlProgram, now: float) -> Generator[None] | None:
-    goal, (speed, acceleration) = program.arguments(0, 6), program.arguments(6, 2)
+def _move(program: ControlProgram, goal: Joints) -> Generator[None] | None:
     if np.isfinite(goal).all() and not program.arm.reaches(goal):
-        program.end(now)
-        return None
-    program.arm.move_to(goal, speed, acceleration, now)
+        raise ProgramError("a motion leads out of reach")
+    speed, acceleration = program.arguments(6, 2)
+    program.arm.move_to(goal, speed, acceleration, program.now)
     return _motion(program)
 
 
-@command(2)
-def _move_to_pose(program: ControlProgram, now: float) -> Generator[None] | None:
-    speed, acceleration = program.arguments(6, 2)
-    goal = _nearest_branch(program, program.arguments(0, 6), program.arm.target(now)[0])
-    if goal is None or not program.arm.reaches(goal):
-        program.end(now)
-        return None
-    program.arm.move_to(goal, speed, acceleration, now)
-    return _motion(program)
+def _move_to_pose(program: ControlProgram) -> Generator[None] | None:
+    return _move(program, _inverse(program, program.arm.target(program.now)[0]))
 
 
-@command(3)
-def _move_line(program: ControlProgram, now: float) -> Generator[None] | None:
-    speed, acceleration = program.arguments(6, 2)
-    start = program.arm.target(now)[0]
-    path, distance = _line(program, start, program.arguments(0, 6))
-    if path is None:
-        program.end(now)
-        return None
-    program.arm.begin(Line(path, distance, max(speed, 1e-3), max(acceleration, 1e-3)), now)
+def _move_line(program: ControlProgram) -> Generator[None] | None:
+    speed, acceleration = np.maximum(program.arguments(6, 2), 1e-3)
+    path, distance = _line(program, program.arm.target(program.now)[0], program.arguments(0, 6))
+    program.arm.begin(Line(path, distance, speed, acceleration), program.now)
     return _motion(program)
 
 
@@ -160,99 +198,32 @@ def _until_rest(program: ControlProgram) -> Generator[None]:
         yield
 
 
-@command(33, 34)
-def _stop(program: ControlProgram, now: float) -> Generator[None] | None:
-    program.arm.stop(float(program.arguments(0, 1)[0]), now)
-    return None if program.int_argument(1) else _until_rest(program)
+def _stop(program: ControlProgram, *, asynchronous: int = 0) -> Generator[None] | None:
+    program.arm.stop(float(program.arguments(0, 1)[0]), program.now)
+    return None if asynchronous else _until_rest(program)
 
 
-@command(15, 16)
-def _speed_stop(program: ControlProgram, now: float) -> Generator[None] | None:
-    program.arm.stop(float(program.arguments(0, 1)[0]), now)
-    return _until_rest(program)
+def _set_tcp(program: ControlProgram) -> None:
+    program.arm.flange_from_tcp = pose_from_six(program.arguments(0, 6))
 
 
-@command(29)
-def _set_tcp(program: ControlProgram, now: float) -> None:
-    numbers = program.arguments(0, 6)
-    program.arm.flange_from_tcp = pose.from_rotation_vector(numbers[3:], numbers[:3])
-
-
-@command(40)
-def _tcp_offset(program: ControlProgram, now: float) -> None:
-    program.answer(_numbers(program.arm.flange_from_tcp))
-
-
-@command(31)
-def _protective_stop(program: ControlProgram, now: float) -> None:
-    program.arm.stop_for_safety(Safety.PROTECTIVE_STOP, now)
-
-
-@command(35)
-def _watchdog(program: ControlProgram, now: float) -> None:
+def _watchdog(program: ControlProgram) -> None:
     program.watchdog_s = 1.0 / max(float(program.arguments(0, 1)[0]), 1e-3)
 
 
-@command(37)
-def _joints_within_limits(program: ControlProgram, now: float) -> None:
-    program.answer(flag=bool((np.abs(program.arguments(0, 6)) <= kinematics.JOINT_LIMIT).all()))
+def _has_inverse(program: ControlProgram) -> bool:
+    try:
+        return len(_inverse(program, program.joints)) > 0
+    except ProgramError:
+        return False
 
 
-@command(39)
-def _pose_trans(program: ControlProgram, now: float) -> None:
-    first, second = program.arguments(0, 6), program.arguments(6, 6)
-    product = pose.from_rotation_vector(first[3:], first[:3]) @ pose.from_rotation_vector(second[3:], second[:3])
-    program.answer(_numbers(product))
-
-
-@command(28)
-def _target_waypoint(program: ControlProgram, now: float) -> None:
-    program.answer(_numbers(program.arm.base_from_tcp(program.arm.profile.at(np.inf)[0])))
-
-
-@command(43)
-def _forward(program: ControlProgram, now: float) -> None:
-    program.answer(_numbers(program.arm.base_from_tcp(program.arm.actual(now)[0])))
-
-
-@command(58)
-def _flange_pose(program: ControlProgram, now: float) -> None:
-    program.answer(_numbers(kinematics.forward(program.arm.actual(now)[0], program.arm.links)))
-
-
-@command(30, 46)
-def _inverse(program: ControlProgram, now: float) -> None:
-    near = program.arguments(6, 6) if program.int_argument(0) == 30 else program.arm.actual(now)[0]
-    solution = _nearest_branch(program, program.arguments(0, 6), near)
-    if solution is None:
-        program.end(now)
-        return
-    program.answer(solution)
-
-
-@command(36, 60, 61)
-def _has_inverse(program: ControlProgram, now: float) -> None:
-    program.answer(flag=_nearest_branch(program, program.arguments(0, 6), program.arm.actual(now)[0]) is not None)
-
-
-@command(47)
-def _is_steady(program: ControlProgram, now: float) -> None:
-    program.answer(flag=bool((np.abs(program.arm.actual(now)[1]) < 1e-3).all()))
-
-
-def _numbers(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([transform[:3, 3], pose.rotation_vector(transform)])
-
-
-def _nearest_branch(
-    program: ControlProgram, tcp_numbers: NDArray[np.float64], near: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """Joint angles nearest to `near` that bring the tool point to a pose with the arm's true links; None: out of reach."""
-    base_from_tcp = pose.from_rotation_vector(tcp_numbers[3:], tcp_numbers[:3])
-    base_from_flange = base_from_tcp @ pose.inverse(program.arm.flange_from_tcp)
+def _inverse(program: ControlProgram, near: Joints, tcp: Joints | None = None) -> Joints:
+    """Joint angles nearest to `near` that bring the tool point to a pose (None: the first argument) with the true links."""
+    base_from_flange = pose_from_six(program.arguments(0, 6) if tcp is None else tcp) @ pose.inverse(program.arm.flange_from_tcp)
     branches = kinematics.inverse(base_from_flange)
     if not len(branches):
-        return None
+        raise ProgramError("the inverse kinematics of a pose has no solution")
     branches = kinematics.nearest_turn(branches, near)
     joints = branches[np.abs(branches - near).max(axis=1).argmin()]
     for _ in range(5):  # the closed form has the nominal links: a few Newton steps lead to the true ones
@@ -263,20 +234,41 @@ def _nearest_branch(
     return joints
 
 
-def _line(
-    program: ControlProgram, start: NDArray[np.float64], tcp_numbers: NDArray[np.float64]
-) -> tuple[NDArray[np.float64] | None, float]:
-    """(n, 6) joint angles along the straight line of the tool point to a pose, and its length [m]; None: it leaves the reach."""
-    begin = program.arm.base_from_tcp(start)
-    end = pose.from_rotation_vector(tcp_numbers[3:], tcp_numbers[:3])
-    turn = pose.rotation_vector(begin[:3, :3].T @ end[:3, :3])
-    length = float(np.linalg.norm(end[:3, 3] - begin[:3, 3]))
+def _line(program: ControlProgram, start: Joints, tcp: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """(n, 6) joint angles along the straight line of the tool point to a pose, and its length [m]."""
+    begin, end = program.arm.base_from_tcp(start), pose_from_six(tcp)
+    turn, way = pose.rotation_vector(begin[:3, :3].T @ end[:3, :3]), end[:3, 3] - begin[:3, 3]
+    length = float(np.linalg.norm(way))
     path, count = [start], max(int(length / 0.005), 8)
     for share in np.linspace(0, 1, count + 1)[1:]:
         between = begin[:3, :3] @ pose.from_rotation_vector(turn * share)[:3, :3]
-        numbers = np.concatenate([begin[:3, 3] + share * (end[:3, 3] - begin[:3, 3]), pose.rotation_vector(between)])
-        joints = _nearest_branch(program, numbers, path[-1])
-        if joints is None or np.abs(joints - path[-1]).max() > 0.5:
-            return None, length
-        path.append(joints)
+        path.append(_inverse(program, path[-1], np.concatenate([begin[:3, 3] + share * way, pose.rotation_vector(between)])))
+        if np.abs(path[-1] - path[-2]).max() > 0.5:
+            raise ProgramError("a straight line passes a singularity")
     return np.array(path), max(length, float(np.linalg.norm(turn)) * 0.1, 1e-6)
+
+
+ACTIONS: dict[int, Callable[[ControlProgram], "Generator[None] | None"]] = {
+    **dict.fromkeys((1, 4), lambda at: _move(at, at.arguments(0, 6))),
+    2: _move_to_pose,
+    3: _move_line,
+    **dict.fromkeys((15, 16), _stop),
+    **dict.fromkeys((33, 34), lambda at: _stop(at, asynchronous=at.int_argument(1))),
+    29: _set_tcp,
+    31: lambda at: at.arm.stop_for_safety(Safety.PROTECTIVE_STOP, at.now),
+    35: _watchdog,
+}
+"""What commands do; a generator blocks the program until it ends."""
+ANSWERS: dict[int, Callable[[ControlProgram], Joints | bool]] = {
+    28: lambda at: at.arm.base_from_tcp(at.arm.profile.at(np.inf)[0]),
+    30: lambda at: _inverse(at, at.arguments(6, 6)),
+    **dict.fromkeys((36, 60, 61), _has_inverse),
+    37: lambda at: bool((np.abs(at.arguments(0, 6)) <= kinematics.JOINT_LIMIT).all()),
+    39: lambda at: pose_from_six(at.arguments(0, 6)) @ pose_from_six(at.arguments(6, 6)),
+    40: lambda at: at.arm.flange_from_tcp,
+    43: lambda at: at.arm.base_from_tcp(at.joints),
+    46: lambda at: _inverse(at, at.joints),
+    47: lambda at: bool((np.abs(at.arm.actual(at.now)[1]) < 1e-3).all()),
+    58: lambda at: kinematics.forward(at.joints, at.arm.links),
+}
+"""What commands ask for: a flag, six numbers, or a pose."""

@@ -4,23 +4,27 @@ One asyncio loop owns everything. Controller time runs `time_scale` times as fas
 """
 
 import asyncio
+import logging
 import struct
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from capture.kinematics import six_from_pose
 from capture.robots.rtde import wire
-from capture.robots.rtde.wire import packet
-from capture.sim.controller import dashboard
+from capture.sim.controller import dashboard, script
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.outputs import Outputs
-from capture.sim.controller.script import ControlProgram
 from capture.sim.controller.session import Session
-from datasets import pose
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 VERSION = (5, 11, 5, 1010327)
+SIMULATED_INPUTS = ("standard_digital_output", "standard_digital_output_mask", "speed_slider_fraction", "speed_slider_mask")
+"""Besides registers. Writing any other one ends the program."""
+log = logging.getLogger(__name__)
 
 
 class ControllerServer:
@@ -28,7 +32,7 @@ class ControllerServer:
 
     def __init__(self, arm: Arm, time_scale: float, version: tuple[int, int, int, int] = VERSION) -> None:
         self.arm, self.time_scale, self.version = arm, time_scale, version
-        self.program: ControlProgram | None = None
+        self.program: script.ControlProgram | None = None
         self.sessions: list[Session] = []
         self.digital_outputs = 0
         self.silent_until, self.hung_until = 0.0, 0.0
@@ -78,16 +82,24 @@ class ControllerServer:
         self.arm.resume(self.now)
         return True
 
-    def upload(self, text: str) -> None:
-        """Start a program, as the script port does with every text that it receives."""
-        if not self.arm.may_move:
-            return
-        previous, self.program = self.program, ControlProgram(self.arm, text)
-        if previous is not None:
-            self.program.input_ints, self.program.input_doubles = previous.input_ints, previous.input_doubles
-        self.arm.stop(3.0, self.now)
-        self._input_written_s = time.monotonic()
-        self.program.cycle(self.now)
+    def report(self, message: str) -> None:
+        """Log an error and send it to every client."""
+        log.warning(message)
+        for session in list(self.sessions):
+            session.send(wire.text_message(message, session.version))
+
+    def upload(self, text: str) -> str:
+        """Start a program, as the script port does with every one that it receives; why it is refused, or nothing."""
+        if refused := script.refusal(text):
+            return refused
+        if self.arm.may_move:
+            previous, self.program = self.program, script.ControlProgram(self.arm, text, self.report)
+            if previous is not None:
+                self.program.input_ints, self.program.input_doubles = previous.input_ints, previous.input_doubles
+            self.arm.stop(3.0, self.now)
+            self._input_written_s = time.monotonic()
+            self.program.cycle(self.now)
+        return ""
 
     def write_inputs(self, values: dict[str, Any]) -> None:
         """Registers and outputs that a client sets; the program sees them at once."""
@@ -99,6 +111,8 @@ class ControllerServer:
                 (program.input_ints if kind == "int" else program.input_doubles)[number] = value
                 if program.offset == number and kind == "int":
                     self._input_written_s = time.monotonic()
+            elif register is None and name not in SIMULATED_INPUTS and self.program_running and program is not None:
+                program.fail(f"input {name} is not simulated")
         if "speed_slider_fraction" in values:
             self.arm.set_speed_slider(values["speed_slider_fraction"], self.now)
         if "standard_digital_output" in values:
@@ -117,71 +131,76 @@ class ControllerServer:
                 program.end(now)
             elif not self.deaf:
                 program.cycle(now)
-        if self.silent:
-            return
-        wall, outputs = time.monotonic(), Outputs(self, now)
-        for session in list(self.sessions):
-            if session.streaming and session.output is not None and wall >= session.due_s:
-                session.due_s = max(session.due_s + session.period_s, wall)
-                session.send(packet(wire.DATA, b"\x01" + session.output.pack([outputs[n] for n in session.output.names])))
+        if not self.silent:
+            wall, outputs = time.monotonic(), Outputs(self, now)
+            for session in list(self.sessions):
+                session.send_sample(outputs, wall)
 
     def tcp_pose(self, joints: np.ndarray) -> np.ndarray:
         """(6,) position [m] and rotation vector [rad]; cached for an arm at rest."""
         key = joints.tobytes() + self.arm.flange_from_tcp.tobytes()
         if key not in self._poses:
-            base_from_tcp = self.arm.base_from_tcp(joints)
-            self._poses = {key: np.concatenate([base_from_tcp[:3, 3], pose.rotation_vector(base_from_tcp)])}
+            self._poses = {key: six_from_pose(self.arm.base_from_tcp(joints))}
         return self._poses[key]
 
-    async def rtde(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def serve_rtde(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one RTDE connection."""
         session = Session(self, writer)
         self.sessions.append(session)
         buffer = bytearray()
-        try:
-            while chunk := await reader.read(65536):
-                await self._answering()
-                buffer += chunk
-                for kind, payload in wire.split_packets(buffer):
-                    session.send(session.handle(kind, payload))
-        except (ConnectionError, ValueError, struct.error):
-            return  # a connection that breaks, or does not speak RTDE, is closed
-        finally:
-            self.sessions.remove(session)
-            writer.close()
+        with closing(writer):
+            try:
+                while chunk := await reader.read(65536):
+                    await self._answering()
+                    buffer += chunk
+                    for kind, payload in wire.split_packets(buffer):
+                        session.send(session.handle(kind, payload))
+            finally:
+                self.sessions.remove(session)
 
-    async def script(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one connection of the script port: every "def ...: ... end" is a program."""
-        text = ""
-        try:
-            while chunk := await reader.read(65536):
+    async def serve_script(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection of the script port: every "def ...: ... end" is a program, and all else is refused."""
+        text, chunk = bytearray(), b"..."
+        with closing(writer):
+            while chunk:
+                chunk = await reader.read(65536)
                 await self._answering()
-                text += chunk.decode("latin-1")
-                if text.rstrip().endswith("\nend") and text.endswith("\n"):
-                    self.upload(text)
-                    text = ""
-        except ConnectionError:
-            return
-        finally:
-            writer.close()
+                text += chunk
+                if script.is_whole(text):
+                    refused = self.upload(text.decode("latin-1"))
+                    text.clear()
+                else:
+                    refused = script.refusal_of_part(text, ended=not chunk)
+                if refused:
+                    self.report(refused)
+                    writer.write(f"{refused}\n".encode())
+                    return
 
-    async def dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one connection of the dashboard."""
-        try:
+    async def serve_dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection of the dashboard; no more is read from a client that does not read the answers."""
+        with closing(writer):
             await self._answering()
             writer.write(f"{dashboard.GREETING}\n".encode())
             while line := await reader.readline():
                 await self._answering()
                 if line.strip().lower() == b"quit":
                     writer.write(b"Disconnected\n")
-                    break
+                    return
                 writer.write(f"{dashboard.reply(self, line.decode('latin-1'))}\n".encode())
-        except (ConnectionError, ValueError):
-            return
-        finally:
-            writer.close()
+                await writer.drain()
 
     async def _answering(self) -> None:
         """Return once the controller answers: a hung one accepts connections and then sends nothing."""
         while time.monotonic() < self.hung_until:
             await asyncio.sleep(0.02)
+
+
+@contextmanager
+def closing(writer: asyncio.StreamWriter) -> Iterator[None]:
+    """Close the connection at the end, and where the client breaks it or sends what is no line or packet."""
+    try:
+        yield
+    except (ConnectionError, ValueError, struct.error):
+        return
+    finally:
+        writer.close()

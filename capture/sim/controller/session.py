@@ -2,31 +2,26 @@
 
 import asyncio
 import struct
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 from capture.robots.rtde import wire
 from capture.robots.rtde.wire import Recipe, packet
+
+if TYPE_CHECKING:
+    from capture.sim.controller.outputs import Outputs
+    from capture.sim.controller.server import ControllerServer
 
 CYCLE_HZ = 500
 MAX_UNREAD = 1 << 20
 """A client that leaves this many bytes unread is cut off."""
 
 
-class Registers(Protocol):
-    """What a connection uses of the controller."""
-
-    version: tuple[int, int, int, int]
-    sessions: "list[Session]"
-
-    def write_inputs(self, values: dict[str, Any]) -> None:
-        """Apply what a client has set."""
-
-
 class Session:
-    """One RTDE connection: its recipes and when its next sample is due."""
+    """One RTDE connection: its protocol version, its recipes and when its next sample is due."""
 
-    def __init__(self, server: Registers, writer: asyncio.StreamWriter) -> None:
+    def __init__(self, server: "ControllerServer", writer: asyncio.StreamWriter) -> None:
         self.server, self.writer = server, writer
+        self.version = 1  # until a client asks for another one
         self.inputs: dict[int, Recipe] = {}
         self.output: Recipe | None = None
         self.period_s = 1.0 / CYCLE_HZ
@@ -37,26 +32,39 @@ class Session:
     def handle(self, kind: int, payload: bytes) -> bytes:
         """Reply to one packet; empty where there is none."""
         if kind == wire.PROTOCOL_VERSION:
-            return packet(kind, b"\x01")
+            version = struct.unpack(">H", payload)[0]
+            accepted = version in wire.VERSIONS
+            self.version = version if accepted else self.version
+            return packet(kind, bytes([accepted]))
         if kind == wire.CONTROLLER_VERSION:
             return packet(kind, struct.pack(">4I", *self.server.version))
         if kind == wire.OUTPUTS:
-            frequency = struct.unpack_from(">d", payload)[0]
-            self.output, self.streaming = Recipe(_names(payload[8:])), False
+            frequency, names = (struct.unpack_from(">d", payload)[0], payload[8:]) if self.version > 1 else (CYCLE_HZ, payload)
+            self.output, self.streaming = Recipe(_names(names)), False
             self.period_s = 1.0 / min(max(frequency, 1.0), CYCLE_HZ)
-            return packet(kind, b"\x01" + ",".join(self.output.types).encode())
+            return packet(kind, self._number + ",".join(self.output.types).encode())
         if kind == wire.INPUTS:
-            return packet(kind, self._register_inputs(Recipe(_names(payload))))
+            return packet(kind, self._register_inputs(Recipe(_names(payload), is_input=True)))
         if kind in (wire.START, wire.PAUSE):
             self.streaming = kind == wire.START and (self.output is None or self.output.complete)
-            return packet(kind, b"\x01" if self.streaming or kind == wire.PAUSE else b"\x00")
+            return packet(kind, bytes([self.streaming or kind == wire.PAUSE]))
         if kind == wire.DATA and payload:
             self._receive(payload)
         return b""
 
+    @property
+    def _number(self) -> bytes:
+        """Of the output recipe, as it travels; version 1 has one recipe and no numbers."""
+        return b"\x01" if self.version > 1 else b""
+
+    def send_sample(self, outputs: "Outputs", wall_s: float) -> None:
+        """Send the variables of the recipe where they are due."""
+        if self.streaming and self.output is not None and wall_s >= self.due_s:
+            self.due_s = max(self.due_s + self.period_s, wall_s)
+            self.send(packet(wire.DATA, self._number + self.output.pack([outputs[name] for name in self.output.names])))
+
     def _register_inputs(self, recipe: Recipe) -> bytes:
-        others = [s.registers for s in self.server.sessions if s is not self]
-        if any(name in registers for registers in others for name in recipe.names):
+        if any(not session.registers.isdisjoint(recipe.names) for session in self.server.sessions if session is not self):
             return b"\x00" + b",".join(b"IN_USE" for _ in recipe.names)
         if not recipe.complete:
             return b"\x00" + ",".join(recipe.types).encode()

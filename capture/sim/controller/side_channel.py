@@ -13,18 +13,15 @@ import numpy as np
 
 from capture.kinematics import JOINT_LIMIT
 from capture.sim.controller.arm import Safety
-from capture.sim.controller.server import ControllerServer
+from capture.sim.controller.server import ControllerServer, closing
 
 
 async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Serve one connection."""
-    try:
+    with closing(writer):
         while line := await reader.readline():
             writer.write((json.dumps(reply(server, line)) + "\n").encode())
-    except (ConnectionError, ValueError):
-        return
-    finally:
-        writer.close()
+            await writer.drain()
 
 
 def reply(server: ControllerServer, line: bytes) -> dict[str, Any]:

@@ -63,9 +63,8 @@ class BoardPicture:
         in_marker = inside & ((cell >= 0) & (cell < cells)).all(-1)
         cell = np.where(in_marker[..., None], cell, 0)
         square = np.where(inside & ((column + row) % 2 == 0), 0.0, 1.0)
-        return np.where(in_marker & (square > 0), self._markers[row, column, cell[..., 1], cell[..., 0]], square).astype(
-            np.float32
-        )
+        white = np.where(in_marker & (square > 0), self._markers[row, column, cell[..., 1], cell[..., 0]], square)
+        return white.astype(np.float32)
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
         """(height, width, 3) linear light on each pixel of the lens camera, averaged over its area."""

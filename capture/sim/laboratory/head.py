@@ -19,11 +19,8 @@ def head_distance(points: Field) -> Field:
     """Approximate signed distance [cm] of (..., 3) points [cm] from the head."""
     mirrored = points * np.array([1, 0, 1], np.float32) + np.abs(points) * np.array([0, 1, 0], np.float32)  # symmetric: y >= 0
     solid = joined(_skull(mirrored), _face(mirrored), 1.6)
-    solid = _eyes(mirrored, solid)
-    solid = _nose(mirrored, solid)
-    solid = _mouth(mirrored, solid)
-    solid = _ears(mirrored, solid)
-    solid = _hair(mirrored, solid)
+    for add in (_eyes, _nose, _mouth, _ears, _hair):
+        solid = add(mirrored, solid)
     solid = joined(solid, _neck(mirrored), 1.0)
     return np.maximum(joined(solid, _plinth(points), 0.5), -points[..., 2])  # flat bottom
 
@@ -69,9 +66,8 @@ def _mouth(p: Field, solid: Field) -> Field:
 def _ears(p: Field, solid: Field) -> Field:
     turned = p - np.array([-0.9, 5.4, 15.3], np.float32)
     turned = turned @ np.array([[0.97, -0.26, 0.0], [0.2, 0.94, 0.0], [0.2, 0.0, 1.0]], np.float32)
-    shell = joined(
-        ellipsoid(turned, (0, 0.3, 0.3), (1.45, 0.6, 1.9)), ellipsoid(turned, (0.45, 0.1, -1.6), (0.7, 0.45, 0.8)), 0.5
-    )
+    lobe = ellipsoid(turned, (0.45, 0.1, -1.6), (0.7, 0.45, 0.8))
+    shell = joined(ellipsoid(turned, (0, 0.3, 0.3), (1.45, 0.6, 1.9)), lobe, 0.5)
     shell = carved(shell, ellipsoid(turned, (0.1, 1.0, 0.35), (0.95, 0.6, 1.3)), 0.25)
     ridge = rod(turned, (0.45, 0.55, 0.9), (0.3, 0.5, -0.5), 0.2, 0.22)
     return joined(solid, joined(shell, ridge, 0.2), 0.5)
@@ -103,10 +99,8 @@ def _plinth(p: Field) -> Field:
 def head_mesh(step_cm: float = 0.2) -> trimesh.Trimesh:
     """Closed mesh of the head [m] with smooth normals, sampled every `step_cm`; takes about two seconds, then cached."""
     axes = [np.arange(low, high, step_cm, dtype=np.float32) for low, high in zip(LOWER, UPPER, strict=True)]
-    slabs = [
-        head_distance(np.stack(np.meshgrid(part, axes[1], axes[2], indexing="ij"), -1)) for part in np.array_split(axes[0], 8)
-    ]
-    volume = np.concatenate(slabs)
+    grids = (np.meshgrid(part, *axes[1:], indexing="ij") for part in np.array_split(axes[0], 8))
+    volume = np.concatenate([head_distance(np.stack(grid, -1)) for grid in grids])
     vertices, faces, _, _ = marching_cubes(volume, 0.0, spacing=(step_cm,) * 3)
     vertices = vertices + LOWER
     normals = _gradient(vertices.astype(np.float32))

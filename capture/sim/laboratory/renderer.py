@@ -84,9 +84,8 @@ class Renderer:
         leaked = np.sum(normals * away, axis=-1) > 0.3 * np.linalg.norm(away, axis=-1)  # slipped between two triangles
         hit = (np.linalg.norm(normals, axis=-1) > 0.5) & ~leaked
         depth = away @ table_from_camera[:3, 2]
-        return Surfaces(
-            hit, hit & np.isin(np.rint(index), self._object_indices), normals, np.where(hit, depth, 0).astype(np.float32)
-        )
+        on_object = hit & np.isin(np.rint(index), self._object_indices)
+        return Surfaces(hit, on_object, normals, np.where(hit, depth, 0).astype(np.float32))
 
 
 def strip_seed(seed: int, number: int) -> int:

@@ -124,14 +124,8 @@ def _table(centre: NDArray[np.float64], rng: np.random.Generator) -> Item:
 
 def _props(centre: NDArray[np.float64], size: NDArray[np.float64], rng: np.random.Generator) -> list[Item]:
     """Low coloured blocks around the object, for parallax and for reflections in metal."""
-    colours = [
-        (0.62, 0.10, 0.08),
-        (0.10, 0.35, 0.60),
-        (0.12, 0.48, 0.20),
-        (0.70, 0.52, 0.10),
-        (0.55, 0.55, 0.52),
-        (0.35, 0.12, 0.45),
-    ]
+    red, blue, green, yellow = (0.62, 0.10, 0.08), (0.10, 0.35, 0.60), (0.12, 0.48, 0.20), (0.70, 0.52, 0.10)
+    colours = [red, blue, green, yellow, (0.55, 0.55, 0.52), (0.35, 0.12, 0.45)]
     reach = float(np.hypot(size[0], size[1])) / 2 + 0.045
     items = []
     for index, colour in enumerate(colours):

@@ -149,14 +149,14 @@ def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.flo
 def check_scene(scene: str, trajectory: Trajectory) -> None:
     """Raise UsageError if there is no such scene, or if the trajectory lacks what the scene needs."""
     check_name(scene)
-    if scene == "charuco_board" and (trajectory.target is None or trajectory.board is None):
+    if scene == "charuco_board":
+        good, needed = trajectory.target is not None and trajectory.board is not None, "'target' and 'board'"
         remedy = "use the trajectory calibration_demo, or another --scene"
-        raise UsageError(
-            "scene 'charuco_board' needs a trajectory with 'target' and 'board'", where=trajectory.name, remedy=remedy
-        )
-    if scene != "charuco_board" and trajectory.object is None:
+    else:
+        good, needed = trajectory.object is not None, "'object'"
         remedy = "use the trajectory koala_demo, or --scene charuco_board"
-        raise UsageError(f"scene '{scene}' needs a trajectory with 'object'", where=trajectory.name, remedy=remedy)
+    if not good:
+        raise UsageError(f"scene '{scene}' needs a trajectory with {needed}", where=trajectory.name, remedy=remedy)
 
 
 def make_view(scene: str, trajectory: Trajectory, seed: int) -> InBase:

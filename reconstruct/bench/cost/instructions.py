@@ -50,8 +50,7 @@ class Part(NamedTuple):
     backward: bool
 
 
-HEAVY = ("dot", "convolution", "scatter", "gather")
-"""Operations that decide for a fusion, heaviest first."""
+HEAVY = ("dot", "convolution", "scatter", "gather")  # operations that decide for a fusion, heaviest first
 _INSTRUCTION = re.compile(r"^\s*(?:ROOT )?%?([\w.\-]+) = (.*)$")
 _KIND = re.compile(r"^\S+ ([\w\-]+)\(")
 _COMPUTATION, _CALLED = re.compile(r"^%?([\w.\-]+) \("), re.compile(r"calls=%([\w.\-]+)")

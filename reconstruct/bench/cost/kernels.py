@@ -28,8 +28,7 @@ from reconstruct.scene.rays import Normalisation, Rays
 
 BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)
 """An object in the cube [-1, 1]^3, seen from four away."""
-OCCUPIED = 0.03
-"""Radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]."""
+OCCUPIED = 0.03  # radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]
 
 
 WORK = ("operations", "exponentials", "bytes", "gathers", "scatters")
@@ -40,16 +39,13 @@ class Kernel:
     """One piece of a step."""
 
     name: str
-    rays: int
-    """Rays of the batch."""
+    rays: int  # rays of the batch
     operations: float
-    exponentials: float
-    """Exponentials, error functions, sines, roots."""
+    exponentials: float  # exponentials, error functions, sines, roots
     bytes: float
     gathers: float
     scatters: float
-    seconds: float
-    """Measured time."""
+    seconds: float  # measured time
 
     def least(self, limits: dict[str, float]) -> tuple[float, str]:
         """Lower bound of the seconds by the machine's limits, and the name of the binding limit."""
@@ -66,10 +62,8 @@ class Piece(NamedTuple):
     name: str
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    gathers: float = 0.0
-    """Numbers looked up in tables."""
-    scatters: float = 0.0
-    """Numbers added to tables."""
+    gathers: float = 0.0  # numbers looked up in tables
+    scatters: float = 0.0  # numbers added to tables
 
 
 @dataclass(frozen=True)
@@ -114,17 +108,14 @@ class Bench:
         return [*self._choosing(), *self._encoding(), *self._networks(), *self._compositing(), *self._descending()]
 
     def _choosing(self) -> list[Piece]:
-        sampler = self.sampler
+        sampler, (rays, depth, jitter) = self.sampler, self._kept()
         half = jnp.full(self.rays.origins.shape[0], 0.5)
-        depth = sampler.expected_depth(self.rays, half)
-        kept = sampler.capacity // 8  # rays through empty space are dropped before packing
-        order = jnp.argsort(~jnp.any(depth > 0, -1))[:kept]
-        few, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
+        steps = half.size * depth.shape[-1]
         march = lambda s, r, j: s.expected_depth(r, j)  # noqa: E731
         pack = lambda d, r, j: sampler.packed(d, r, j, j, sampler.capacity)  # noqa: E731
         return [
-            Piece("occupancy along rays", march, (sampler, self.rays, half), gathers=depth.size),
-            Piece("choosing and packing", pack, (dense, few, jitter), gathers=8 * sampler.capacity),
+            Piece("occupancy along rays", march, (sampler, self.rays, half), gathers=steps),
+            Piece("choosing and packing", pack, (depth, rays, jitter), gathers=8 * sampler.capacity),
         ]
 
     def _encoding(self) -> list[Piece]:
@@ -190,12 +181,16 @@ class Bench:
 
     def _samples(self):
         """Samples of the batch's rays through occupied cells, and those rays."""
+        rays, depth, jitter = self._kept()
+        samples, _ = self.sampler.packed(depth, rays, jitter, jitter, self.sampler.capacity)
+        return samples, rays
+
+    def _kept(self):
+        """The rays that are packed, with their depths and jitter; those through empty space are dropped."""
         half = jnp.full(self.rays.origins.shape[0], 0.5)
         depth = self.sampler.expected_depth(self.rays, half)
         order = jnp.argsort(~jnp.any(depth > 0, -1))[: self.sampler.capacity // 8]
-        rays, dense, jitter = jax.tree.map(lambda a: a[order], (self.rays, depth, half))
-        samples, _ = self.sampler.packed(dense, rays, jitter, jitter, self.sampler.capacity)
-        return samples, rays
+        return jax.tree.map(lambda a: a[order], (self.rays, depth, half))
 
     def _cloud(self) -> Cloud:
         """Random points of the shell, as many as a step has samples."""

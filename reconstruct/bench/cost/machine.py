@@ -15,8 +15,7 @@ import numpy as np
 REPEATS = 5
 TABLES = {"in the cache": 2**20, "beside the cache": 2**25}
 """Rows of the tables: as many as the fast preset has, and more than any cache holds."""
-ENTRIES = 2**20
-"""Random entries per lookup."""
+ENTRIES = 2**20  # random entries per lookup
 
 
 @dataclass(frozen=True)

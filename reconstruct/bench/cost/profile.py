@@ -20,8 +20,7 @@ from reconstruct.run import CHECKPOINTS
 from reconstruct.scene.rays import Pixels
 from reconstruct.training.step import Step, TrainState
 
-STEPS = 16
-"""Traced steps, without and with a second pass."""
+STEPS = 16  # traced steps, without and with a second pass
 
 
 def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
@@ -42,13 +41,9 @@ def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
     second_ms, second = _traced(advance, state, pixels, parts, second=True) if run.config.surface.enabled else (None, {})
     found = plain | {part: value for part, value in second.items() if part.stage == "second pass"}
     rows = [[part.stage, part.kernel, "backward" if part.backward else "forward", value] for part, value in found.items()]
-    return {
-        "step_ms": plain_ms,
-        "second_pass_step_ms": second_ms,
-        "rays": sampler.rays_drawn * batches,
-        "samples": sampler.samples_drawn * batches,
-        "parts": sorted(rows, key=lambda row: -row[3]),
-    }
+    counts = {"rays": sampler.rays_drawn * batches, "samples": sampler.samples_drawn * batches}
+    parts_of_step = sorted(rows, key=lambda row: -row[3])
+    return {"step_ms": plain_ms, "second_pass_step_ms": second_ms, **counts, "parts": parts_of_step}
 
 
 def _rest(count: int, second: bool) -> tuple[jax.Array, ...]:

@@ -12,8 +12,7 @@ from jaxtyping import Array, Float
 
 MATTE = 2.133
 """Concentration of the lobe that approximates the cosine of a matte surface (Wang et al. 2009)."""
-BRIGHTEST = 5.0
-"""Linear light of the brightest lamp."""
+BRIGHTEST = 5.0  # linear light of the brightest lamp
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,12 +27,9 @@ SIZE, TRAIN, TEST = 200, 60, 20
 """Width and height of the images in pixels, and numbers of training and test views."""
 DISTANCE_M, HALF_FIELD = 0.6, 0.118
 """Distance of the cameras from the centre, and half the width of the field of view there [m]."""
-SAMPLES = 3
-"""Rays per pixel along each axis."""
-MARGIN = 0.04
-"""Margin of the object's box on each side, as a share of its size."""
-MESH_CELLS = 160
-"""Cells per axis of the grid for marching cubes."""
+SAMPLES = 3  # rays per pixel along each axis
+MARGIN = 0.04  # margin of the object's box on each side, as a share of its size
+MESH_CELLS = 160  # cells per axis of the grid for marching cubes
 
 
 def provide(
@@ -47,8 +44,7 @@ def provide(
 ) -> bool:
     """`write` a scene (seed 0) into `out` unless it exists. Returns whether it was written.
 
-    Raises:
-        UsageError: `out` holds something else.
+    Raises UsageError: `out` holds something else.
     """
     found = load_scene(out.absolute()) if out.is_dir() and any(out.iterdir()) else None
     if found is not None and found.provenance == _provenance(name, size, 0):
@@ -82,8 +78,7 @@ def write(
         format: of the folder, one of `datasets.formats.WRITERS`.
         done: called after each view.
 
-    Raises:
-        UsageError: unknown scene, or `out` is not empty.
+    Raises UsageError: unknown scene, or `out` is not empty.
     """
     if name not in SCENES:
         raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, SCENES))

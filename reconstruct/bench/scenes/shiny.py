@@ -10,8 +10,7 @@ from reconstruct.bench.scenes.solids import ball, blended, block, placed, puck, 
 from reconstruct.bench.scenes.tracer import Body, Material, Tracer
 
 EDITION = 1
-RADIUS_M = 0.12
-"""Radius of the ball that contains each scene [m]: the tracer's unit."""
+RADIUS_M = 0.12  # radius of the ball that contains each scene [m]: the tracer's unit
 CHROME = Material((0.0, 0.0, 0.0), (0.88, 0.88, 0.90), 400.0)
 GOLD = Material((0.03, 0.02, 0.005), (0.95, 0.70, 0.28), 150.0)
 ROUGH_COPPER = Material((0.05, 0.025, 0.015), (0.85, 0.50, 0.36), 25.0)
@@ -58,7 +57,5 @@ def three_metals() -> Tracer:
     return Tracer((Body(bar, RED_LACQUER), Body(sphere, CHROME), Body(cube, ROUGH_COPPER), Body(ring, GOLD)), Light.studio(5))
 
 
-SCENES: dict[str, Callable[[], Tracer]] = {
-    made.__name__: made for made in (chrome_ball, gold_rings, teapot, lacquered_box, three_metals)
-}
-"""By the name of their folder."""
+_MADE = (chrome_ball, gold_rings, teapot, lacquered_box, three_metals)
+SCENES: dict[str, Callable[[], Tracer]] = {made.__name__: made for made in _MADE}

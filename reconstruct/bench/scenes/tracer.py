@@ -17,12 +17,9 @@ from reconstruct.bench.scenes.light import MATTE, Light
 from reconstruct.bench.scenes.solids import Distance, normals
 from reconstruct.numerics.safe import safe_norm
 
-ON_SURFACE = 1e-5
-"""A ray has hit below this distance [radius of the scene]."""
-STEPS, ROUNDS = 16, 16
-"""Steps between selections of the rays that continue, and the maximum number of these."""
-CHUNK = 8192
-"""Rays traced at once: one size, so that each program is compiled once."""
+ON_SURFACE = 1e-5  # a ray has hit below this distance [radius of the scene]
+STEPS, ROUNDS = 16, 16  # steps between selections of the rays that continue, and the maximum number of these
+CHUNK = 8192  # rays traced at once: one size, so that each program is compiled once
 Vectors = Float[Array, "3 n"]
 
 
@@ -30,16 +27,13 @@ Vectors = Float[Array, "3 n"]
 class Material:
     """Reflection by a solid's surface; linear."""
 
-    matte: tuple[float, float, float]
-    """Share of light that is scattered evenly."""
+    matte: tuple[float, float, float]  # share of light that is scattered evenly
     mirror: tuple[float, float, float]
     """Share that is reflected at normal incidence; all at grazing angles (Schlick 1994)."""
-    sharpness: float
-    """Concentration of the lobe around the reflected direction."""
+    sharpness: float  # concentration of the lobe around the reflected direction
     second: tuple[float, float, float] | None = None
     """Matte colour of every second patch; None without a pattern."""
-    patches: float = 8.0
-    """Patches per unit, times pi."""
+    patches: float = 8.0  # patches per unit, times pi
 
     def matte_at(self, points: Vectors) -> Vectors:
         """Matte share at points."""

@@ -21,14 +21,11 @@ from reconstruct.output.trained_model import TrainedModel
 if TYPE_CHECKING:
     import trimesh
 
-RESOLUTION = 256
-"""Grid points along the longest side of the box."""
-LEVEL = 0.5
-"""Share of light that a stretch of surface material as long as 1/128 of the box absorbs."""
+RESOLUTION = 256  # grid points along the longest side of the box
+LEVEL = 0.5  # share of light that a stretch of surface material as long as 1/128 of the box absorbs
 FOLLOWED = 1 / 24
 """Share of the box's longest side over which predicted normals are believed more than the density."""
-SMALLEST_PART = 0.05
-"""Pieces with less than this share of the largest piece's area are noise."""
+SMALLEST_PART = 0.05  # pieces with less than this share of the largest piece's area are noise
 
 
 def extract(
@@ -52,8 +49,7 @@ def extract(
             box through other sides, see `isolation`; None keeps all.
         follow: refine the surface to follow the predicted normals, see `refinement`, of a model that has them.
 
-    Raises:
-        ReconstructError: there is no surface in the box.
+    Raises ReconstructError: there is no surface in the box.
     """
     import trimesh
     from skimage.measure import marching_cubes
@@ -64,12 +60,8 @@ def extract(
     threshold = -np.log1p(-level) * 128 / side
     if not density.min() < threshold < density.max():
         why = f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}"
-        raise ReconstructError(
-            "there is no surface in the object's box",
-            where=trained.run.path,
-            why=why,
-            remedy="train longer, or check the scene's box",
-        )
+        problem, advice = "there is no surface in the object's box", "train longer, or check the scene's box"
+        raise ReconstructError(problem, where=trained.run.path, why=why, remedy=advice)
     spacing = axes[0][1] - axes[0][0]
     first = np.array([axis[0] for axis in axes])
     if stands_on is not None:
@@ -102,10 +94,8 @@ def summary(surface: "trimesh.Trimesh", scene: Scene) -> tuple[dict[str, Any], s
         text = f"open at {open_at[0]}, where it leaves the object's box; --watertight closes it\n{text}"
     elif open_at:
         sides, example = ", ".join(open_at), "-z" if "-z" in open_at else open_at[0]
-        text = (
-            f"open at {sides}, where it leaves the object's box: surroundings may be part of it; "
-            f"--stands-on {example} removes what enters through other sides\n{text}"
-        )
+        advice = f"surroundings may be part of it; --stands-on {example} removes what enters through other sides"
+        text = f"open at {sides}, where it leaves the object's box: {advice}\n{text}"
     return found, text
 
 

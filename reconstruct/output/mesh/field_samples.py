@@ -14,8 +14,7 @@ from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
 
-CHUNK = 1 << 17
-"""Points evaluated at once."""
+CHUNK = 1 << 17  # points evaluated at once
 Axes = tuple[NDArray[np.float64], ...]
 """Coordinates of the grid points along x, y and z [scene unit]."""
 

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     import trimesh
 
 SUFFIXES = (".ply", ".glb", ".obj")
-"""Formats of mesh files."""
 
 
 def save(mesh: "trimesh.Trimesh", path: Path) -> None:

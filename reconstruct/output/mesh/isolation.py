@@ -7,8 +7,7 @@ other cell, in cells; a side of the box is "-x", "+x" and so on.
 import numpy as np
 from jaxtyping import Bool, Float
 
-SIDES = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "-+")
-"""Sides of a box, in the order of its axes."""
+SIDES = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "-+")  # sides of a box, in the order of its axes
 CORE = (0.5, 0.25, 0.125)
 """Minimum depth of the object's core, as shares of the largest depth, tried in this order."""
 TABLE_TOP = 1 / 128

@@ -17,16 +17,12 @@ from jaxtyping import Float, Int
 
 from reconstruct.errors import ReconstructError
 
-CREASE = 0.25
-"""Slope of the mesh against its normals at which an edge counts half."""
+CREASE = 0.25  # slope of the mesh against its normals at which an edge counts half
 COTANGENTS = (0.05, 3.0)
 """Bounds of an edge's cotangent weight: obtuse triangles must not make it negative, nor needles dominate."""
-TOLERANCE = 1e-4
-"""Relative residual of the solution."""
-STEPS = 10_000
-"""Maximum number of conjugate gradient steps; 300 are usual."""
-ROUNDS = 20
-"""Maximum number of rounds to correct folded triangles; few are needed."""
+TOLERANCE = 1e-4  # relative residual of the solution
+STEPS = 10_000  # maximum number of conjugate gradient steps; 300 are usual
+ROUNDS = 20  # maximum number of rounds to correct folded triangles; few are needed
 
 
 def follow_normals(
@@ -40,8 +36,7 @@ def follow_normals(
         normals: outward, of unit length, one for each vertex.
         over: L, the length below which slopes count more than positions, in the unit of the vertices.
 
-    Raises:
-        ReconstructError: normals or vertices are not finite, or so uneven that there is no solution within `STEPS`.
+    Raises ReconstructError: normals or vertices are not finite, or so uneven that there is no solution within `STEPS`.
     """
     from scipy import sparse
     from scipy.sparse.linalg import cg

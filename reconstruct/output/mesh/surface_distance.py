@@ -14,16 +14,12 @@ from datasets.scene import View
 if TYPE_CHECKING:
     import trimesh
 
-POINTS = 100_000
-"""Points drawn on each surface."""
-FLOOR = 0.02
-"""Share of the box's height, at its floor, that is not compared."""
+POINTS = 100_000  # points drawn on each surface
+FLOOR = 0.02  # share of the box's height, at its floor, that is not compared
 HIDDEN_PX = 4.0
 """A point is visible if it is less than this many pixel widths behind the nearest point at its pixel and the eight around."""
-PICTURE_PX = 160
-"""Longer side of the depth maps that determine visibility."""
-CANDIDATES = 4
-"""Number of triangles of each kind that are tried for the true distance."""
+PICTURE_PX = 160  # longer side of the depth maps that determine visibility
+CANDIDATES = 4  # number of triangles of each kind that are tried for the true distance
 DEFINITIONS = {
     "chamfer_mm": "mean of accuracy and completeness",
     "accuracy_mm": "mean distance from points of the mesh to the true surface",
@@ -39,12 +35,9 @@ class Surface:
     """A mesh, points drawn on it, and which of them are compared."""
 
     mesh: "trimesh.Trimesh"
-    points: NDArray[np.float64]
-    """(n, 3) [m]."""
-    faces: NDArray[np.int64]
-    """(n,) triangle of each point."""
-    counts: NDArray[np.bool_]
-    """(n,) True inside the box, above its floor, and visible to a camera."""
+    points: NDArray[np.float64]  # (n, 3) [m]
+    faces: NDArray[np.int64]  # (n,) triangle of each point
+    counts: NDArray[np.bool_]  # (n,) True inside the box, above its floor, and visible to a camera
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS) -> "Surface":
@@ -85,13 +78,10 @@ def compare(
     accuracy, completeness = true.distance(found.points[found.counts]), found.distance(true.points[true.counts])
     threshold = 0.01 * float(np.linalg.norm(truth.extents))
     precision, recall = float(np.mean(accuracy < threshold)), float(np.mean(completeness < threshold))
-    return {
-        "chamfer_mm": 1e3 * float(accuracy.mean() + completeness.mean()) / 2,
-        "accuracy_mm": 1e3 * float(accuracy.mean()),
-        "completeness_mm": 1e3 * float(completeness.mean()),
-        "f_score": 2 * precision * recall / max(precision + recall, 1e-12),
-        "threshold_mm": 1e3 * threshold,
-    }
+    chamfer, f_score = (accuracy.mean() + completeness.mean()) / 2, 2 * precision * recall / max(precision + recall, 1e-12)
+    means = {"chamfer_mm": chamfer, "accuracy_mm": accuracy.mean(), "completeness_mm": completeness.mean()}
+    distances = {name: 1e3 * float(value) for name, value in means.items()}
+    return {**distances, "f_score": f_score, "threshold_mm": 1e3 * threshold}
 
 
 def visible(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.bool_]:

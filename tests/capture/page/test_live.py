@@ -95,7 +95,7 @@ def test_a_path_that_is_neither_trajectory_nor_recording_is_an_error(tmp_path: P
 def test_a_recording_brings_its_own_mount(tmp_path: Path, session: Any) -> None:
     recording = begin(tmp_path / "r", session[0])
     recording.manifest["rig"]["flange_from_camera"] = {"position": [0, 0, 0.2], "rotation_deg": [0, 0, 0]}
-    description = recorded_rig(recording.manifest)
+    description = recorded_rig(recording)
     assert np.allclose(description.flange_from_camera.matrix()[:3, 3], [0, 0, 0.2])
 
 

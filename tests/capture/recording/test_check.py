@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from capture.recording.check import check, discard, to_take_again
+from capture.recording.check import check, to_take_again
 from capture.trajectory import load_trajectory
 from datasets import pose
 from datasets.core import files
+from datasets.core.errors import KoalaError
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
 
@@ -126,9 +127,33 @@ def test_discarded_frames_are_gone_and_the_others_untouched(recording):
     (recording / "images" / "001.png").unlink()
     replace_image(recording, "006", uniform_filter1d(picture(6), 5, axis=0))
     again = to_take_again(check(recording))
-    assert again == ["001", "006"] and discard(recording, again) == again
+    assert again == ["001", "006"] and Recording.open(recording).discard(again) == again
     left = Recording.open(recording)
     assert [frame.name for frame in left.frames] == ["000", "002", "003", "004", "005", "007"]
     assert not (recording / "images" / "006.png").exists()
     assert {(frame, what) for frame, what, _ in found(recording)} == {("001", "was never taken"), ("006", "was never taken")}
-    assert discard(recording, again) == []
+    assert Recording.open(recording).discard(again) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"trajectory": None}, "the manifest has no trajectory"),
+        ({"trajectory": {"name": "squares"}}, "manifest.json, trajectory: key 'views' is missing"),
+        ({"trajectory": {"name": "squares", "views": [{"kind": "spiral"}]}}, "manifest.json, trajectory: "),
+        ({"camera": {"region": {"width": "wide"}}}, "sensor region is not complete"),
+        ({"camera": {"region": [1, 2]}}, "sensor region is not complete"),
+    ],
+)
+def test_a_wrong_manifest_is_named_in_one_line(recording, change, words):
+    path = recording / "manifest.json"
+    files.write_json(path, files.read_json(path) | change)
+    with pytest.raises(KoalaError, match=words) as caught:
+        check(recording)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_recording_that_does_not_say_its_region_is_checked_without_it(recording):
+    path = recording / "manifest.json"
+    files.write_json(path, files.read_json(path) | {"camera": "none"})
+    assert found(recording) == []

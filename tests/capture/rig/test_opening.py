@@ -16,6 +16,7 @@ from capture.rig.opening import describe, open_arm, open_rig, scene_for, write_s
 from capture.sim.controller.process import SimulatedController
 from capture.trajectory import Trajectory, load_trajectory
 from datasets.core.errors import UsageError
+from datasets.recording import Recording
 
 SMALL = ["camera.width=48", "camera.height=48", "camera.binning=4"]
 
@@ -78,8 +79,11 @@ def test_the_scene_fits_the_trajectory(koala: Trajectory, running_rig: Path) -> 
 
 def test_the_rig_of_a_recording_is_in_its_manifest() -> None:
     described = RigDescription.model_validate({"robot": {"host": "10.0.0.7"}})
-    assert recorded_rig({"rig": {"name": "mine.yaml", **described.model_dump(mode="json")}}) == described
-    assert recorded_rig({}) == RigDescription()
+    rig = {"name": "mine.yaml", **described.model_dump(mode="json")}
+    assert recorded_rig(Recording(Path("rec"), {"rig": rig})) == described
+    assert recorded_rig(Recording(Path("rec"), {})) == RigDescription()
+    with pytest.raises(UsageError, match=r"rec/manifest.json, rig: unknown key 'colour'"):
+        recorded_rig(Recording(Path("rec"), {"rig": {"colour": 1}}))
 
 
 def test_the_simulated_rig_has_the_truth_and_its_seed(koala: Trajectory) -> None:

@@ -1,6 +1,5 @@
 """Tests of the arm run with each client of its controller."""
 
-import importlib.util
 from collections.abc import Callable
 
 import pytest
@@ -10,13 +9,6 @@ from capture.robots.ur import UR5e
 
 BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
 """Tests run beside others on two cores: a pause of half a second is no fault there."""
-
-
-@pytest.fixture(params=["ur_rtde", "koala"])
-def client(request: pytest.FixtureRequest) -> str:
-    if request.param == "ur_rtde" and importlib.util.find_spec("rtde_control") is None:
-        pytest.skip("ur-rtde is not installed: it has no wheel for this Python and platform")
-    return request.param
 
 
 @pytest.fixture

@@ -47,6 +47,7 @@ def _at_rest(simulated):
     return False
 
 
+@pytest.mark.both_clients
 def test_it_goes_where_it_is_sent_and_says_where_it_is(connect, client, simulated):
     with connect(simulated) as robot:
         description = robot.description()
@@ -65,6 +66,7 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is(connect, client, simulate
         assert np.diff(stamps, axis=0).min() > 0
 
 
+@pytest.mark.both_clients
 def test_the_tool_offset_is_removed(connect, simulated):
     other = KoalaClient(simulated.host, frequency=125.0, watchdog_hz=1.0)
     assert other._order(SET_TCP, [0.01, 0.02, 0.1, 0.0, 0.3, 0.0]) and other._done(1.0)
@@ -97,7 +99,7 @@ def test_an_unsafe_target_moves_nothing(connect, simulated):
         ("protective_stop", {}, ProtectiveStop, "protective stop: the arm stands still"),
         ("emergency_stop", {}, NotReady, "safety status ROBOT_EMERGENCY_STOP"),
         ("stop_program", {}, MotionError, "program was stopped"),
-        ("drop", {}, RigConnectionError, "lost|broke down"),
+        pytest.param("drop", {}, RigConnectionError, "lost|broke down", marks=pytest.mark.both_clients),
         ("silent", {"seconds": 60}, RigConnectionError, "data stream stands still"),
     ],
 )
@@ -114,6 +116,7 @@ def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(connect, s
     assert np.abs(np.subtract(slow.ask("truth")["joints"], FAR)).max() > 0.3  # it did not continue to the end
 
 
+@pytest.mark.both_clients
 def test_after_a_lost_connection_the_driver_can_enter_again(connect, slow):
     robot = connect(slow)
     with pytest.raises(CaptureError), robot:  # lost while idle, or noticed when the motion is refused
@@ -130,6 +133,7 @@ def test_a_killed_client_is_noticed_and_the_arm_stops(connect, slow):
     assert _at_rest(slow)
 
 
+@pytest.mark.both_clients
 def test_stop_from_another_thread(connect, slow):
     with connect(slow) as robot:
         threading.Timer(0.7, robot.stop).start()
@@ -140,6 +144,7 @@ def test_stop_from_another_thread(connect, slow):
         robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)  # the connection is still good
 
 
+@pytest.mark.both_clients
 def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     code = """if True:
         import sys
@@ -197,6 +202,7 @@ def test_an_unreachable_controller_is_one_clear_line():
         pytest.fail("entered a robot that is not there")
 
 
+@pytest.mark.both_clients
 def test_a_second_owner_is_refused(connect, simulated):
     with connect(simulated) as first:
         with pytest.raises(CaptureError, match="does not take the control program"), connect(simulated):

@@ -20,7 +20,8 @@ def test_lines_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("text", "complaint"), [
     ("program,scene,second\n", "did you mean 'seconds'"), ("program,scene\n", "'seconds' is missing"),
-    ("program,scene,seconds\na,b,soon\n", "line 2, seconds: is not a number"), ("program,scene,seconds\na,,3\n", "line is incomplete"),
+    ("program,scene,seconds\na,b,soon\n", "line 2, seconds: is not a number"),
+    ("program,scene,seconds\na,,3\n", "line is incomplete"),
 ])  # fmt: skip
 def test_mistakes_are_named(text: str, complaint: str, tmp_path: Path) -> None:
     (tmp_path / "peers.csv").write_text(text)

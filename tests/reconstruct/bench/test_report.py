@@ -11,8 +11,10 @@ from reconstruct.bench.runner import PROFILES, PROFILES_FORMAT, PROFILES_VERSION
 
 def test_everything_is_on_the_page(tmp_path: Path, make_row: Callable) -> None:
     records = Records(tmp_path / RECORDS)
-    for row in (make_row(), make_row(seed=1, psnr=27.0), make_row(kind="cost", width=200, height=200, train_views=50, seconds=0.4, preparation_s=2.0),
-                make_row(scene="lego400", scale=0.5, budget_s=60.0, psnr=29.5), make_row(seed=2, status="failed: no <memory>", psnr=None)):  # fmt: skip
+    cost = make_row(kind="cost", width=200, height=200, train_views=50, seconds=0.4, preparation_s=2.0)
+    lego = make_row(scene="lego400", scale=0.5, budget_s=60.0, psnr=29.5)
+    failed = make_row(seed=2, status="failed: no <memory>", psnr=None)
+    for row in (make_row(), make_row(seed=1, psnr=27.0), cost, lego, failed):
         records.append(row)
     profile = {
         "step_ms": 40.0,

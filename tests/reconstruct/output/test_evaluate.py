@@ -21,7 +21,7 @@ STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
 
 
 def test_a_model_that_is_the_truth_scores_as_one(ball: TrainedModel) -> None:
-    """What error there is comes from steps of about 1 mm at the rim, where a ray through a pixel's centre stands for all of it."""
+    """The error comes from steps of about 1 mm at the rim, where one ray stands for a whole pixel."""
     result = evaluate.evaluate(ball)
     found = result["mean"]
     assert result["views"] == 2 and result["size"] == [48, 40] and result["split"] == "test"

@@ -30,8 +30,9 @@ def viewpoint(matrix: np.ndarray, fov_deg: float = 40.0, aspect: float = 1.5) ->
 
 def values(height: int = 4, width: int = 6, opacity: float = 1.0) -> dict[str, np.ndarray]:
     full = lambda value, count: np.full((height, width, count), value, np.float32)  # noqa: E731
-    return {"rgb": full(0.5, 3), "opacity": full(opacity, 1), "diffuse": full(0.2, 3), "specular": full(0.1, 3), "depth": full(2.0, 1),
-            "roughness": full(0.3 * opacity, 1), "normals": full(-2.0, 3), "normals_pred": full(0.0, 3)}  # fmt: skip
+    light = {"rgb": full(0.5, 3), "diffuse": full(0.2, 3), "specular": full(0.1, 3)}
+    shape = {"depth": full(2.0, 1), "normals": full(-2.0, 3), "normals_pred": full(0.0, 3)}
+    return {**light, **shape, "opacity": full(opacity, 1), "roughness": full(0.3 * opacity, 1)}
 
 
 @pytest.mark.parametrize("rays", [2048, 8192, 131072])
@@ -63,7 +64,7 @@ def test_only_what_is_solid_hides_the_cameras() -> None:
 
 
 def test_a_photograph_warped_its_own_place_is_itself(far_wall: Callable[[Camera, np.ndarray], np.ndarray]) -> None:
-    """Lens and turning are exact for what is far away: the wall at infinity looks the same through the viewpoint's own pinhole."""
+    """Lens and rotation are exact for distant objects: the wall at infinity looks the same through the viewpoint's pinhole."""
     matrix = pose.look_at((0.4, 0.1, 0.2), (0, 0, 0))
     view = View("v", LENS, matrix, "train", Path())
     turned = matrix @ pose.from_rotation_vector([0.03, -0.05, 0.4])

@@ -52,7 +52,7 @@ def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ba
 
 
 def test_what_is_cut_away_opens_the_ball(shown: Any, ball: TrainedModel) -> None:
-    """Through a plane in the ball's middle its far wall is seen from inside (the grid holds the wall alone); behind it there is nothing."""
+    """A plane through the ball's middle shows the far wall from inside (only the wall is in the grid) and nothing behind it."""
     _, view = shown
     viewpoint, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
     reach = float((centre - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, 2])
@@ -72,7 +72,7 @@ def test_what_is_cut_away_opens_the_ball(shown: Any, ball: TrainedModel) -> None
 
 
 def test_what_is_beyond_the_far_plane_is_cut_away(shown: Any, ball: TrainedModel) -> None:
-    """Only the ball's front before the middle plane is left, and in front of that nothing; at its end the slider changes nothing."""
+    """Only the front of the ball up to the middle plane remains; at its maximum the slider changes nothing."""
     _, view = shown
     viewpoint, centre = viewpoint_at(ball), np.array([0.4, 0.0, 0.15])
     reach = float((centre - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, 2])
@@ -161,8 +161,10 @@ def start_rendering(page: Page, view: RunPage) -> None:
 
 
 def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: TrainedModel, browse: Callable[[str], Any]) -> None:
-    """The ball's colour in the middle, white beside it; another channel, another picture; a browser that closes in the midst of all
-    that changes nothing for the other."""
+    """The ball's colour in the middle, white beside it; another channel shows another picture.
+
+    A browser that closes meanwhile changes nothing for the other.
+    """
     from datasets.imaging import images
 
     colour = 255 * images.srgb_from_linear(np.array([0.3, 0.3, 0.35]))

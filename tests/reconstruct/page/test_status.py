@@ -20,12 +20,13 @@ def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> No
     assert status_text([], run) == "*the log is empty*"
 
 
-def test_what_was_left_out_is_told_with_its_evidence(make_run: Callable[..., Any]) -> None:
+def test_skips_are_listed_with_their_evidence(make_run: Callable[..., Any]) -> None:
     run = make_run()
     (run.path / record.SKIPS).unlink(missing_ok=True)
     assert skips_text(run) == ""
-    record.write(run.path, [record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB"),
-                            record.Skip("reflection", False, "the pilot lost 1.2 dB without", "half a step", "what the pilot lost")])  # fmt: skip
+    fine = record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB")
+    reflection = record.Skip("reflection", False, "the pilot lost 1.2 dB without", "half a step", "what the pilot lost")
+    record.write(run.path, [fine, reflection])
     words = skips_text(run)
     assert words.startswith("- **detail that is finer than a pixel can show** skipped: no pixel is finer than 2 mm")
     assert "cost: up to 0.4 dB" in words and words.endswith("- the model's reflection kept: the pilot lost 1.2 dB without")

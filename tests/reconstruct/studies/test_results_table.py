@@ -62,7 +62,8 @@ def test_deviations_over_seeds_stand_beside_their_means() -> None:
     rows = [ROWS[0], Row("car", "surfnerf", {"psnr": 31.0, "ssim": None}, deviations={"psnr": 0.25}, seeds=3)]
     columns = ["psnr", "ssim"]
     lines = results_table.markdown(rows, columns).splitlines()
-    assert lines[3] == "|  | surfnerf | **31.00 ± 0.25** | – |" and lines[-1] == "* mean ± standard deviation over 1 to 3 seeds"
+    assert lines[3] == "|  | surfnerf | **31.00 ± 0.25** | – |"
+    assert lines[-1] == "* mean ± standard deviation over 1 to 3 seeds"
     assert r"\textbf{31.00 $\pm$ 0.25}" in results_table.latex(rows, columns)
     read = list(csv.DictReader(io.StringIO(results_table.csv_text(rows, columns))))
     assert [row["psnr_std"] for row in read] == ["", "0.25"] and [row["seeds"] for row in read] == ["", "3"]

@@ -4,17 +4,19 @@ import logging
 import socket
 import struct
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from capture.robots.rtde import program
 from capture.robots.rtde.wire import packet
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.process import SimulatedController
-from capture.sim.controller.script import COMMANDS, DONE, EVERY_CYCLE, ControlProgram
+from capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
-UNKNOWN = [number for number in range(1, 80) if number not in COMMANDS and number not in EVERY_CYCLE]
+UNKNOWN = [number for number in range(1, 80) if number not in ACTIONS and number not in ANSWERS]
 """Commands of the client that the simulation does not carry out: paths, payload, freedrive and others."""
 
 
@@ -26,7 +28,6 @@ def received(connection: socket.socket, kind: int) -> bytes:
 
 
 @pytest.mark.parametrize("version", [0, 3, 99])
-@pytest.mark.xfail(strict=True, reason="session.Session.handle accepts every protocol version")
 def test_a_protocol_version_that_does_not_exist_is_not_accepted(version: int) -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", version)))
@@ -35,7 +36,6 @@ def test_a_protocol_version_that_does_not_exist_is_not_accepted(version: int) ->
         assert received(client, ord("V")) == b"\x01"
 
 
-@pytest.mark.xfail(strict=True, reason="session.Session.handle speaks version 2 whatever was agreed on")
 def test_protocol_version_1_has_neither_frequencies_nor_recipe_numbers() -> None:
     """Universal Robots, "Real-Time Data Exchange guide": in version 1 a recipe is names alone, and data are values alone."""
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
@@ -54,17 +54,15 @@ def test_the_premise_there_are_commands_that_are_not_simulated() -> None:
 
 
 @pytest.mark.parametrize("number", UNKNOWN[::6])
-@pytest.mark.xfail(strict=True, reason="ControlProgram.cycle answers done to commands that it does not know")
 def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog: pytest.LogCaptureFixture) -> None:
-    program = ControlProgram(Arm(0, HOME, 0.0, 0.0), "def rtde_control():\nend\n")
-    program.input_ints[0] = number
+    control = ControlProgram(Arm(0, HOME, 0.0, 0.0), "def rtde_control():\nend\n")
+    control.input_ints[0] = number
     with caplog.at_level(logging.WARNING):
-        program.cycle(0.0)
-    assert not program.running and program.output_ints[0] != DONE
-    assert str(number) in caplog.text or str(number) in str(getattr(program, "reason", ""))
+        control.cycle(0.0)
+    assert not control.running and control.output_ints[0] != DONE
+    assert f"command {number} is not simulated" in caplog.text
 
 
-@pytest.mark.xfail(strict=True, reason="wire.type_of knows registers of both directions: an output is taken for an input")
 def test_an_output_cannot_be_an_input() -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", 2)))
@@ -73,12 +71,11 @@ def test_an_output_cannot_be_an_input() -> None:
         assert received(client, ord("I")) == b"\x00NOT_FOUND,NOT_FOUND"
 
 
-@pytest.mark.parametrize("program", ["movej([0,-1.2,0,-1.5,0,0], a=1.4, v=1.0)\n", "movej([0,-1.2,0,-1.5,0,0])"])
-@pytest.mark.xfail(strict=True, reason="ControllerServer.script keeps everything until a line 'end'")
-def test_a_program_of_one_line_is_executed_or_refused(program: str) -> None:
+@pytest.mark.parametrize("line", ["movej([0,-1.2,0,-1.5,0,0], a=1.4, v=1.0)\n", "movej([0,-1.2,0,-1.5,0,0])"])
+def test_a_program_of_one_line_is_executed_or_refused(line: str) -> None:
     with SimulatedController.start() as controller, socket.create_connection((controller.host, 30003), 10) as client:
-        client.sendall(program.encode())
-        if not program.endswith("\n"):
+        client.sendall(line.encode())
+        if not line.endswith("\n"):
             client.shutdown(socket.SHUT_WR)
         client.settimeout(0.05)
         deadline = time.monotonic() + 3
@@ -89,7 +86,7 @@ def test_a_program_of_one_line_is_executed_or_refused(program: str) -> None:
                 refused = client.recv(4096)
             except TimeoutError:
                 continue
-            if program.endswith("\n") or refused:
+            if line.endswith("\n") or refused:
                 return  # closed, or told why
             break
         pytest.fail("the line was neither executed nor refused")
@@ -104,3 +101,59 @@ def test_a_program_with_an_impossible_register_offset_does_not_end_the_controlle
             time.sleep(0.6)
         assert controller.process.poll() is None, controller.last_line()
         controller.ask("truth")
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("reg_offset = 47", "registers from 47 on"),
+        ("0\n  write_output_integer_register(48, 1)", "integer register 48"),
+        ("24\n  x = read_input_boolean_register(64)", "boolean register 64"),
+    ],
+)
+def test_a_program_with_registers_that_are_not_simulated_is_refused(line: str, why: str) -> None:
+    assert why in refusal(f"def program():\n  # int register offset\n  {line}\nend\n")
+
+
+def test_the_programs_of_both_clients_are_taken_and_others_are_not() -> None:
+    assert refusal(program.text()) == "" == refusal("def rtde_control():\n  # int register offset\n24\nend\n")
+    assert "other than the control program" in refusal("def program():\n  movej([0, 0, 0, 0, 0, 0])\nend\n")
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_clients_are_told_why_a_program_was_refused(version: int) -> None:
+    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+        client.sendall(packet(ord("V"), struct.pack(">H", version)))
+        assert received(client, ord("V")) == b"\x01"
+        with socket.create_connection((controller.host, 30003), 10) as sender:
+            sender.sendall(b"movej([0, 0, 0, 0, 0, 0])\n")
+            line = sender.makefile("rb").readline().rstrip()
+        message = received(client, ord("M"))
+        start, end = (1, None) if version == 1 else (1, 1 + message[0])
+        assert message[start:end] == line and b"a program begins with 'def'" in line
+        assert line.decode() == controller.last_line()
+
+
+def test_the_vendors_client_sees_an_ended_program_and_starts_again() -> None:
+    wheel = "ur-rtde is not installed: it has no wheel for this Python and platform"
+    rtde_control, rtde_io = (pytest.importorskip(name, reason=wheel) for name in ("rtde_control", "rtde_io"))
+    with SimulatedController.start() as controller:
+        client, outputs = rtde_control.RTDEControlInterface(controller.host), rtde_io.RTDEIOInterface(controller.host)
+        home = controller.ask("truth")["joints"]
+        assert client.moveJ(home, 1.0, 1.4) and outputs.setStandardDigitalOut(1, True) and client.isProgramRunning()
+        assert not client.setPayload(1.0, [0.0, 0.0, 0.0]) and not client.isProgramRunning()
+        assert controller.last_line() == "the program was ended: command 17 is not simulated"
+        assert client.reuploadScript()
+        _until(client.isProgramRunning)
+        assert client.moveJ(home, 1.0, 1.4)
+        outputs.setToolDigitalOut(0, True)
+        _until(lambda: not client.isProgramRunning())
+        assert controller.last_line() == "the program was ended: input tool_digital_output_mask is not simulated"
+        client.disconnect()
+
+
+def _until(happened: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

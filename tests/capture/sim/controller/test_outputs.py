@@ -62,7 +62,7 @@ def test_states_of_program_and_safety(server):
 
 
 def test_every_variable_has_a_value_that_its_type_can_hold(server):
-    names = [*wire.TYPES, "output_double_register_0", "input_int_register_47"]
+    names = [*wire.OUTPUT_TYPES, "output_double_register_0", "input_int_register_47"]
     moment, recipe = Outputs(server, 1.0), wire.Recipe(names)
     values = recipe.unpack(recipe.pack([moment[name] for name in names]))
     assert values["joint_temperatures"] == [30.0] * 6 and values["payload_cog"] == [0.0] * 3

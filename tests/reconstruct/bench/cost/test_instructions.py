@@ -1,9 +1,12 @@
 """Instructions find the code that they come from, whatever the compiler made of it."""
 
+from importlib.util import find_spec
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 
-from reconstruct.bench.cost.instructions import SAMPLES, Part, part_of, parts_of
+from reconstruct.bench.cost.instructions import KERNELS, SAMPLES, STAGES, Part, part_of, parts_of
 from reconstruct.bench.cost.profile import durations_us
 from reconstruct.field.mlp import Mlp
 
@@ -20,6 +23,14 @@ def test_parts_by_calls() -> None:
         == "optimiser"
     )
     assert part_of([], "") == Part("copies", "other", False)
+
+
+def test_stages_and_kernels_name_existing_code() -> None:
+    root = Path(str(find_spec("reconstruct.config").origin)).parent
+    paths = [path for path in root.rglob("*.py") if "bench" not in path.parts]
+    code = "\n".join(path.read_text() for path in paths)
+    assert not [function for function in STAGES if f"def {function}(" not in code]
+    assert not [place for place in KERNELS if place != "optax/" and not any(place in str(path) for path in paths)]
 
 
 def test_containers_are_left_out() -> None:

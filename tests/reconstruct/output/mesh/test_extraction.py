@@ -40,7 +40,7 @@ def test_the_ball_comes_out_where_it_is(ball: TrainedModel, resolution: int, lev
 
 
 def test_the_surface_follows_predicted_normals_where_there_are_any(ball: TrainedModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ball's normals are exact: over lengths of less than 1/24 of the box, two cells at 48 points, only its roughness is left."""
+    """The ball's normals are exact: below 1/24 of the box, two cells at 48 points, only its roughness remains."""
     rough, smooth = extraction.extract(ball, resolution=48, follow=False), extraction.extract(ball, resolution=48)
     spread = [np.std(np.linalg.norm(surface.vertices - CENTRE, axis=-1)) for surface in (rough, smooth)]
     assert spread[1] < 0.5 * spread[0]

@@ -65,7 +65,7 @@ def test_it_knows_no_unit_and_no_direction() -> None:
 
 
 def test_normals_that_contradict_the_mesh_are_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A patch of a ball, whose normals were tilted by 60 degrees: least squares would tear it along, an edge without weight not."""
+    """The normals of a patch of a ball are tilted by 60 degrees: least squares would move it, edges without weight do not."""
     ball, normals = rough_ball(0.0)
     tilted = np.where(normals[:, 2:] > 0.8, 0.5 * normals + np.sqrt(0.75) * np.array([1.0, 0.0, 0.0]), normals)
     tilted /= np.linalg.norm(tilted, axis=-1, keepdims=True)

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -14,7 +16,7 @@ BOX = np.array([[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]])
 def around(count: int = 6) -> tuple[View, ...]:
     """Cameras on a ring a little above, and one at the top."""
     places = [(0.5 * np.cos(a), 0.5 * np.sin(a), 0.1) for a in 2 * np.pi * np.arange(count) / count] + [(0.0, 0.0, 0.5)]
-    return tuple(View(str(i), CAMERA, pose.look_at(place, (0, 0, 0)), "train", None) for i, place in enumerate(places))  # type: ignore[arg-type]
+    return tuple(View(str(i), CAMERA, pose.look_at(place, (0, 0, 0)), "train", Path()) for i, place in enumerate(places))
 
 
 def ball(radius: float = 0.1) -> trimesh.Trimesh:

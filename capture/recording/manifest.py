@@ -1,0 +1,74 @@
+"""What a recording says about its session, and whether another session may resume it."""
+
+from datetime import datetime
+from importlib.metadata import version
+from typing import Any
+
+from capture.rig.description import RigDescription, recorded_rig
+from capture.rig.opening import Rig
+from capture.trajectory import Trajectory, recorded_trajectory
+from datasets.core.errors import UsageError
+from datasets.recording import Recording
+
+DEVICES = (
+    ("robot", "model", "arm"),
+    ("robot", "serial", "arm"),
+    ("camera", "model", "camera"),
+    ("camera", "serial", "camera"),
+    ("camera", "lens", "lens"),
+)
+"""Part of the manifest, its entry, and what a person calls the device."""
+
+
+def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
+    """Everything that `calib` and `datasets build` need in addition to the frames."""
+    volume = trajectory.object
+    return {
+        "name": trajectory.name,
+        "started": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "software": f"koala-capture {version('koala-capture')}",
+        "scene": None,
+        "seed": None,
+        **rig.extra,
+        "trajectory": trajectory.model_dump(mode="json"),
+        "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
+        "camera": {**rig.camera.description(), "lens": rig.description.camera.lens},
+        "robot": rig.robot.description(),
+        "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
+        "board": trajectory.target.to_json() if trajectory.target else None,
+        "object": volume and {"centre": list(volume.centre), "size": list(volume.size), "box": volume.corners.tolist()},
+    }
+
+
+def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig) -> None:
+    """Raise UsageError where a session differs from that of a recording, or where one of its devices is another.
+
+    Address and client of the controller do not matter, nor do settings that were added to Koala since. A device is compared
+    where the recording says which it was.
+    """
+    now = manifest_of(trajectory, rig)
+    remedy = "resume with the original arguments, or choose another --out"
+    for part, key, device in DEVICES:
+        was, new = recording.part(part).get(key), now[part].get(key)
+        if was and was != new:
+            why, original = f"{key} {was}, now {new or 'not known'}", f"use the original {device}, or choose another --out"
+            raise UsageError(f"was taken with another {device}", where=recording.path, why=why, remedy=original)
+    pairs = {
+        "trajectory": (recorded_trajectory(recording), trajectory),
+        "rig": (_anywhere(recorded_rig(recording)), _anywhere(rig.description)),
+        "scene": (recording.manifest.get("scene"), now["scene"]),
+        "seed": (recording.manifest.get("seed"), now["seed"]),
+    }
+    for key, (was, new) in pairs.items():
+        if was != new:
+            why = "a recording has one session"
+            raise UsageError(f"was taken with another {key}", where=recording.path, why=why, remedy=remedy)
+
+
+def _anywhere(rig: RigDescription) -> RigDescription:
+    """The rig without address and client of its controller and without its lens, which is compared as a device."""
+    robot, camera = (
+        rig.robot.model_copy(update={"host": "anywhere", "client": "auto"}),
+        rig.camera.model_copy(update={"lens": ""}),
+    )
+    return rig.model_copy(update={"robot": robot, "camera": camera, "simulation": None})

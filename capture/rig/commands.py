@@ -1,0 +1,43 @@
+"""The command that starts only the simulated controller of a rig."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from capture.errors import SimulationError
+from datasets.core import console
+
+
+def sim(
+    scene: Annotated[str, typer.Option(help="Scene in front of the simulated camera, for the rig file.")] = "gold_head",
+    out: Annotated[
+        Path | None, typer.Option(metavar="RIG.yaml", help="Write a rig file, for 'capture run --rig RIG.yaml'.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Loopback address to listen on.")] = "127.0.0.1",
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
+    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Speed of the arm relative to real time.")] = 1.0,
+    hangs: Annotated[bool, typer.Option("--hangs", help="Start as a hanging arm, for trajectories with 'up: -z'.")] = False,
+    as_json: console.Json = False,
+) -> None:
+    """Start only a simulated UR5e controller, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
+    from capture.rig.opening import write_simulated_rig
+    from capture.sim.controller.process import SimulatedController
+    from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
+    from capture.sim.laboratory.scenes import check_name
+
+    check_name(scene)
+    with SimulatedController.as_built(seed=seed, time_scale=time_scale, hangs=hangs, host=host) as controller:
+        if out is not None:
+            write_simulated_rig(out, controller, scene, seed)
+        ports = {"rtde": RTDE_PORT, "script": SCRIPT_PORT, "dashboard": DASHBOARD_PORT, "side_channel": controller.side_port}
+        hint = f"; rig file: {out}" if out is not None else ""
+        text = f"UR5e at {controller.host}: {', '.join(f'{name} {port}' for name, port in ports.items())}{hint}. Ctrl-C ends it"
+        console.report({"host": controller.host, "ports": ports, "scene": scene, "rig": out}, as_json=as_json, text=text)
+        try:
+            while controller.process.poll() is None:
+                time.sleep(0.2)
+        except KeyboardInterrupt:
+            return
+        raise SimulationError("the simulated controller has ended", why=controller.last_line(), remedy="start it again")
