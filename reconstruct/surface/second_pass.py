@@ -1,5 +1,6 @@
 """The second pass: the field around first surfaces and from many directions, and the regularisers there (paper section 4)."""
 
+import math
 from dataclasses import dataclass
 
 import jax
@@ -91,3 +92,9 @@ class SecondPass:
         if diffuse and self.surface.bias:
             terms["lambertian_bias"] = self.surface.bias * regularisers.lambertian_bias(colour)
         return terms
+
+
+def second_pass_period(progress: float, *, first: int, last: int) -> int:
+    """Steps between second passes: log-linear in progress, rounded to a power of two ("512/4", supplement H)."""
+    exponent = math.log2(first) + min(max(progress, 0.0), 1.0) * (math.log2(last) - math.log2(first))
+    return 2 ** round(exponent)

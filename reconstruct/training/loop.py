@@ -26,12 +26,13 @@ from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
 from reconstruct.scene.rays import Pixels
+from reconstruct.surface.second_pass import second_pass_period
 from reconstruct.training import distributed
+from reconstruct.training.clock import Clock
 from reconstruct.training.event_log import EventLog, event_log, require_writer
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pause import give_way
 from reconstruct.training.preparation import Prepared, prepare
-from reconstruct.training.schedules import second_pass_period
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.plan import normalisation_of
 from reconstruct.training.step import Step, TrainState
@@ -44,27 +45,6 @@ LINE_BYTES = 4000
 """More than a line of the log takes."""
 WORTH_DB = 0.02
 """Improvement of held-out pixels by which a training counts as still improving [dB]."""
-
-
-@dataclass
-class Clock:
-    """How far a training is: in steps, or where a budget is given in seconds of training proper."""
-
-    steps: int
-    budget_s: float | None
-    seconds: float = 0.0
-    step: int = 0
-    since_second_pass: int = 0
-    since_look: int = 0
-    lenience: int = 1
-    """How many times rarer second passes are than in the curriculum."""
-    passes: int = 0
-    passes_left_out: int = 0
-
-    @property
-    def progress(self) -> float:
-        """Share of the training that is done, 0 to 1."""
-        return min(1.0, self.step / self.steps if self.budget_s is None else self.seconds / self.budget_s)
 
 
 @dataclass
@@ -357,7 +337,7 @@ def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
 
 
 def _require_room(out: Path, state: TrainState) -> None:
-    """Raise KoalaError if the disk has no room for what a training writes: checkpoints, one of them unfinished, and the log."""
+    """Raise KoalaError where the disk has no room for the log and the checkpoints, one of them unfinished."""
     checkpoints = checkpoint.KEPT + 1 - len(checkpoint.steps(out / CHECKPOINTS))
     require_room(out, checkpoints * checkpoint.state_bytes(state) + LOOKS * LINE_BYTES, "the checkpoints and the log")
 

@@ -1,7 +1,5 @@
 """What changes while training goes on, as functions of progress in [0, 1]."""
 
-import math
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -28,9 +26,3 @@ def encoding_blur(progress: Float[Array, ""], *, first: float, last: float, unti
         return jnp.zeros(())
     share = jnp.clip(progress / until, 0, 1)
     return jnp.exp(jnp.log(first) + share * (jnp.log(last) - jnp.log(first)))
-
-
-def second_pass_period(progress: float, *, first: int, last: int) -> int:
-    """Steps between second passes: log-linear in progress, rounded to a power of two ("512/4", supplement H)."""
-    exponent = math.log2(first) + min(max(progress, 0.0), 1.0) * (math.log2(last) - math.log2(first))
-    return 2 ** round(exponent)
