@@ -1,8 +1,9 @@
 """Install Koala for every Python on this machine and use what was installed: `make install-check`.
 
-Each Python gets a fresh virtual environment and a plain, not editable installation of everything that has wheels for it, from a copy of
-the checkout. Then the four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm
-records a calibration session through the robot client of this installation; the camera is calibrated from it. Standard library only.
+Each Python gets a fresh virtual environment and a plain, not editable installation of everything that has wheels for it, from
+a copy of the checkout. Then the four commands print their help, a scene is made and read, a model trains for 20 steps, and the
+simulated arm records a calibration session through the robot client of this installation; the camera is calibrated from it.
+Standard library only.
 """
 
 import argparse
@@ -57,7 +58,7 @@ class Installation:
         self.bin = folder / "venv" / "bin"
 
     def install(self, python: Path) -> None:
-        """Create the environment and install a copy of the checkout with all extras, at the locked versions if there is a lock."""
+        """Create the environment and install a copy of the checkout with all extras, at locked versions if there are any."""
         self.run(str(python), "-m", "venv", str(self.folder / "venv"))
         source = self.folder / "source"
         shutil.copytree(
@@ -104,7 +105,8 @@ class Installation:
         robot = json.loads((self.folder / "board" / "manifest.json").read_text(encoding="utf-8"))["robot"]
         self.koala("calib", "handeye", "board", "--out", "calibration.json")
         truth = json.loads(self.koala("datasets", "truth", "board", "--calibration", "calibration.json", "--json"))
-        return f"{VIEWS} views through {robot['client']}; hand-eye off by {truth['hand_eye_mm']:.2f} mm, {truth['hand_eye_deg']:.3f} deg"
+        error = f"{truth['hand_eye_mm']:.2f} mm, {truth['hand_eye_deg']:.3f} deg"
+        return f"{VIEWS} views through {robot['client']}; error of the hand-eye pose {error}"
 
 
 def check(version: str, python: Path) -> bool:
