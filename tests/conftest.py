@@ -35,7 +35,6 @@ _NUMERICS = (
     "scene.rays",
     "field",
     "sampling",
-    "rendering.compositing",
     "rendering.model",
     "surface",
     "training.losses",
