@@ -160,9 +160,9 @@ class TrainConfig(Schema):
     """Optimisation."""
 
     steps: int = setting(10_000, "Steps where no time budget is given.", ge=1)
-    rate: float = setting(0.01, "Learning rate after warm-up.", gt=0)
+    rate: float = setting(0.01, "Learning rate of the tables after warm-up.", gt=0)
     network_share: float = setting(0.25, "The networks' rate as a share of the tables'.", gt=0)
-    final_rate: float = setting(0.001, "Learning rate at the end; log-linear between.", gt=0)
+    final_rate: float = setting(0.001, "Learning rate of the tables at the end; log-linear between.", gt=0)
     warmup: float = setting(0.02, "Share of the training over which the rate rises.", ge=0, le=1)
     seed: int = setting(0, "Seed of weights, rays and sphere rotations.", ge=0)
     first_blur: float = setting(0.02, "Standard deviation of every sample at the start [scene unit]; 0: none.", ge=0)

@@ -1,7 +1,7 @@
 """Bounds measured in the images: features are matched between views and triangulated with the known poses.
 
 For scenes without surface points and without masks, whose camera poses alone do not tell how near the nearest object is. It takes
-some seconds and is done on request only.
+some seconds: `datasets build` does it for recordings, other readers on request only.
 """
 
 from dataclasses import replace
