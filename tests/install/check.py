@@ -93,7 +93,7 @@ class Installation:
         self.koala(
             "reconstruct", "bench", "scenes", "--scene", "gold_rings", "--size", "32", "--train", "8", "--test", "2", "--out", "s"
         )
-        views = len(json.loads(self.koala("datasets", "info", "s/gold_rings", "--json"))["views"])
+        views = sum(json.loads(self.koala("datasets", "info", "s/gold_rings", "--json"))["views"].values())
         settings = ["--set", "train.steps=20", "--set", "sampler.samples=2048"]
         result = json.loads(self.koala("reconstruct", "train", "s/gold_rings", *settings, "--out", "run", "--json"))
         return f"{views} views, {result['steps']} steps, {result['psnr_train']:.1f} dB"
