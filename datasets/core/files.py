@@ -224,6 +224,8 @@ def target(folder: Path, name: str) -> Path:
 
 
 def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
+    """Hexadecimal SHA-256 of a regular file. Raises UsageError for anything else: reading a pipe would wait for its writer."""
+    if not Path(path).is_file():
+        raise UsageError("is not a file", where=path, why="it is missing, a folder, a pipe or a device", remedy="check the path")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

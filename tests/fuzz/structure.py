@@ -223,7 +223,7 @@ class Structure:
         depth = self.random.choice((60, 2000, 100_000) if path.suffix == ".yaml" else (2000, 100_000, 1_000_000))
         closed = self.random.random() < 0.5
         path.write_text(opening * depth + ("1" + closing * depth if closed else "") + "\n")
-        return True
+        return "checkpoints" not in path.parts  # the checkpoint before a damaged one is used
 
     def digits(self) -> bool | None:
         """A number of ten thousand digits."""
@@ -231,7 +231,7 @@ class Structure:
         if path is None:
             return None
         path.write_text('{"format": "koala-scene", "version": ' + "9" * 10_000 + "}")
-        return True
+        return "checkpoints" not in path.parts
 
     def alias_bomb(self) -> bool | None:
         """YAML whose aliases stand for billions of values, for themselves, or for Python objects."""
