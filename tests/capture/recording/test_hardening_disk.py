@@ -1,9 +1,7 @@
 """A disk that is full: it is said before the arm moves where that can be known, and costs nothing that was complete."""
 
 import shutil
-import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
@@ -65,18 +63,6 @@ def trajectory() -> Trajectory:
 @pytest.fixture
 def views(trajectory: Trajectory, rig: Rig) -> list[PlannedView]:
     return plan(trajectory, rig.flange_from_camera)[:6]
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 2 MB."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)], capture_output=True, check=False)
-    if mounted.returncode:
-        pytest.skip("a small disk cannot be made: mounting a tmpfs needs root")
-    yield place
-    subprocess.run(["umount", "-l", str(place)], check=True)
 
 
 @pytest.mark.parametrize("left", [1_500_000, 700_000, 300_000, 145_000, 20_000])

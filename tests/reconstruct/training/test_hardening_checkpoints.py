@@ -2,9 +2,7 @@
 
 import os
 import shutil
-import subprocess
 from collections import namedtuple
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -114,18 +112,6 @@ def test_a_damaged_log_is_one_line(run: Run, damage: bytes) -> None:
     (run.path / "log.jsonl").write_bytes(b'{"step": 1}\n' + damage + b'{"step": 2}\n')
     with pytest.raises(KoalaError, match=r"log\.jsonl, line 2"):
         run.log()
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 2 MB."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)], capture_output=True, check=False)
-    if mounted.returncode:
-        pytest.skip("a small disk cannot be made: mounting a tmpfs needs root")
-    yield place
-    subprocess.run(["umount", "-l", str(place)], check=True)
 
 
 def fill(disk: Path, left: int) -> Path:
