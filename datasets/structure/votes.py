@@ -41,10 +41,11 @@ class Silhouette:
         Args:
             wholly: the picture shows a ball that lies in it altogether, not only with its centre.
         """
-        index, pixels, depth = self._projected(points, radius)
-        focal = max(self.camera.fx, self.camera.fy)
-        margin = (slack[0] / (depth - radius) + slack[1]) * focal
-        reach = radius / (depth - radius) * focal + margin
+        index, local, pixels = self._projected(points, radius)
+        widening = 1 + np.square(local[:, :2] / local[:, 2:]).sum(1)  # of angles and lengths towards a picture's edge
+        across = max(self.camera.fx, self.camera.fy) * np.sqrt(widening) / (local[:, 2] - radius)
+        margin = slack[0] * across + slack[1] * max(self.camera.fx, self.camera.fy) * widening
+        reach = radius * across + margin
         border = (reach if wholly else margin)[:, None]
         inside = ((pixels >= border) & (pixels < [self.camera.width, self.camera.height] - border)).all(1)
         index, pixels, reach = index[inside], pixels[inside], reach[inside]
@@ -58,11 +59,11 @@ class Silhouette:
         """Share of the object's pixels, the outermost left out, that see none of the balls about (n, 3) points."""
         from scipy.ndimage import minimum_filter
 
-        _, pixels, depth = self._projected(points, radius)
+        _, local, pixels = self._projected(points, radius)
         certain = minimum_filter(self.inside, size=3)
         if not len(pixels) or not certain.any():
             return float(certain.any())
-        reach = radius / (np.median(depth) - radius) * max(self.camera.fx, self.camera.fy) + PIXELS_APART
+        reach = radius / (np.median(local[:, 2]) - radius) * max(self.camera.fx, self.camera.fy) + PIXELS_APART
         pad = int(np.ceil(reach))
         covered = np.zeros((self.camera.height + 2 * pad, self.camera.width + 2 * pad), bool)
         column, row = (np.floor(pixels) + pad).astype(int).T
@@ -71,12 +72,14 @@ class Silhouette:
         missed = distance_to(covered)[pad : pad + self.camera.height, pad : pad + self.camera.width] > reach
         return float(missed[certain].mean())
 
-    def _projected(self, points: NDArray[np.float64], radius: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray]:
-        """Indices of the points well before the camera, where its lens model is valid, their pixels and depths."""
+    def _projected(
+        self, points: NDArray[np.float64], radius: float
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        """Points well before the camera, where its lens model is valid: indices, places in the camera's frame, pixels."""
         local = (points - self.world_from_camera[:3, 3]) @ self.world_from_camera[:3, :3]
         depth = local[:, 2]
         index = np.flatnonzero((depth > 2 * radius) & (np.abs(local[:, :2]).max(1) < 1.5 * half_field(self.camera) * depth))
-        return index, self.camera.project(local[index]), depth[index]
+        return index, local[index], self.camera.project(local[index])
 
 
 def distance_to(inside: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -62,7 +62,8 @@ def test_chosen_pixels_alone_count() -> None:
     assert metrics.psnr(wrong, np.full((16, 40, 3), 0.5), np.roll(shown, 26, 1)) == 100
     left, right = (metrics.ssim(wrong, np.full((16, 40, 3), 0.5), np.roll(shown, by, 1)) for by in (0, 26))
     assert left == pytest.approx((2 * 0.4 * 0.5 + 1e-4) / (0.16 + 0.25 + 1e-4), abs=1e-5) and right == pytest.approx(1)
-    assert metrics.ssim(wrong, wrong, np.zeros((16, 40), bool)) is None and metrics.psnr(wrong, wrong, np.zeros((16, 40), bool)) is None
+    nothing = np.zeros((16, 40), bool)
+    assert metrics.ssim(wrong, wrong, nothing) is None and metrics.psnr(wrong, wrong, nothing) is None
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-4, 30.0, 90.0, 179.999, 180.0])
