@@ -67,8 +67,7 @@ _CELL = 2
 
 def _mask(view: View) -> NDArray[np.bool_]:
     """(rows, columns) mask cells: True where any pixel belongs to the object."""
-    picture = images.read(view.mask or view.image)
-    inside = picture[..., 0 if view.mask else -1] > 0
+    inside = (view.read_mask() if view.mask else images.read(view.image))[..., -1] > 0
     height, width = inside.shape
     padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
     cells = padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL)
