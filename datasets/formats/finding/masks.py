@@ -21,7 +21,7 @@ def find(folder: Path, home: Path, names: Sequence[str]) -> tuple[list[Path | No
     images, they correspond by sorted names. The masks may be beside the images, too (`X_mask.png`).
 
     Raises:
-        DatasetError: there is a folder of masks, and none is named after an image.
+        DatasetError: there is a folder called masks or the like, and none of its files is named after an image.
     """
     listing = Listing()
     offered = [path for path in _folders(folder, home) if path != home and (listing.files(path) or _nested(path, names))]
@@ -39,6 +39,7 @@ def find(folder: Path, home: Path, names: Sequence[str]) -> tuple[list[Path | No
             note = f"masks in {place.relative_to(folder)} have names of their own: they are taken in the order of names"
             placed = dict(zip(order, found, strict=True))
             return [placed[index] for index in range(len(names))], "" if alike else note
+    offered = [path for path in offered if "mask" in path.name.lower()]  # others may hold something else
     if offered and names:
         found = listing.files(offered[0])
         why = f"it holds {len(found)} such as {found[0].name}" if found else "its folders hold none for them"

@@ -28,13 +28,12 @@ class Listing:
         return sorted({path for paths in self._index(folder).values() for path in paths})
 
     def like(self, folder: Path, name: str) -> Path | None:
-        """The image of this name, of any case, or else of this stem with another suffix; None where there is none or several."""
+        """The image of this name, of any case, or else of this stem with another suffix, PNG preferred; None where there is none."""
         wanted = Path(name)
         index = self._index(folder / wanted.parent)
-        for key in (wanted.name.lower(), wanted.stem.lower() + "." if wanted.suffix.lower() in PICTURES else ""):
-            if len(found := index.get(key, [])) == 1:
-                return found[0]
-        return None
+        stem = wanted.stem if wanted.suffix.lower() in PICTURES else wanted.name
+        found = index.get(wanted.name.lower()) or index.get(stem.lower() + ".")
+        return min(found, key=_preference) if found else None
 
     def named_after(self, folder: Path, name: str) -> Path | None:
         """The image named after another, `X.JPG`: `X.JPG.png`, `X.png`, `X.jpg`, `X_mask.png` or `mask_X.png`; PNG is preferred."""
@@ -43,7 +42,7 @@ class Listing:
         stem = other.stem.lower()
         for key in (other.name.lower(), stem, f"{stem}_mask", f"{stem}.mask", f"{stem}-mask", f"mask_{stem}", f"{stem}_alpha"):
             if found := index.get(key + "."):
-                return min(found, key=lambda path: (path.suffix.lower() != ".png", path.name))
+                return min(found, key=_preference)
         return None
 
     def _index(self, folder: Path) -> dict[str, list[Path]]:
@@ -56,6 +55,10 @@ class Listing:
                     index.setdefault(path.stem.lower() + ".", []).append(path)
             self._known[folder] = index
         return self._known[folder]
+
+
+def _preference(path: Path) -> tuple[bool, str]:
+    return path.suffix.lower() != ".png", path.name
 
 
 def homes(folder: Path) -> list[Path]:

@@ -92,7 +92,7 @@ def test_an_opaque_alpha_is_no_mask(transforms: Callable[..., Path]) -> None:
     [
         ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not supported"),
         ({"camera_model": 7}, "camera model 7 is not supported"),
-        ({"k4": 0.1}, "distortion k4 is not supported"),
+        ({"k4": 0.1}, "k4 = 0.1 as the fourth radial coefficient is not supported.*datasets undistort"),
         ({"drop": ("fl_x", "fl_y")}, "no focal length"),
         ({"fl_x": float("nan")}, "not finite"),
         ({"fl_x": "wide"}, "camera is not complete"),
