@@ -92,7 +92,7 @@ def undistort(scene: options.Scene, out: OutFolder, data_root: DataRoot = None, 
     """Write a scene with every image resampled to a centred pinhole camera."""
     from datasets.edit import edit
 
-    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done))
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done), any_lens=True)
 
 
 def crop(
@@ -111,7 +111,7 @@ def crop(
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))
 
 
-def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit) -> None:
+def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit, *, any_lens: bool = False) -> None:
     """Load a scene, change it, and write it as a Koala scene, all or nothing."""
     from datasets.build import extra_truth
     from datasets.core.files import refuse_existing
@@ -119,7 +119,7 @@ def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: 
     from datasets.formats.links import plain_masks
 
     refuse_existing(out)
-    loaded = load_scene(name, data_root=data_root)
+    loaded = load_scene(name, data_root=data_root, any_lens=any_lens)
     out.parent.mkdir(parents=True, exist_ok=True)
     with (
         tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as work,

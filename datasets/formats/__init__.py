@@ -9,16 +9,19 @@ from typing import Any
 
 from datasets.core.errors import DatasetError, KoalaError, UsageError, nearest
 from datasets.core.progress import Step, ignore
-from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio
+from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio, sdfstudio
 from datasets.formats.assemble import CAMERAS_ALONE
+from datasets.formats.finding.almost import explain
 from datasets.formats.links import Extra, plain_masks
 from datasets.scene import Scene
 
-FORMATS = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
-"""Module of each format, with `detect`, `load` and `save`; the first that detects a folder reads it."""
+WRITTEN = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
+"""Module of each format that is read and written, with `detect`, `load` and `save`."""
+FORMATS = {**WRITTEN, "sdfstudio": sdfstudio}
+"""Module of each format, with `detect` and `load`; the first that detects a folder reads it."""
 
 WRITERS: dict[str, Callable[..., str]] = {
-    **{name: module.save for name, module in FORMATS.items()},
+    **{name: module.save for name, module in WRITTEN.items()},
     "colmap-text": partial(colmap.save, text=True),
     "mipnerf360": partial(colmap.save, sizes=(2, 4, 8)),
 }
@@ -109,12 +112,15 @@ def save_scene(
 
 
 def detect(folder: Path) -> str:
-    """Name of a folder's format. Raises UsageError where it has none of them."""
-    for name, module in FORMATS.items():
-        if module.detect(folder):
-            return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
-    why = "no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model"
-    raise UsageError("holds no scene in a known format", where=folder, why=why, remedy="give the folder that holds one of these")
+    """Name of a folder's format. Raises UsageError where it has none of them, with what is there and what is missing."""
+    name = _detected(folder)
+    if name is None:
+        raise explain(folder, lambda inner: _detected(inner) is not None)
+    return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
+
+
+def _detected(folder: Path) -> str | None:
+    return next((name for name, module in FORMATS.items() if module.detect(folder)), None)
 
 
 def find(path: str | Path, data_root: Path | None = None) -> Path:

@@ -45,9 +45,10 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     source = next((folder / name for name in CAMERAS if (folder / name).is_file()), folder / CAMERAS[0])
     stored = _arrays(files.within(folder, source))
     found, home = pictures.find(folder, images_folder)
+    numbers = _numbers(found, stored, where=source)
     gathering = assemble.Gathering(folder, problems)
     masks = gathering.masks(found[0].parent, [picture.name for picture in found])
-    for index, picture, mask in zip(_numbers(found, stored, where=source), found, masks, strict=True):
+    for index, picture, mask in zip(numbers, found, masks, strict=True):
         where = f"{source}, world_mat_{index} ({picture.name})"
         with gathering.collecting():
             if f"world_mat_{index}" not in stored:

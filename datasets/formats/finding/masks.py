@@ -6,7 +6,7 @@ from pathlib import Path
 
 from datasets.core import files
 from datasets.core.errors import DatasetError
-from datasets.formats.finding.pictures import Listing
+from datasets.formats.finding.pictures import HOMES, Listing
 
 KINDS = ("mask", "alpha", "matte", "silhouette", "segmentation", "foreground")
 """What folders of masks are called, also in the plural, after `images_` or `object_`, and with a number as of smaller images."""
@@ -27,7 +27,7 @@ def find(folder: Path, home: Path, names: Sequence[str]) -> tuple[list[Path | No
     offered = [path for path in _folders(folder, home) if path != home and (listing.files(path) or _nested(path, names))]
     chosen: list[Path | None] = [None] * len(names)
     for place in offered:
-        found = [listing.named_after(place, name) for name in names]
+        found = [listing.named_after(place, name) or listing.named_after(place, _without_home(name)) for name in names]
         if sum(mask is not None for mask in found) > sum(mask is not None for mask in chosen):
             chosen = found
     if any(chosen):
@@ -53,8 +53,8 @@ def _folders(folder: Path, home: Path) -> list[Path]:
     """Folders of masks: of the images' size, of full size, of another size; the most usual name first."""
     size = number[0] if (number := re.findall(r"_(\d+)$", home.name)) else None
     found = []
-    for root in dict.fromkeys((home.parent, folder)):
-        for path in sorted(files.within(folder, root).iterdir()) if root.is_dir() else ():
+    for root in dict.fromkeys((folder if home == folder else files.within(folder, home.parent), folder)):
+        for path in sorted(root.iterdir()) if root.is_dir() else ():
             if (match := _FOLDER.fullmatch(path.name)) and path.is_dir():
                 rank = 0 if match[2] == size else int(match[2] or 1)
                 found.append((rank, KINDS.index(match[1].lower()), path))
@@ -63,6 +63,12 @@ def _folders(folder: Path, home: Path) -> list[Path]:
 
 def _nested(place: Path, names: Sequence[str]) -> bool:
     return any((place / parent).is_dir() for parent in {Path(name).parent for name in names} if parent != Path())
+
+
+def _without_home(name: str) -> str:
+    """A name less the folder of images with which it may begin."""
+    first, _, rest = name.partition("/")
+    return rest if rest and first.lower() in HOMES else name
 
 
 def _digits(name: str) -> int | None:
