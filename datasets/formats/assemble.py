@@ -131,8 +131,9 @@ def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
 
 def foreign_lens(model: str, folder: Path, *, where: object) -> DatasetError:
     """The error of a lens that our camera cannot hold, and the command that mends it."""
-    command = f"datasets undistort {shlex.quote(str(folder))} --out {shlex.quote(folder.resolve().name + '_undistorted')}"
-    return DatasetError(f"camera model {model} is not supported", where=where, remedy=f"make a copy without distortion: {command}")
+    new = f"{folder.resolve().name}_undistorted"
+    remedy = f"make a copy without distortion: datasets undistort {shlex.quote(str(folder))} --out {shlex.quote(new)}"
+    return DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
 
 
 def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_far: tuple[float, float] | None = None) -> Scene:

@@ -69,7 +69,8 @@ def _gather(gathering: assemble.Gathering, split: str, *, any_lens: bool) -> Non
             named = [(key, image.with_name(image.stem + end)) for key, ends in TRUTH.items() for end in reversed(ends)]
             truth = {key: gathering.file(path, where=where) for key, path in named if path.is_file()}
             name = image.relative_to(folder).with_suffix("").as_posix()
-            matrix, mask = opengl.world_from_camera(frame, where=where), opengl.other_path(frame, "mask_path", folder, where=where)
+            matrix = opengl.world_from_camera(frame, where=where)
+            mask = opengl.other_path(frame, "mask_path", folder, where=where)
             gathering.views.append(View(name, camera, matrix, split, image, mask, truth))
 
 

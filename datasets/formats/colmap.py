@@ -49,7 +49,8 @@ def is_whole(folder: Path) -> bool:
     """True where the folder has a readable model and most of its images."""
     try:
         source = _find(folder, None)
-        return not source.renamed and sum(source.image(image.name) is not None for image in source.model.images) > len(source.model.images) / 2
+        present = [source.image(image.name) is not None for image in source.model.images]
+        return not source.renamed and sum(present) > len(present) / 2
     except KoalaError:
         return False
 
@@ -211,5 +212,3 @@ def save(
         colmap_library.write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
     return export.limits(scene, placed, LAYOUT)
-
-

@@ -51,7 +51,9 @@ def plain_path(file_path: str, *, where: object) -> str:
 def other_path(frame: dict[str, Any], key: str, folder: Path, *, where: object) -> Path | None:
     """The path that a frame states under a key; None where it states none. Raises DatasetError where it leaves the folder."""
     stated = frame.get(key)
-    return files.inside(folder, plain_path(stated, where=where) if isinstance(stated, str) else stated, where=where) if stated else None
+    if not stated:
+        return None
+    return files.inside(folder, plain_path(stated, where=where) if isinstance(stated, str) else stated, where=where)
 
 
 class Images:
@@ -72,7 +74,7 @@ class Images:
         paths = [PurePosixPath(plain_path(frame["file_path"], where=where)) for frame in frames]
         stated = {str(path.parent) for path in paths}
         if home is None and len(stated) == 1 and not files.inside(folder, *stated, where=where).is_dir():
-            there = (home.name for home in homes(folder) if any(self._listing.like(home, path.name) for path in paths))
+            there = (other.name for other in homes(folder) if any(self._listing.like(other, path.name) for path in paths))
             if (name := next(there, None)) is not None:
                 self._home = PurePosixPath(name)
                 self.note = f"there is no folder {' '.join(stated)}: images are taken from {name}"
@@ -161,8 +163,9 @@ class PolynomialCamera(Camera):
     def radial(self, r2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(radial factor at the squared radius `r2`, its derivative by r2), of any shape."""
         factor, slope = super().radial(r2)
-        cube = np.asarray(r2, np.float64) ** 3
-        return factor + self.fourth * cube * r2, slope + 4 * self.fourth * cube
+        square = np.asarray(r2, np.float64)
+        bent = self.fourth * square * square * square
+        return factor + bent * square, slope + 4 * bent
 
 
 def _focal(length: int, angle: float | None) -> float | None:

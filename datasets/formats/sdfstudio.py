@@ -48,7 +48,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
                 gathering.missing.append(frame["file_path"])
                 continue
             camera = gathering.fitted(_camera(content, frame, image, where=where), image, where=where)
-            matrix = pose.checked(frame.get("camtoworld"), where=where)
+            matrix = pose.checked(frame.get("camtoworld", ()), where=where)
             masks = (opengl.other_path(frame, key, folder, where=where) for key in MASKS)
             name = image.relative_to(folder).with_suffix("").as_posix()
             gathering.views.append(View(name, camera, matrix, "train", image, next(filter(None, masks), None)))
@@ -59,11 +59,13 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
 def _camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where: str) -> Camera:
     model = str(content.get("camera_model") or "OPENCV").upper()
     if model not in opengl.PINHOLES:
-        raise DatasetError(f"camera model {model} is not supported", where=where, remedy="undistort the images to a pinhole first")
+        remedy = "undistort the images to a pinhole first"
+        raise DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
     given = np.asarray(frame.get("intrinsics"), np.float64)
     matrix = arrays.numbers(given[:3, :3] if given.ndim == 2 else given, (3, 3), where=f"{where}, intrinsics")
     size = (content["width"], content["height"]) if "width" in content and "height" in content else images.size(image)
-    return Camera(int(size[0]), int(size[1]), *(float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))).checked(where=where)
+    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(int(size[0]), int(size[1]), fx, fy, cx, cy).checked(where=where)
 
 
 def _in_box(scene: Scene, stated: Any, *, where: Path) -> Scene:

@@ -70,8 +70,8 @@ def agreement(cells: Sequence[NDArray[np.float32]], places: Sequence[NDArray[np.
 
     around = np.ones((3, 3))
     seen = np.stack([place >= 0 for place in places])
-    possible = [binary_dilation(cell > _PURE, around) for cell in cells]
-    excluded = seen & ~np.stack([mask.ravel()[place] for mask, place in zip(possible, places, strict=True)])
+    outside = [np.logical_not(binary_dilation(cell > _PURE, around)).ravel() for cell in cells]
+    excluded = seen & np.stack([mask[place] for mask, place in zip(outside, places, strict=True)])
     found = []
     for number, (cell, place) in enumerate(zip(cells, places, strict=True)):
         kept = (seen.sum(0) - seen[number] >= max(len(cells) // 3, 1)) & (excluded.sum(0) - excluded[number] <= 1)

@@ -52,7 +52,7 @@ def parts(place: Path) -> tuple[Path, Path, Path]:
 
 def exists(folder: Path) -> bool:
     """True where the folder has the cameras of a model, complete or not."""
-    return any((path / f"cameras{end}").is_file() for place in PLACES for path in _matching(folder, place) for end in (".bin", ".txt"))
+    return any(_present(path)[0] for pattern in PLACES for path in _matching(folder, pattern))
 
 
 def _matching(folder: Path, pattern: str) -> list[Path]:

@@ -87,7 +87,8 @@ def test_a_foreign_lens_is_refused_with_the_command_that_mends_it(
     x, y = np.floor(pixels).astype(int).T
     neighbours = [picture[row + dr, column + dc, :3] for dr in (-1, 0, 1) for dc in (-1, 0, 1)]
     slack = 0.1  # a quintic spline overshoots its nodes a little
-    assert (straight[y, x, :3] >= np.min(neighbours, 0) - slack).all() and (straight[y, x, :3] <= np.max(neighbours, 0) + slack).all()
+    colours = straight[y, x, :3]
+    assert (colours >= np.min(neighbours, 0) - slack).all() and (colours <= np.max(neighbours, 0) + slack).all()
     within = np.hypot(*(seen - [48.0, 36.0]).T)
     assert (straight[y, x, 3][within < 18] == 1).all() and (straight[y, x, 3][within > 22] == 0).all()  # the disc of the mask
 

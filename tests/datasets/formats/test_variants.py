@@ -84,7 +84,7 @@ def labelled(folder: Path, home: str) -> None:
         lambda folder, home, masks: coloured(folder, masks),
         lambda folder, home, masks: labelled(folder, masks),
     ],
-    ids=["rgb", "image for images", "upper case", "mask for masks", "alpha", "X.PNG", "X.png.png", "inverted", "colours", "labels"],
+    ids=["rgb", "image for images", "upper case", "mask", "alpha", "X.PNG", "X.png.png", "inverted", "colours", "labels"],
 )
 def test_variants_read_like_the_original(foreign: Callable[..., Path], layout: str, change: Callable[..., None]) -> None:
     folder = foreign(layout)

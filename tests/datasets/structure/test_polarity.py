@@ -24,13 +24,14 @@ def ball(camera_ring: Callable[..., list[View]], tmp_path: Path) -> Callable[...
         camera = Camera(128, 96, focal, focal, 64, 48)
         views = []
         for number, view in enumerate(camera_ring(centre=tuple(CENTRE), count=count)):
-            view = replace(view, camera=camera, mask=tmp_path / f"{number}.png")
+            path = tmp_path / f"{number}.png"
+            view = replace(view, camera=camera, mask=path)
             rays = camera.directions(camera.pixel_centres()) @ view.world_from_camera[:3, :3].T
             rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
             to_centre = CENTRE - view.world_from_camera[:3, 3]
             along = rays @ to_centre
             hit = to_centre @ to_centre - along**2 < radius**2
-            images.write(view.mask, np.uint8(255 * (hit != black)))
+            images.write(path, np.uint8(255 * (hit != black)))
             views.append(view)
         return views
 

@@ -17,7 +17,10 @@ from datasets.scene import Scene
         (["a/b.txt", "c.dat"], r"it holds a/, c\.dat; no cameras\.json.*give the folder that holds one of these"),
         (["frames.jsonl"], "it is a recording.*datasets build .*photos --calibration FILE --out photos_scene"),
         (["run.json"], "it is a run.*reconstruct view "),
-        (["transforms_present.json"], r"transforms_present\.json is there, .*transforms\.json is not.*cp .*transforms_present\.json"),
+        (
+            ["transforms_present.json"],
+            r"transforms_present\.json is there, .*transforms\.json is not.*cp .*transforms_present\.json",
+        ),
         (["my_poses_bounds.npy"], r"poses_bounds\.npy is not.*cp "),
         (["cameras_sphere.npz"], "cameras_sphere.npz is there, a folder of images is not.*mkdir .*image"),
         (["cameras_old.npz", "image/0.png"], "cameras_sphere.npz is not.*cp "),
