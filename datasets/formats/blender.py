@@ -36,7 +36,10 @@ def load(
     problems: list[KoalaError] | None = None,
     any_lens: bool = False,
 ) -> Scene:
-    """Read a Blender folder. Without a test file, every `hold_out`-th training view is a test view; `any_lens`: `opengl.camera`."""
+    """Read a Blender folder. Without a test file, every `hold_out`-th training view is a test view.
+
+    `any_lens` is that of `opengl.camera`.
+    """
     gathering = assemble.Gathering(folder, problems)
     present = [split for split in SPLITS if (folder / f"transforms_{split}.json").is_file()]
     for split in present:

@@ -1,4 +1,4 @@
-"""What is left to COLMAP's own library: writing models, and lenses that our camera cannot hold. It is imported where it is used."""
+"""What is left to pycolmap, imported where it is used: writing models, and lenses that our camera cannot hold."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -28,7 +28,7 @@ def detect(folder: Path) -> bool:
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read an SDFStudio folder; every `hold_out`-th view by sorted name is a test view. The box is the file's where it states one.
+    """Read an SDFStudio folder; every `hold_out`-th view by sorted name is a test view. The box is the file's if it has one.
 
     Raises:
         DatasetError: a frame lacks its intrinsics or its pose, or the lens is no pinhole.

@@ -1,8 +1,8 @@
 """Whether masks show the object in white or in black: told by the borders of the pictures, their middles, and the visual hull.
 
-An object is in the middle of the pictures rather than at their borders, and its masks are the outlines of one body: what the other
-views leave of space, projected into a view, covers the mask of that view and little else. What is around an object is no such body:
-beside the object in the other views, there is space in front of it in this one.
+An object is in the middle of the pictures rather than at their borders, and its masks are the outlines of one body: what the
+other views leave of space, projected into a view, covers the mask of that view and little else. What is around an object is no
+such body: what lies beside the object in the other views may lie in front of it in this one.
 """
 
 from collections.abc import Sequence

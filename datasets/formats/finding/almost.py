@@ -17,9 +17,11 @@ VIDEOS = ("*.mp4", "*.mov", "*.MP4", "*.MOV", "*.m4v", "*.avi", "*.mkv")
 MARKS = (
     (("frames.jsonl",), "it is a recording", "datasets build {folder} --calibration FILE --out {new}"),
     (("run.json",), "it is a run, which names its scene", "reconstruct view {folder}"),
-    (("transform*.json", "*transforms*.json"), "{found} is there, {folder}/transforms.json is not", "cp {found} {folder}/transforms.json"),
+    (("transform*.json", "*transforms*.json"), "{found} is there, {folder}/transforms.json is not",
+     "cp {found} {folder}/transforms.json"),
     (("*pose*bound*.npy",), "{found} is there, {folder}/poses_bounds.npy is not", "cp {found} {folder}/poses_bounds.npy"),
-    (("cameras_sphere.npz", "cameras.npz", "cameras_large.npz"), "{found} is there, a folder of images is not", "mkdir {folder}/image"),
+    (("cameras_sphere.npz", "cameras.npz", "cameras_large.npz"), "{found} is there, a folder of images is not",
+     "put the images into {folder}/image"),
     (("*camera*.npz",), "{found} is there, {folder}/cameras_sphere.npz is not", "cp {found} {folder}/cameras_sphere.npz"),
     (("keyframes/cameras",), "it is a raw export of Polycam", "ns-process-data polycam --data {folder} --output-dir {new}"),
     (("EXR_RGBD/metadata.json",), "it is an export of Record3D", "ns-process-data record3d --data {folder} --output-dir {new}"),

@@ -7,7 +7,8 @@ from datasets.core.errors import DatasetError
 from datasets.formats.colmap_files import count_images
 
 PLACES = (
-    "sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", "colmap", "dense/sparse", "dense/*/sparse", "distorted/sparse/*", "",
+    "sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", "colmap",
+    "dense/sparse", "dense/*/sparse", "distorted/sparse/*", "",
 )  # fmt: skip
 """Folders of models in the order in which they are tried: of the mapper, of nerfstudio, of the undistorter, of 3D Gaussians."""
 NEEDED = ("cameras", "images", "points3D")

@@ -28,7 +28,7 @@ class Listing:
         return sorted({path for paths in self._index(folder).values() for path in paths})
 
     def like(self, folder: Path, name: str) -> Path | None:
-        """The image of this name, of any case, or else of this stem with another suffix, PNG preferred; None where there is none."""
+        """The image of this name, of any case, or else of this stem with another suffix, PNG preferred; None for none."""
         wanted = Path(name)
         index = self._index(folder / wanted.parent)
         stem = wanted.stem if wanted.suffix.lower() in PICTURES else wanted.name
@@ -36,7 +36,7 @@ class Listing:
         return min(found, key=_preference) if found else None
 
     def named_after(self, folder: Path, name: str) -> Path | None:
-        """The image named after another, `X.JPG`: `X.JPG.png`, `X.png`, `X.jpg`, `X_mask.png` or `mask_X.png`; PNG is preferred."""
+        """The image named after `X.JPG`: `X.JPG.png`, `X.png`, `X.jpg`, `X_mask.png` or `mask_X.png`; PNG is preferred."""
         other = Path(name)
         index = self._index(folder / other.parent)
         stem = other.stem.lower()

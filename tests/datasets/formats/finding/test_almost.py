@@ -22,7 +22,7 @@ from datasets.scene import Scene
             r"transforms_present\.json is there, .*transforms\.json is not.*cp .*transforms_present\.json",
         ),
         (["my_poses_bounds.npy"], r"poses_bounds\.npy is not.*cp "),
-        (["cameras_sphere.npz"], "cameras_sphere.npz is there, a folder of images is not.*mkdir .*image"),
+        (["cameras_sphere.npz"], "cameras_sphere.npz is there, a folder of images is not.*put the images into .*image"),
         (["cameras_old.npz", "image/0.png"], "cameras_sphere.npz is not.*cp "),
         (["database.db", "images/a.jpg"], "a model is not.*colmap mapper --database_path .*database.db --image_path .*images"),
         (["a.jpg", "b.jpg"], r"it holds 2 images and no poses.*datasets process .*photos --out photos_scene"),

@@ -23,7 +23,8 @@ NAMES = ["b.JPG", "a.JPG"]
     [
         "masks/{stem}.png", "masks/{stem}.jpg", "masks/{stem}.JPG", "masks/{stem}.JPG.png", "masks/{stem}.jpg.PNG",
         "masks/{stem}_mask.png", "masks/mask_{stem}.png", "mask/{stem}.png", "Masks/{stem}.tif", "masks_2/{stem}.png",
-        "alpha/{stem}.png", "images_mask/{stem}.png", "object_masks/{stem}.png", "silhouettes/{stem}.png", "images/{stem}_mask.png",
+        "alpha/{stem}.png", "images_mask/{stem}.png", "object_masks/{stem}.png", "silhouettes/{stem}.png",
+        "images/{stem}_mask.png",
     ],
 )  # fmt: skip
 def test_masks_are_found_by_name(tmp_path: Path, form: str) -> None:
@@ -55,7 +56,9 @@ def test_masks_in_folders_of_cameras(tmp_path: Path) -> None:
 
 def test_masks_of_nothing_are_named_with_the_remedy(tmp_path: Path) -> None:
     touch(tmp_path, "masks/x.png", "masks/y.png", "masks/z.png")
-    words = r"masks: no mask is named after an image \(2 images; it holds 3 such as x.png\); name the mask of b.JPG b.png or b.JPG.png"
+    words = (
+        r"masks: no mask is named after an image \(2 images; it holds 3 such as x.png\); name the mask of b.JPG b.png or b.JPG"
+    )
     with pytest.raises(DatasetError, match=words):
         masks.find(tmp_path, tmp_path / "images", NAMES)
 
