@@ -52,12 +52,13 @@ def process(
 
     If it is interrupted, the same command continues where it stopped."""
     from datasets.core.errors import UsageError, nearest
-    from datasets.process import pairs, photographs
-    from datasets.process import up as upward
-    from datasets.process.alignment import Wishes
+    from datasets.process.pictures import photographs
+    from datasets.process.poses import pairs
     from datasets.process.process import Request
     from datasets.process.process import process as process_pictures
-    from datasets.process.scale import KnownLength
+    from datasets.process.world import up as upward
+    from datasets.process.world.alignment import Wishes
+    from datasets.process.world.scale import KnownLength
 
     for option, word, valid in (
         ("--match", match, pairs.KINDS), ("--cameras", cameras, photographs.SHARING), ("--up", up, upward.KINDS),

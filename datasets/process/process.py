@@ -13,13 +13,15 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import colmap, koala
 from datasets.formats.links import link
 from datasets.imaging.downscale import streamed
-from datasets.process import alignment, database, features, frames, mapping, pairs, photographs, reasons
-from datasets.process.alignment import Aligned, Wishes
-from datasets.process.database import Picture
-from datasets.process.features import Features
-from datasets.process.markers import Marker
-from datasets.process.photographs import Found
+from datasets.process.pictures import features, frames, photographs
+from datasets.process.pictures.features import Features
+from datasets.process.pictures.markers import Marker
+from datasets.process.pictures.photographs import Found
+from datasets.process.poses import database, mapping, pairs, reasons
+from datasets.process.poses.database import Picture
 from datasets.process.work import Work, state
+from datasets.process.world import alignment
+from datasets.process.world.alignment import Aligned, Wishes
 from datasets.scene import Scene
 from datasets.structure.reprojection import errors_px
 
@@ -139,7 +141,7 @@ def _matched(pictures: list[Picture], work: Work, request: Request, *, in_order:
     if not work.database.is_file():
         database.write(work.database, pictures)
     if request.vocabulary is not None:
-        chosen = pairs.by_vocabulary(work.database, request.vocabulary)
+        chosen = database.by_vocabulary(work.database, request.vocabulary)
     else:
         with console.progress("pairs", len(pictures), "pictures") as shown:
             found = [picture.features for picture in pictures]

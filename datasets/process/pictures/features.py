@@ -1,7 +1,7 @@
 """Features of one picture: places that can be found again in other pictures, their descriptors and their colours.
 
-SIFT in a picture of at most `SIDE` pixels, whose pixels everything here is measured in; descriptors are normalised as COLMAP's, so that its matcher takes
-them: the root of the histogram divided by its sum (Arandjelović and Zisserman 2012), times 512.
+SIFT in a picture of at most `SIDE` pixels. Descriptors are normalised as COLMAP's, so that its matcher takes them: the root of
+the histogram divided by its sum (Arandjelović and Zisserman 2012), times 512.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from datasets import conventions
 from datasets.core import arrays, files
 from datasets.core.errors import DatasetError
 from datasets.imaging import images
-from datasets.process import markers
-from datasets.process.markers import Marker
+from datasets.process.pictures import markers
+from datasets.process.pictures.markers import Marker
 
 SIDE = 1200
 """Longest side of the pictures that are searched [px]."""
@@ -68,7 +68,7 @@ def detect(path: Path) -> Features:
 
     picture, mask = _searched(path)
     height, width = picture.shape[:2]
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
     sift = cv2.SIFT.create(COUNT, 3, PEAK, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
     keypoints, descriptors = sift.detectAndCompute(grey, mask)
     seen = tuple(markers.detect(grey))

@@ -89,7 +89,7 @@ def observe(video: Path, *, done: Any = ignore) -> Motion:
 
 
 def movement(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> float:
-    """How far the median of the followed places moves between two grey pictures, as a share of the diagonal; 0 if none is found."""
+    """How far the median place moves between two grey pictures, as a share of the diagonal; 0 where nothing can be followed."""
     import cv2
 
     places = cv2.goodFeaturesToTrack(before, CORNERS, 0.01, 5)
@@ -143,7 +143,7 @@ def _decoded(video: Path) -> Iterator[Any]:
         stream.thread_type = "AUTO"
         try:
             yield from container.decode(stream)
-        except av.FFmpegError:
+        except av.error.FFmpegError:
             return
 
 
@@ -152,8 +152,10 @@ def _opened(video: Path) -> Any:
 
     try:
         container = av.open(str(video))
-    except av.FFmpegError as error:
-        raise DatasetError("video cannot be read", where=video, why=error.strerror, remedy="copy it again") from None
+    except av.error.FFmpegError as error:
+        raise DatasetError(
+            "video cannot be read", where=video, why=str(error.strerror or error), remedy="copy it again"
+        ) from None
     if not container.streams.video:
         container.close()
         raise UsageError("holds no moving pictures", where=video, remedy="give a video or a folder of photographs")

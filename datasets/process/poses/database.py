@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datasets.core import files
+from datasets.core.errors import UsageError
 from datasets.core.progress import Count, ignore
-from datasets.process.features import Features
-from datasets.process.pairs import Pairs
-from datasets.process.photographs import Photograph
+from datasets.process.pictures.features import Features
+from datasets.process.pictures.photographs import Photograph
+from datasets.process.poses.pairs import Pairs
 
 if TYPE_CHECKING:
     import pycolmap
@@ -22,6 +23,8 @@ GUESS = 1.2
 """Focal length where nothing is known, in units of the longer side, as in COLMAP."""
 BLOCK = 64
 """Pairs that are matched at a time."""
+MOST_ALIKE = 40
+"""Pictures that a vocabulary tree finds for each."""
 FEWEST_MATCHES = 15
 """Smallest number of matches of one geometry between two pictures."""
 
@@ -78,6 +81,19 @@ def _write_camera(stored: "pycolmap.Database", picture: Picture) -> tuple[int, i
     rig = pycolmap.Rig()
     rig.add_ref_sensor(camera.sensor_id)
     return camera.camera_id, stored.write_rig(rig)
+
+
+def by_vocabulary(database: Path, vocabulary: Path) -> Pairs:
+    """Pairs that COLMAP's vocabulary tree, a file for pycolmap, finds alike. Raises UsageError where it cannot be read."""
+    import pycolmap
+
+    options = pycolmap.VocabTreePairingOptions(vocab_tree_path=vocabulary, num_images=MOST_ALIKE)
+    try:
+        with pycolmap.Database.open(database) as stored:
+            ends = pycolmap.VocabTreePairGenerator(options, stored).all_pairs()
+    except (RuntimeError, ValueError) as error:
+        raise UsageError("is no vocabulary tree", where=vocabulary, why=str(error).splitlines()[0]) from None
+    return sorted({(min(a, b) - 1, max(a, b) - 1) for a, b in ends if a != b})
 
 
 def match(path: Path, pictures: Sequence[Picture], pairs: Pairs, *, done: Count = ignore) -> None:

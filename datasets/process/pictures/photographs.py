@@ -6,7 +6,7 @@ from pathlib import Path
 
 from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging import images
-from datasets.process import exif
+from datasets.process.pictures import exif
 from datasets.scene import checked_name
 
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})

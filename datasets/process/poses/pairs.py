@@ -2,13 +2,11 @@
 
 from collections.abc import Sequence
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
-from datasets.core.errors import UsageError
 from datasets.core.progress import Step, ignore
-from datasets.process.features import Features
+from datasets.process.pictures.features import Features
 
 Pairs = list[tuple[int, int]]
 
@@ -73,16 +71,3 @@ def _shared(first: np.ndarray, second: np.ndarray) -> int:
     mutual = affinity.argmax(0)[best] == rows
     affinity[rows, best] = -1.0
     return int((mutual & (nearest < RATIO**2 * (2 - 2 * affinity.max(1)))).sum())
-
-
-def by_vocabulary(database: Path, vocabulary: Path) -> Pairs:
-    """Pairs that COLMAP's vocabulary tree, a file for pycolmap, finds alike. Raises UsageError where it cannot be read."""
-    import pycolmap
-
-    options = pycolmap.VocabTreePairingOptions(vocab_tree_path=vocabulary, num_images=NEIGHBOURS * 5)
-    try:
-        with pycolmap.Database.open(database) as stored:
-            ends = pycolmap.VocabTreePairGenerator(options, stored).all_pairs()
-    except (RuntimeError, ValueError) as error:
-        raise UsageError("is no vocabulary tree", where=vocabulary, why=str(error).splitlines()[0]) from None
-    return sorted({(min(a, b) - 1, max(a, b) - 1) for a, b in ends if a != b})

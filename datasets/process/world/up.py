@@ -9,43 +9,40 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.process.markers import Placed
+from datasets.process.pictures.markers import Placed
 from datasets.scene import View
 
 Array = NDArray[np.float64]
 
 KINDS = ("auto", "marker", "plane", "cameras", "none")
-LEVEL = 0.1
-"""Cameras tell what is level where their horizontal axes have this mean squared sine, at least, about their mean direction."""
+ROLL, PITCH = np.deg2rad(3.0), np.deg2rad(20.0)
+"""Standard deviations of how far a picture is from level, and of the mean upward axis of all from the vertical [rad]."""
 TILT_DEG = 25.0
 """Largest angle between the ground's normal and what the cameras, or printed markers among themselves, say."""
 THICKNESS = 0.01
 """Half the thickness of a plane, in median distances of the points from their middle."""
 SHARE = 0.12
-"""Smallest share of the points in the ground; they must lie above it, all but as many as noise explains."""
-BELOW = 0.05
-"""Largest share of the points on the far side of the ground."""
+"""Smallest share of the points in the ground."""
 TRIALS = 2000
 
 
-def by_cameras(views: Sequence[View]) -> tuple[Array, str]:
-    """(3,) unit vector that is across all horizontal axes of the pictures, and the evidence.
+def by_cameras(views: Sequence[View]) -> Array:
+    """(3,) unit vector across the horizontal axes of the pictures and near their mean upward axis, as errors of both allow.
 
-    Where all pictures are taken in one direction, their mean upward axis.
+    It is the mode of a Gaussian: the mean upward axis m is off by `PITCH`, and each horizontal axis r by `ROLL`, so that
+    (I / PITCH^2 + sum of r r^T / ROLL^2) u = m / PITCH^2.
     """
     axes = np.stack([view.world_from_camera[:3, :2] for view in views])
     right, mean_up = axes[:, :, 0], -axes[:, :, 1].mean(0)
-    values, vectors = np.linalg.eigh(right.T @ right / len(right))
-    if values[1] < LEVEL:
-        return mean_up / max(np.linalg.norm(mean_up), 1e-12), "the mean upward axis of the pictures"
-    up = vectors[:, 0] * (1.0 if vectors[:, 0] @ mean_up >= 0 else -1.0)
-    return up, "the horizontal axes of the pictures"
+    up = np.linalg.solve(np.eye(3) + right.T @ right * (PITCH / ROLL) ** 2, mean_up)
+    length = np.linalg.norm(up)
+    return up / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
 def by_plane(views: Sequence[View], points: Array, guide: Array, *, seed: int = 0) -> tuple[Array, Array, float] | None:
-    """The ground: (3,) normal towards the cameras, (3,) a point in it, and the share of the points there. None where there is none.
+    """The ground: (3,) normal towards the cameras, (3,) a point in it, the share of the points there. None where there is none.
 
-    RANSAC (Fischler and Bolles 1981) over planes whose normal is near `guide`, with all cameras and nearly all points above them.
+    RANSAC (Fischler and Bolles 1981) over planes whose normal is near `guide`, with all cameras above them.
     """
     random = np.random.default_rng(seed)
     middle = np.median(points, axis=0)
@@ -60,9 +57,8 @@ def by_plane(views: Sequence[View], points: Array, guide: Array, *, seed: int = 
     for normal, place in zip(normals, corners[:, 0], strict=True):
         if normal @ guide < np.cos(np.deg2rad(TILT_DEG)) or ((cameras - place) @ normal).min() <= 0:
             continue
-        height = (points - place) @ normal
-        inside = int((np.abs(height) < thickness).sum())
-        if (best is None or inside > best[0]) and (height < -3 * thickness).mean() <= BELOW:
+        inside = int((np.abs((points - place) @ normal) < thickness).sum())
+        if best is None or inside > best[0]:
             best = inside, normal, place
     if best is None or best[0] < SHARE * len(points):
         return None

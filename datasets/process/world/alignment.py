@@ -1,4 +1,4 @@
-"""From a model in its own frame and unit to the world: metres where something tells the size, z up, the origin below the object."""
+"""From a model in its own frame and unit to the world: metres where something tells the size, z up, the origin at the object."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,10 +8,11 @@ import numpy as np
 
 from datasets.core.errors import UsageError
 from datasets.formats import assemble
-from datasets.process import markers, scale, up
-from datasets.process.markers import Marker
-from datasets.process.scale import KnownLength
-from datasets.process.similarity import Similarity, upwards
+from datasets.process.pictures import markers
+from datasets.process.pictures.markers import Marker
+from datasets.process.world import scale, up
+from datasets.process.world.scale import KnownLength
+from datasets.process.world.similarity import Similarity, upwards
 from datasets.scene import Scene
 from datasets.structure import bounds
 
@@ -77,14 +78,14 @@ def align(scene: Scene, seen: Mapping[str, Sequence[Marker]], wishes: Wishes) ->
 
 
 def _upright(scene: Scene, placed: Sequence[markers.Placed], kind: str) -> tuple[Similarity, str | None]:
-    """The motion that makes z up and puts the origin where the cameras look, on the ground where there is one; and the evidence."""
+    """The motion that makes z up, with the origin where the cameras look, on the ground where there is one; and the evidence."""
     if kind == "none":
         return Similarity(), None
     matrices = np.stack([view.world_from_camera for view in scene.views])
     origin, spread = bounds.focus(matrices)
     if spread < bounds.PARALLEL and scene.points is not None:
         origin = np.median(scene.points, axis=0)
-    direction, evidence = up.by_cameras(scene.views)
+    direction, evidence = up.by_cameras(scene.views), "the cameras, as pictures are held level"
     by_markers = up.by_markers(placed) if kind in ("auto", "marker") else None
     if kind == "marker" and by_markers is None:
         raise UsageError("up cannot be taken from a marker", where="--up", why="none was found, or they face different ways")

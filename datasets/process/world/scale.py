@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from datasets import pose
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError, nearest
-from datasets.process import similarity
-from datasets.process.markers import Placed
-from datasets.process.similarity import Similarity
+from datasets.process.pictures.markers import Placed
+from datasets.process.world import similarity
+from datasets.process.world.similarity import Similarity
 from datasets.scene import View
 from datasets.structure.triangulate import meeting_point
 
@@ -111,8 +111,8 @@ def read_positions(path: Path) -> dict[str, Array]:
 def by_positions(views: Sequence[View], positions: Mapping[str, Array]) -> tuple[Similarity, str]:
     """The similarity to the world of measured positions [m], and the evidence.
 
-    Positions are of cameras or of something fixed to them, such as an arm's flange: where its unknown offset from the camera explains
-    them much better, it is solved for.
+    Positions are of the camera or of something fixed to it, such as an arm's flange: where an unknown offset from the camera
+    explains them much better, it is solved for.
 
     Raises:
         UsageError: too few views have a position, or the positions do not fit.
