@@ -83,6 +83,17 @@ def detect(path: Path) -> Features:
     return Features(width, height, pixels, np.rint(root).clip(0, 255).astype(np.uint8), picture[row, column], seen)
 
 
+def markers_of(path: Path) -> tuple[Marker, ...]:
+    """Printed markers in an image file, in its own pixels. Raises as `images.read` does."""
+    import cv2
+
+    picture, _ = _searched(path)
+    width, height = images.size(path)
+    ratio = np.array([width / picture.shape[1], height / picture.shape[0]])
+    seen = markers.detect(np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8))
+    return tuple(Marker(marker.kind, marker.corners * ratio) for marker in seen)
+
+
 def _searched(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
     """(height, width, 3) sRGB bytes of at most `SIDE` pixels, and the mask of an alpha."""
     import cv2

@@ -74,7 +74,7 @@ def align(scene: Scene, seen: Mapping[str, Sequence[Marker]], wishes: Wishes) ->
     if scale_from is None and placed:
         hint = f"marker {placed[0].kind} is in {placed[0].seen} pictures: its printed side as --marker-mm gives metres"
     world = Similarity(factor).after(turned)
-    return Aligned(moved(scene, world, metric=scale_from is not None), scale_from, up_from, hint)
+    return Aligned(moved(scene, world, metric=scene.metric or scale_from is not None), scale_from, up_from, hint)
 
 
 def _upright(scene: Scene, placed: Sequence[markers.Placed], kind: str) -> tuple[Similarity, str | None]:
@@ -105,10 +105,16 @@ def _upright(scene: Scene, placed: Sequence[markers.Placed], kind: str) -> tuple
 
 
 def moved(scene: Scene, found: Similarity, *, metric: bool) -> Scene:
-    """The scene in another world, its bounds measured anew from masks, points and cameras."""
-    views = tuple(found.view(view) for view in scene.views)
+    """The scene in another world. Bounds that were stated move along; others are measured anew from masks, points and cameras."""
+    views = tuple(replace(found.view(view), truth={}) for view in scene.views)
+    points = None if scene.points is None else found.points(scene.points)
+    new = replace(scene, views=views, points=points, metric=metric)
+    if scene.box_is_stated:
+        corners = found.points(bounds.corners(scene.box))
+        box = np.stack([corners.min(0), corners.max(0)])
+        return replace(new, near=scene.near * found.scale, far=scene.far * found.scale, box=box)
     gathering = assemble.Gathering(Path(scene.name), notes=list(scene.notes))
-    new = assemble.scene(gathering, views, "photographs")
-    if scene.points is not None:
-        new = replace(assemble.with_points(new, found.points(scene.points)), sightings=scene.sightings)
-    return replace(new, metric=metric, provenance=scene.provenance)
+    measured = assemble.scene(gathering, views, "photographs")
+    if points is not None:
+        measured = assemble.with_points(measured, points)
+    return replace(new, near=measured.near, far=measured.far, box=measured.box, bounds_from=measured.bounds_from)
