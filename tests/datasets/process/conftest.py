@@ -14,6 +14,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.imaging import images
+from datasets.process.world.similarity import Similarity
+from datasets.scene import Scene, View
 
 Array = NDArray[np.float64]
 
@@ -100,10 +102,10 @@ def make_table(*, marker: bool, seed: int = 0) -> Table:
     return Table(tuple(np.clip(texture, 0, 1) for texture in textures), printed)
 
 
-def ring(count: int, *, radius: float = 1.6, height: float = 1.0, sweep_deg: float = 150.0) -> list[Array]:
-    """Poses on an arc around the table's middle, at changing heights."""
+def ring(count: int, *, radius: float = 1.6, height: float = 1.0, sweep_deg: float = 150.0, wave: float = 0.2) -> list[Array]:
+    """Poses on an arc around the table's middle, at heights that change by up to `wave`."""
     angles = np.deg2rad(np.linspace(0, sweep_deg, count))
-    heights = height + 0.2 * np.sin(3 * np.arange(count))
+    heights = height + wave * np.sin(3 * np.arange(count))
     places = [(radius * np.cos(a), radius * np.sin(a), h) for a, h in zip(angles, heights, strict=True)]
     return [pose.look_at(place, (0.0, 0.0, 0.1)) for place in places]
 
@@ -141,3 +143,19 @@ def photograph_of() -> Callable[[Array, int], NDArray[np.uint8]]:
         return tables[seed].photograph(CAMERA, matrix)
 
     return make
+
+
+@pytest.fixture
+def tilted(shots: Shots) -> Scene:
+    """The photographs with their true poses, in half the size and lying on the side."""
+    away = Similarity(0.5, pose.from_rotation_vector([1.0, 0.5, 0.2])[:3, :3], np.array([1.0, 2.0, 3.0]))
+    files = {path.stem: path for path in shots.folder.iterdir()}
+    views = [away.view(View(name, CAMERA, matrix, "train", files[name])) for name, matrix in shots.poses.items()]
+    box = np.array([[0.0, 1.0, 2.0], [2.0, 3.0, 4.0]])
+    return Scene("tilted", tuple(views), 0.1, np.inf, box, "scene", bounds_from="cameras alone")
+
+
+@pytest.fixture(scope="session")
+def ring_of() -> Callable[..., list[Array]]:
+    """`ring`."""
+    return ring
