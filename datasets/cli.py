@@ -9,6 +9,7 @@ import typer
 from datasets.core import console, options
 from datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
 from datasets.edit import commands
+from datasets.process import command
 
 app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
@@ -195,6 +196,7 @@ def bench(
 
 
 commands.add_to(app)
+command.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -16,6 +16,7 @@ from datasets.core.findings import Finding
 from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import bytes_of
+from datasets.page.ruler import Ruler
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
@@ -44,6 +45,7 @@ class SceneView:
         self._look()
         self._overview()
         self.panel = PicturePanel(page, "Picture", "click a camera, or choose a view above")
+        self.ruler = Ruler(page, scene, 0.02 * self.reach) if scene.points is not None and len(scene.points) else None
         self._findings = page.gui.add_markdown("")
         self._draw()
 
