@@ -1,8 +1,8 @@
 """Reading a picture, and its mask, no finer than needed, and averaging it to the size that is wanted.
 
-A JPEG can be decoded at a half, a quarter or an eighth of its size, which is faster. Its decoder averages sRGB values, and so
-gives less light than there is where neighbouring pixels differ much. Such a size is used where a new pixel still covers
-`LEFT` x `LEFT` decoded ones, which are averaged as light.
+A JPEG can be decoded at a half, a quarter or an eighth of its size, which is faster: the decoder leaves out the finest waves of
+each block of 8x8 sRGB values. The result is not quite the mean light of the pixels where neighbours differ much. Such a size is
+used where a new pixel still covers `LEFT` x `LEFT` decoded ones, which are averaged as light.
 """
 
 import os
