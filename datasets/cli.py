@@ -207,9 +207,10 @@ def bench_reading(
     found["ratio"] = found["seconds"] / found["opencv_seconds"]
     text = (
         "{images:.0f} photographs of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read at {small_width:.0f}x"
-        "{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time), {ratio:.2f} times OpenCV's {opencv_seconds:.2f} s "
-        "({opencv_cpu_seconds:.2f}); from their copies in {again_seconds:.2f} s ({again_cpu_seconds:.2f}); differences from "
-        "decoding all pixels: {largest_difference:.2f} of 255 at most, {mean_difference:.2f} on average"
+        "{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time), {ratio:.2f} times OpenCV's "
+        "{opencv_seconds:.2f} s ({opencv_cpu_seconds:.2f}); from their copies in {again_seconds:.2f} s "
+        "({again_cpu_seconds:.2f}); differences from decoding all pixels: {largest_difference:.2f} of 255 at most, "
+        "{mean_difference:.2f} on average"
     )
     console.report(found, as_json=as_json, text=text.format(**found))
 

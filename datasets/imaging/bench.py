@@ -61,8 +61,8 @@ def read_photographs(count: int = 57, *, width: int = 4608, height: int = 3456, 
     pixels, of more contrast than photographs have.
 
     Returns:
-        `opencv_seconds`, `seconds` and `again_seconds` of wall time, and `cpu_seconds` likewise; `file_mb`; and for one picture `largest_difference` and
-        `mean_difference` [steps of 255] from decoding all pixels and averaging their light.
+        `opencv_seconds`, `seconds` and `again_seconds` of wall time, and `cpu_seconds` likewise; `file_mb`; and for one picture
+        `largest_difference` and `mean_difference` [steps of 255] from decoding all pixels and averaging their light.
     """
     wide, high = max(1, round(width * scale)), max(1, round(height * scale))
     with tempfile.TemporaryDirectory() as folder:
