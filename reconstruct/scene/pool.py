@@ -126,8 +126,8 @@ class Pool:
             start = np.int32(self.shares[:view].sum())
             colour, directions = _replaced((pixels.colour, pixels.directions), part, start)
             pixels = eqx.tree_at(lambda p: (p.colour, p.directions), pixels, (colour, directions))
-            self._turns += 1
-            self._next = self._reader.submit(self._part, self._turns)
+            self._turns, self._next = self._turns + 1, None
+        self._next = self._next or self._reader.submit(self._part, self._turns)
         return pixels
 
 
