@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging import images
+from datasets.imaging import images, reduced
 
 SPLITS = ("train", "val", "test")
 CHANNELS = ("normals", "depth", "alpha", "diffuse", "specular")
@@ -75,9 +75,7 @@ class View:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
         picture = self.read_image()
-        if picture.shape[-1] not in (1, 2, 3, 4):
-            why = f"{picture.shape[-1]}"
-            raise DatasetError("image has too many channels", where=self.image, why=why, remedy="give RGB or RGBA")
+        self._require_channels(picture.shape[-1])
         if picture.shape[-1] < 3:
             picture = np.concatenate([picture[..., :1]] * 3 + [picture[..., 1:]], axis=-1)
         if self.image.suffix.lower() == ".exr":
@@ -85,6 +83,27 @@ class View:
         if self.mask is not None:
             picture = np.concatenate([picture[..., :3], self.read_mask()], axis=-1)
         return picture
+
+    def read_resized(self, width: int, height: int) -> NDArray[Any]:
+        """(height, width, 3 or 4) as `read`, but black where alpha is zero, and averaged over areas in linear light.
+
+        Much faster than `read` and a resize where the wanted size [px] is much smaller; see `imaging.reduced`.
+
+        Returns:
+            float32; at the picture's own size uint8 or uint16 where its files hold that, for `images.as_float`.
+
+        Raises:
+            DatasetError: as `read`, and where values are not finite.
+        """
+        if images.steps(self.image) != 1 and (self.mask is None or images.steps(self.mask) != 1):
+            self._require_channels(images.channels(self.image))
+            for path in filter(None, (self.image, self.mask)):
+                self._require_size(*images.size(path), path)
+            return reduced.read_resized(self.image, self.mask, width, height)
+        picture = reduced.visible(self.read())
+        if not np.isfinite(picture).all():
+            raise DatasetError("image holds values that are not finite", where=self.image, remedy="write it again")
+        return picture if picture.shape[:2] == (height, width) else images.resize(picture, width, height)
 
     def read_image(self) -> NDArray[np.float32]:
         """The image alone, mask or not, with as many channels as its file has. Raises as `read` does."""
@@ -155,7 +174,13 @@ class View:
             self._check_size(picture, path)
 
     def _check_size(self, picture: NDArray[np.float32], path: Path) -> None:
-        height, width = picture.shape[:2]
+        self._require_size(picture.shape[1], picture.shape[0], path)
+
+    def _require_channels(self, count: int) -> None:
+        if count not in (1, 2, 3, 4):
+            raise DatasetError("image has too many channels", where=self.image, why=f"{count}", remedy="give RGB or RGBA")
+
+    def _require_size(self, width: int, height: int, path: Path) -> None:
         if (width, height) != (self.camera.width, self.camera.height):
             where, why = (
                 f"{path} (view {self.name})",

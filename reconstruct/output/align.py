@@ -54,7 +54,7 @@ class Aligner:
     def __call__(self, view: View) -> Aligned:
         """Align a view to its image."""
         trained, camera = self.trained, self.trained.camera(view)
-        picture = read_scaled(view, trained.run.config.scale).reshape(camera.height * camera.width, -1)
+        picture = read_scaled(view, trained.run.config.scale, trained.run.copies).reshape(camera.height * camera.width, -1)
         colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
         origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))

@@ -16,6 +16,7 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.formats import find
 from datasets.imaging import images
+from datasets.imaging.copies import Copies
 from datasets.scene import View
 from reconstruct.errors import ReconstructError
 from reconstruct.output import metric_names, metrics
@@ -77,7 +78,7 @@ def _measured(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None)
             start = time.perf_counter()
             picture = trained.picture(view)
             seconds = time.perf_counter() - start
-            truth = read_truth(view, trained.camera(view))
+            truth = read_truth(view, trained.camera(view), trained.run.copies)
             found = compare(vars(picture), truth, metric=trained.scene.metric, lpips=lpips)
             measured.append({"name": view.name, **found, "seconds": seconds})
             shown.advance()
@@ -108,14 +109,14 @@ def compare_surface(trained: TrainedModel, truth: Path, stands_on: str | None = 
     return surface_distance.compare(surface, reading.read(truth, process=True), trained.scene.views, trained.scene.box)
 
 
-def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
+def read_truth(view: View, camera: Camera, copies: Copies | None = None) -> dict[str, NDArray[np.float32]]:
     """All true maps of a view at the size of `camera`, and "rgb": its image in sRGB, over white if it has an alpha.
 
     Each new pixel is the mean over the pixels it covers; normals are normalised afterwards, depth is averaged where it is known.
-    "alpha" comes from the truth, from the image, or from the pixels with a depth.
+    "alpha" comes from the truth, from the image, or from the pixels with a depth. `copies`: see `read_scaled`.
     """
     scale = camera.width / view.camera.width
-    picture = read_scaled(view, scale)
+    picture = read_scaled(view, scale, copies)
     maps = {"rgb": over(picture)}
     if picture.shape[-1] == 4:
         maps["alpha"] = picture[..., 3:]

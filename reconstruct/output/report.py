@@ -65,7 +65,7 @@ def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) 
     with files.atomic_folder(out) as folder:
         with progress("rendering the report", len(chosen), "views") as shown:
             for index, view in enumerate(chosen):
-                truth, picture = read_truth(view, trained.camera(view)), trained.picture(view)
+                truth, picture = read_truth(view, trained.camera(view), trained.run.copies), trained.picture(view)
                 if index == 0:
                     images.write(folder / "strip.png", strip_of(truth, picture))
                 page.heading(f"view {view.name}")
