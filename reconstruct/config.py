@@ -172,8 +172,8 @@ class TrainConfig(Schema):
         "float32", "Factors of the networks' products while training; sums and everything else are float32."
     )
     accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
-    per_image: Literal["none", "exposure", "colour"] = setting(
-        "none", "Learned per training image: nothing, a gain, or a gain per colour."
+    per_image: Literal["auto", "none", "exposure", "colour"] = setting(
+        "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )
     patience: float = setting(
         0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1

@@ -30,10 +30,15 @@ class Features:
     """(n, 3) rays in the camera's frame, z = 1."""
     descriptors: NDArray[np.float32]
     """(n, 128) unit vectors: the root of SIFT's, whose dot product is Hellinger's affinity."""
-    light: NDArray[np.float32]
-    """(n,) linear light around each feature, mean of the channels, 0..1."""
+    colour: NDArray[np.float32]
+    """(n, 3) linear light around each feature, 0..1."""
     pixel: float
     """Size of a pixel of the image that was searched, as a tangent."""
+
+    @property
+    def light(self) -> NDArray[np.float32]:
+        """(n,) linear light around each feature, mean of the channels, 0..1."""
+        return self.colour.mean(-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +81,10 @@ def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     keypoints, descriptors = sift.detectAndCompute(grey, mask)
     pixel = 1 / (view.camera.fx * width / view.camera.width)
     if descriptors is None:
-        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32), pixel)
+        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros((0, 3), np.float32), pixel)
     pixels = conventions.pixels_from_opencv([point.pt for point in keypoints])
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    light = cv2.GaussianBlur(images.linear_from_srgb(small[..., :3]).mean(-1), (0, 0), 2.0)
+    light = cv2.GaussianBlur(images.linear_from_srgb(small[..., :3]), (0, 0), 2.0)
     column, row = np.minimum(pixels.astype(int), [width - 1, height - 1]).T
     directions = view.camera.scaled(width, height).directions(pixels)
     return Features(directions, root.astype(np.float32), light[row, column], pixel)

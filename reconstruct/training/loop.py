@@ -33,6 +33,7 @@ from reconstruct.training.event_log import EventLog, event_log, require_writer
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pause import give_way
 from reconstruct.training.preparation import Prepared, prepare
+from reconstruct.training.probe import Probe, held_out_psnr
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.plan import normalisation_of
 from reconstruct.training.step import Step, TrainState
@@ -55,7 +56,7 @@ class Training:
     one_step: Step
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
+    probe: Probe | None
     clock: Clock
     renderer: Renderer
     held: Pixels | None = None
@@ -138,12 +139,10 @@ class Training:
         line: dict[str, Any] = {"step": self.clock.step, "seconds": seconds, "progress": done}
         if "mse" in terms:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
-        held = None if self.held is None else poses.over_white(self.held, model.poses)
-        for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": held}.items():
-            if pixels is not None:
-                *rays, target = pixels
-                rendered = self.renderer.rays(model, *rays)["rgb"]
-                line[name] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
+        if self.probe is not None:
+            line["psnr_unseen"] = self.probe.psnr(model, self.renderer)
+        if self.held is not None:
+            line["psnr_held_out"] = held_out_psnr(self.held, model, self.renderer)
         line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
         line |= model.sampler.figures()
         self.run.append_log(line)

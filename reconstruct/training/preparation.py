@@ -4,10 +4,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
-import numpy as np
 
 from datasets.core.console import progress
 from datasets.scene import Scene
+from datasets.structure import exposure
 from reconstruct.config import Config
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene import poses
@@ -15,6 +15,7 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.training import distributed
 from reconstruct.training.batches import Division
+from reconstruct.training.probe import Probe
 from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
@@ -22,8 +23,8 @@ from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
 from reconstruct.training.step import Step, TrainState
 
-PROBE = 4096
-"""Pixels of test views that each line of the log measures; never trained on, and not part of the training's time."""
+HELD = 4096
+"""Pixels of training views that are held out, at most."""
 
 
 class Prepared(NamedTuple):
@@ -33,8 +34,8 @@ class Prepared(NamedTuple):
     """For the configuration as it was decided."""
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
-    """Pixels of test views: (origins, directions, radii, colour over white); None where there are no such views."""
+    probe: Probe | None
+    """Pixels of test views; None where there are no such views."""
     held: Pixels | None
     """Pixels of training views that are never trained on, where an early stop is decided by them."""
     skips: list[record.Skip]
@@ -57,14 +58,17 @@ def prepare(
     skips: list[record.Skip] = []
     facts = known
     if fresh:
-        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale)
+        gains = None if config.train.per_image == "none" else exposure.measured(views, scene.box.mean(0))
+        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains)
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
         if known is None:
             config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
+            if gains is not None and config.train.per_image != "none":
+                facts = facts.with_gains(gains.log)
     assert facts is not None, "a training that is not fresh knows its scene"
     held = None
     if config.train.patience:
-        pixels, held = pixels.held_out(PROBE)
+        pixels, held = pixels.held_out(HELD)
     if fresh and kind.memory_grows_with_rays:
         config = fitted(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
@@ -72,16 +76,4 @@ def prepare(
     state = step.initial(jax.random.key(config.train.seed), possible, len(views))
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
-    return Prepared(step, state, pixels, _probe(scene, config, normalisation), held, skips)
-
-
-def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
-    """Random pixels of a few test views: (origins, directions, radii, colour over white)."""
-    views = [view for view in scene.views if view.split == "test"]
-    if not views:
-        return None
-    views = tuple(views[:: max(1, len(views) // 4)][:4])
-    with progress("reading unseen pixels", len(views), "images") as shown:
-        pixels = Pixels.load(views, normalisation, config.scale, shown)
-    index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
-    return pixels.over_white(index)
+    return Prepared(step, state, pixels, Probe.of(scene, config, normalisation), held, skips)
