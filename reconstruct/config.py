@@ -185,7 +185,9 @@ class TrainConfig(Schema):
 class PoseConfig(Schema):
     """Refinement of the training views' poses; docs/poses.md has its results."""
 
-    enabled: bool = setting(False, "Learn a small correction of each training view's pose.")
+    enabled: Literal["auto"] | bool = setting(
+        "auto", "Learn a small correction of each training view's pose; auto: where matched points miss one another."
+    )
     sigma_m: float = setting(
         5e-4, "Standard deviation of a camera's position as it was calibrated [world unit: metres in captures].", gt=0
     )

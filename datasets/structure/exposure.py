@@ -10,9 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.progress import Step, ignore
 from datasets.scene import View
-from datasets.structure import bounds, matching
 from datasets.structure.matching import Matches
 from datasets.structure.triangulate import explained
 
@@ -20,8 +18,6 @@ DARK, BRIGHT = 0.01, 0.9
 """Linear light between which a pixel is neither black nor clipped."""
 FEWEST = 10
 """Matches from which a pair of views is compared."""
-VIEWS = 60
-"""Views that are compared, at most."""
 SURE, CLEAR, LARGE = 5.0, 2.0, float(np.log(1.4))
 """A view differs where its log gain exceeds so many standard deviations, so many times the spread of single points, and this:
 shading alone reaches 1.3 on shiny objects."""
@@ -71,27 +67,14 @@ class Gains:
         return self.known & (size > least) & (size > SURE * self.sigma.max(-1)) & (size > CLEAR * self.spread)
 
 
-def measured(views: Sequence[View], centre: NDArray[np.float64], *, side: int = 400, done: Step = ignore) -> Gains:
-    """Gains of views that look at `centre`, from images of at most `side` pixels; of many views, only some are compared.
-
-    Raises as `View.read` does.
-    """
-    chosen = np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))
-    compared = [views[i] for i in chosen]
-    matrices = np.stack([view.world_from_camera for view in compared])
-    found = gains_of(matching.matched(compared, pairs_of(matrices, centre), side=side, done=done), matrices)
+def measured(views: Sequence[View], matches: Matches) -> Gains:
+    """Gains of all views, from matches between some of them."""
+    index = {view.name: i for i, view in enumerate(views)}
+    chosen = [index[view.name] for view in matches.views]
+    found = gains_of(matches, np.stack([view.world_from_camera for view in matches.views]))
     log, sigma, spread = np.zeros((len(views), 3)), np.full((len(views), 3), np.inf), np.full(len(views), np.inf)
     log[chosen], sigma[chosen], spread[chosen] = found.log, found.sigma, found.spread
     return Gains(log, sigma, spread)
-
-
-def pairs_of(world_from_camera: NDArray[np.float64], centre: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Pairs of (n, 4, 4) cameras to be compared: neighbours by direction and by order."""
-    count = len(world_from_camera)
-    middle, spread = bounds.focus(world_from_camera)
-    in_order = [(i, i + step) for step in (1, 2) for i in range(count - step)]
-    around = matching.neighbours(world_from_camera, middle if spread > bounds.PARALLEL else centre, count=4)
-    return sorted({*around, *in_order})
 
 
 def gains_of(matches: Matches, world_from_camera: NDArray[np.float64]) -> Gains:

@@ -18,6 +18,8 @@ SIDE = 640
 """Longest side of the images in which features are detected [px]; it limits their accuracy."""
 COUNT = 900
 """Features per view; the strongest are kept."""
+COMPARED = 60
+"""Views that are compared with their neighbours, at most."""
 RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
 
@@ -64,6 +66,17 @@ def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: in
         done()
     kept = [(i, j, match(found[i], found[j])) for i, j in pairs]
     return Matches(tuple(views), tuple(found), tuple(pair for pair in kept if len(pair[2])))
+
+
+def compared(views: Sequence[View], centre: NDArray[np.float64], *, side: int = SIDE, done: Step = ignore) -> Matches:
+    """Matches of views that look at `centre` with their neighbours by direction and by order; of many views, only of some.
+
+    Raises as `View.read` does.
+    """
+    chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, COMPARED).round().astype(int))]
+    matrices = np.stack([view.world_from_camera for view in chosen])
+    in_order = [(i, i + step) for step in (1, 2) for i in range(len(chosen) - step)]
+    return matched(chosen, sorted({*neighbours(matrices, centre, count=4), *in_order}), side=side, done=done)
 
 
 def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:

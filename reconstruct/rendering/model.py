@@ -50,7 +50,7 @@ class Model(eqx.Module):
         field = Field.create(field_key, config.encoding, config.field, volume=facts.table_volume(config), start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
-        return cls(field, sampler, gains, jnp.zeros((views, 6)) if config.poses.enabled else None)
+        return cls(field, sampler, gains, jnp.zeros((views, 6)) if config.poses.enabled is True else None)
 
     @property
     def log_gains(self) -> Float[Array, "views gains"]:

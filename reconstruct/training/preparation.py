@@ -6,8 +6,9 @@ from typing import NamedTuple
 import jax
 
 from datasets.core.console import progress
-from datasets.scene import Scene
-from datasets.structure import exposure
+from datasets.scene import Scene, View
+from datasets.structure import exposure, matching
+from datasets.structure.matching import Matches
 from reconstruct.config import Config
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene import poses
@@ -21,10 +22,13 @@ from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
 from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
+from reconstruct.training.skipping.refinement import with_poses
 from reconstruct.training.step import Step, TrainState
 
 HELD = 4096
 """Pixels of training views that are held out, at most."""
+SIDE = 400
+"""Longest side of the images in which views are compared [px]."""
 
 
 class Prepared(NamedTuple):
@@ -53,14 +57,17 @@ def prepare(
     views = lenses(scene.split("train"), config)
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
+    matches = _matches(scene, views, config) if fresh else None
+    config, refined = with_poses(config, matches, scene, normalisation)
     kind = sampler_type(config.sampler)
     possible = kind.possible_cells(config, pixels, views, normalisation, poses.slack(config.poses, normalisation))
     skips: list[record.Skip] = []
     facts = known
     if fresh:
-        gains = None if config.train.per_image == "none" else exposure.measured(views, scene.box.mean(0))
+        gains = None if matches is None else exposure.measured(views, matches)
         evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains)
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
+        skips.append(refined)
         if known is None:
             config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
             if gains is not None and config.train.per_image != "none":
@@ -77,3 +84,11 @@ def prepare(
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
     return Prepared(step, state, pixels, Probe.of(scene, config, normalisation), held, skips)
+
+
+def _matches(scene: Scene, views: tuple[View, ...], config: Config) -> Matches | None:
+    """What views see in common, where the configuration leaves something to be decided by it."""
+    if config.train.per_image == "none" and config.poses.enabled != "auto":
+        return None
+    with progress("comparing views", min(len(views), matching.COMPARED), "images") as shown:
+        return matching.compared(views, scene.box.mean(0), side=SIDE, done=shown.advance)

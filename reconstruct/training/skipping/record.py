@@ -28,6 +28,7 @@ COSTS = {
     "distortion": "none: the same figures",
     "structure_from_motion": "none in training",
     "exposure": "TODO",
+    "poses": "TODO",
 }
 """Price of each skip; docs/skipping.md has the figures."""
 PLAIN = {
@@ -44,7 +45,10 @@ PLAIN = {
 """What is left out, in words for everybody; what a training does not decide is not among it."""
 
 
-LEARNED = {"exposure": ("a gain of each picture's light", "train.per_image=colour")}
+LEARNED = {
+    "exposure": ("a gain of each picture's light", "train.per_image=colour"),
+    "poses": ("a correction of each picture's pose", "poses.enabled=true"),
+}
 """What is learned beside the model where a scene needs it: in words for everybody, and the setting that forces it."""
 
 

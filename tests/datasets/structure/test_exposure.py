@@ -7,8 +7,12 @@ import pytest
 
 from datasets.imaging import images
 from datasets.scene import Scene
-from datasets.structure import exposure
+from datasets.structure import exposure, matching
 from datasets.structure.exposure import Gains
+
+
+def measured(scene: Scene) -> Gains:
+    return exposure.measured(scene.views, matching.compared(scene.views, np.zeros(3)))
 
 
 def injured(scene: Scene, gains: dict[int, tuple[float, float, float]]) -> Scene:
@@ -20,16 +24,16 @@ def injured(scene: Scene, gains: dict[int, tuple[float, float, float]]) -> Scene
 
 
 def test_equally_exposed_views_do_not_differ(two_walls: Callable[..., Scene]) -> None:
-    found = exposure.measured(two_walls().views, np.zeros(3))
+    found = measured(two_walls())
     assert found.known.all() and not found.brighter.any() and not found.tinted.any()
     assert np.abs(found.log).max() < 0.1, "a texture of a pixel's width shades with the angle, hardly"
     assert found.words().startswith("0 of 12 views")
 
 
 def test_known_gains_are_found_within_their_uncertainty(two_walls: Callable[..., Scene]) -> None:
-    before = exposure.measured(two_walls().views, np.zeros(3))
+    before = measured(two_walls())
     gains = {3: (0.5, 0.5, 0.5), 8: (1.8, 1.8, 1.8), 10: (1.3, 1.0, 0.8)}
-    found = exposure.measured(injured(two_walls(), gains).views, np.zeros(3))
+    found = measured(injured(two_walls(), gains))
     truth = np.zeros((12, 3))
     for index, gain in gains.items():
         truth[index] = np.log(gain)
@@ -44,14 +48,14 @@ def test_without_matches_nothing_is_known(two_walls: Callable[..., Scene]) -> No
     scene = two_walls()
     for view in scene.views:
         images.write(view.image, np.full((150, 200, 3), 0.5))
-    found = exposure.measured(scene.views, np.zeros(3))
+    found = measured(scene)
     assert not found.known.any() and not found.log.any() and not found.brighter.any() and not found.tinted.any()
     assert found.words() == "too few points were matched"
 
 
 def test_of_many_views_some_are_compared(two_walls: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exposure, "VIEWS", 6)
-    found = exposure.measured(two_walls().views, np.zeros(3))
+    monkeypatch.setattr(matching, "COMPARED", 6)
+    found = measured(two_walls())
     assert found.log.shape == (12, 3) and found.known.sum() == 6 and not found.log[~found.known].any()
 
 
