@@ -46,9 +46,7 @@ def across_halves(
     return exposed(rgb, opacity, behind, chosen), [fit.tolist() for fit in fits]
 
 
-def exposed(
-    rgb: Colours, opacity: Float[np.ndarray, "*pixels 1"], behind: float, log_gain: Float[np.ndarray, "..."]
-) -> Colours:
+def exposed(rgb: Colours, opacity: Float[np.ndarray, "*pixels 1"], behind: float, log_gain: Float[np.ndarray, "..."]) -> Colours:
     """Colours over a background with the light of what is before it multiplied by exp(log_gain), clipped to 1."""
     before = np.maximum(opacity, 1e-6)
     own = np.clip((rgb - (1 - opacity) * behind) / before, 0, 1)

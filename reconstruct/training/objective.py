@@ -67,7 +67,9 @@ class Objective:
         if model.per_image is not None:
             rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
-        terms |= photometric(rendered, batch.colour, background, batch.used, self.weights.charbonnier, model.per_image is not None)
+        terms |= photometric(
+            rendered, batch.colour, background, batch.used, self.weights.charbonnier, model.per_image is not None
+        )
         terms |= self.ray_terms(model, rendered, density, found, progress)
         surface = jax.lax.stop_gradient(find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays))
         terms |= surface_point_terms(model.field, rays, surface, self.weights, self.place)

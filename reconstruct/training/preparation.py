@@ -6,9 +6,7 @@ from typing import NamedTuple
 import jax
 
 from datasets.core.console import progress
-from datasets.scene import Scene, View
-from datasets.structure import exposure, matching
-from datasets.structure.matching import Matches
+from datasets.scene import Scene
 from reconstruct.config import Config
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene import poses
@@ -20,6 +18,8 @@ from reconstruct.training.probe import Probe
 from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
+from reconstruct.training.skipping.gains import gains_between
+from reconstruct.training.skipping.matched import matches_of
 from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
 from reconstruct.training.skipping.refinement import with_poses
@@ -27,8 +27,6 @@ from reconstruct.training.step import Step, TrainState
 
 HELD = 4096
 """Pixels of training views that are held out, at most."""
-SIDE = 400
-"""Longest side of the images in which views are compared [px]."""
 
 
 class Prepared(NamedTuple):
@@ -57,21 +55,21 @@ def prepare(
     views = lenses(scene.split("train"), config)
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, normalisation, config.scale, shown)
-    matches = _matches(scene, views, config) if fresh else None
+    matches = matches_of(scene, views, config) if fresh else None
     config, refined = with_poses(config, matches, scene, normalisation)
     kind = sampler_type(config.sampler)
     possible = kind.possible_cells(config, pixels, views, normalisation, poses.slack(config.poses, normalisation))
     skips: list[record.Skip] = []
     facts = known
     if fresh:
-        gains = None if matches is None else exposure.measured(views, matches)
+        gains = None if matches is None else gains_between(matches)
         evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains)
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
         skips.append(refined)
         if known is None:
             config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
             if gains is not None and config.train.per_image != "none":
-                facts = facts.with_gains(gains.log)
+                facts = facts.with_gains(gains.log_gains_of(views))
     assert facts is not None, "a training that is not fresh knows its scene"
     held = None
     if config.train.patience:
@@ -84,11 +82,3 @@ def prepare(
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
     return Prepared(step, state, pixels, Probe.of(scene, config, normalisation), held, skips)
-
-
-def _matches(scene: Scene, views: tuple[View, ...], config: Config) -> Matches | None:
-    """What views see in common, where the configuration leaves something to be decided by it."""
-    if config.train.per_image == "none" and config.poses.enabled != "auto":
-        return None
-    with progress("comparing views", min(len(views), matching.COMPARED), "images") as shown:
-        return matching.compared(views, scene.box.mean(0), side=SIDE, done=shown.advance)

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import Scene, View
-from datasets.structure.exposure import Gains
 from reconstruct.sampling.occupancy import cell_centres
 from reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
+from reconstruct.training.skipping.gains import Differences
 
 PLACES = 2000
 """Places of the object at which footprints are measured."""
@@ -34,7 +34,7 @@ class Evidence:
     """Views through a lens that distorts."""
     poses: str
     """Where the poses come from."""
-    gains: Gains | None = None
+    gains: Differences | None = None
     """Exposure and white balance of the views; None: not measured."""
 
     @property
@@ -50,7 +50,7 @@ def evidence_of(
     normalisation: Normalisation,
     possible: NDArray[np.bool_] | None,
     scale: float,
-    gains: Gains | None = None,
+    gains: Differences | None = None,
 ) -> Evidence:
     """Look at a scene.
 

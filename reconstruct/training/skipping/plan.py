@@ -163,7 +163,7 @@ def _structure_from_motion(found: Evidence) -> Skip:
 def _exposure(found: Evidence, config: Config) -> Decision:
     wanted, gains = config.train.per_image, found.gains
     if wanted == "auto":
-        wanted = "none" if gains is None else "colour" if gains.tinted.any() else "exposure" if gains.brighter.any() else "none"
+        wanted = "none" if gains is None else gains.needed
         config = merged_config(config, {"train": {"per_image": wanted}})
     evidence = "not measured" if gains is None else gains.words()
     return config, Skip.of("exposure", wanted == "none", evidence, NOTHING_MORE)

@@ -20,7 +20,8 @@ def turned(scene: Scene, sigma: float) -> Scene:
 
 
 def found_in(scene: Scene) -> Reprojection:
-    return reprojection_of(matching.compared(scene.views, np.zeros(3)))
+    matrices = np.stack([view.world_from_camera for view in scene.views])
+    return reprojection_of(matching.matched(scene.views, matching.pairs_of(matrices, np.zeros(3))))
 
 
 def test_right_poses_are_not_doubted(two_walls: Callable[..., Scene]) -> None:
@@ -43,5 +44,5 @@ def test_a_few_points_say_nothing(points: int, median: float, doubtful: bool) ->
 
 
 def test_without_matches_nothing_is_said(two_walls: Callable[..., Scene]) -> None:
-    views = two_walls().views[:2]
-    assert reprojection_of(matching.compared(views, np.zeros(3))) == Reprojection(0, 0.0, 0.0, 0.0)
+    scene = two_walls()
+    assert found_in(scene.with_views(scene.views[:2])) == Reprojection(0, 0.0, 0.0, 0.0)

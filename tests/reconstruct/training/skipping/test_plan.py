@@ -6,13 +6,14 @@ import pytest
 
 from datasets.camera_model import Camera
 from datasets.scene import Scene
-from datasets.structure.exposure import Gains
+from datasets.structure.exposure import ExposureGains
 from reconstruct.config import Config
 from reconstruct.field.encodings.create import create_encoding
 from reconstruct.models import load_config
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, view_rays
 from reconstruct.training.skipping.evidence import Evidence
+from reconstruct.training.skipping.gains import Differences
 from reconstruct.training.skipping.plan import lenses, normalisation_of, plan
 from reconstruct.training.skipping.record import LEARNED, NAMES, Skip
 
@@ -109,9 +110,10 @@ def test_the_long_way_to_undistort_a_pinhole_gives_the_same_rays(make_scene: Cal
     assert lenses((bent,), load_config(overrides=["skip.distortion=false"]))[0] is not None
 
 
-def gains_of(log: list[list[float]]) -> Gains:
-    """Gains that are sure and clear."""
-    return Gains(np.array(log), np.full((len(log), 3), 0.01), np.full(len(log), 0.02))
+def gains_of(log: list[list[float]]) -> Differences:
+    """Gains that are sure."""
+    names = tuple(f"{index:02d}" for index in range(len(log)))
+    return Differences(ExposureGains(names, np.array(log), np.full((len(log), 3), 0.01), np.full(len(log), 500)))
 
 
 @pytest.mark.parametrize(("log", "chosen"), [
