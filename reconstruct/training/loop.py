@@ -23,6 +23,7 @@ from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.rendering.pictures import Renderer
+from reconstruct.rendering.probe import Probe, held_out_psnr
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
 from reconstruct.scene.rays import Pixels
@@ -33,7 +34,6 @@ from reconstruct.training.event_log import EventLog, event_log, require_writer
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pause import give_way
 from reconstruct.training.preparation import Prepared, prepare
-from reconstruct.training.probe import Probe, held_out_psnr
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.skipping.plan import normalisation_of
 from reconstruct.training.step import Step, TrainState

@@ -8,13 +8,13 @@ import jax
 from datasets.core.console import progress
 from datasets.scene import Scene
 from reconstruct.config import Config
+from reconstruct.rendering.probe import Probe
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene import poses
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.training import distributed
 from reconstruct.training.batches import Division
-from reconstruct.training.probe import Probe
 from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of

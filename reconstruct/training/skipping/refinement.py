@@ -12,7 +12,6 @@ from reconstruct.models import merged_config
 from reconstruct.scene.rays import Normalisation
 from reconstruct.training.skipping.record import NOTHING_MORE, Skip
 
-
 CALIBRATED = "calibration"
 """What scenes that were built from a recording have in their provenance."""
 

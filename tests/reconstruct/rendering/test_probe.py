@@ -7,8 +7,8 @@ import pytest
 from datasets.core.progress import ignore
 from datasets.imaging.images import linear_from_srgb, srgb_from_linear
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.probe import Probe, held_out_psnr
 from reconstruct.scene.rays import Pixels
-from reconstruct.training.probe import Probe, held_out_psnr
 
 
 class Silent:
