@@ -6,7 +6,6 @@ from reconstruct.output.mesh import surface_distance
 # Key, name on its own, name as the heading of a column.
 _NAMES = (
     ("psnr",                          "PSNR",                                           "PSNR"),
-    ("psnr_unexposed",                "PSNR, exposure not fitted",                      "PSNR, exposure not fitted"),
     ("ssim",                          "SSIM",                                           "SSIM"),
     ("lpips",                         "LPIPS",                                          "LPIPS"),
     ("normal_mae_alpha_acc_deg",      "normals, weighted by opacity",                   "MAE (alpha × opacity)"),
@@ -27,10 +26,7 @@ _NAMES = (
 )  # fmt: skip
 NAMES = {key: name for key, name, _ in _NAMES}
 SHORT_NAMES = {key: short for key, _, short in _NAMES}
-HIGHER_IS_BETTER = frozenset({"psnr", "psnr_unexposed", "ssim", "diffuse_psnr", "specular_psnr", "f_score"})
-
-
-EXPOSURE_NOTE = "exposure of each view fitted on one half of its picture, measured on the other"
+HIGHER_IS_BETTER = frozenset({"psnr", "ssim", "diffuse_psnr", "specular_psnr", "f_score"})
 
 
 def unit(key: str) -> str:

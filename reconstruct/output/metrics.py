@@ -19,7 +19,6 @@ _LPIPS = "learned perceptual distance of the same images (Zhang et al. 2018): Al
 _PART = "PSNR of the {} part in clipped sRGB, over the object (true alpha > 0.5; everything if alpha is unknown)"
 DEFINITIONS = {
     "psnr": ("dB", "-10 log10 of the mean squared error of clipped sRGB, over white where the image has an alpha"),
-    "psnr_unexposed": ("dB", "psnr of the view as rendered, at the mean exposure of the training views"),
     "ssim": ("", "structural similarity of the same images: Gaussian window 11x11, sigma 1.5, mean over pixels and channels"),
     "lpips": ("", f"{_LPIPS} layers; lpips_weights has the SHA-256 of the weights"),
     "normal_mae_alpha_acc_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[0]) + "; normals from the density's gradient"),
@@ -34,13 +33,6 @@ DEFINITIONS = {
     "seconds": ("s", "time to render the view, all channels, without compilation"),
 }
 """Unit and meaning of each metric of a view."""
-
-EXPOSURE = (
-    "the model has a gain for each training view, so each view's gain in linear light was fitted by least squares on one half of "
-    "its picture and applied to the other, both ways; all metrics of the colour are of the two halves together; log_gains: natural "
-    "logarithms, fitted on the left half and on the right"
-)
-"""How views are exposed whose gains are not known."""
 
 BEST_MSE = 1e-10  # lower bound of the mean squared error: 100 dB
 
