@@ -24,6 +24,7 @@ from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
 from reconstruct.rendering.pictures import Renderer
+from reconstruct.rendering.probe import Probe, held_out_psnr
 from reconstruct.run import CHECKPOINTS, Run, copies_beside
 from reconstruct.scene import poses
 from reconstruct.scene.pool import Pool
@@ -57,7 +58,7 @@ class Training:
     one_step: Step
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
+    probe: Probe | None
     clock: Clock
     renderer: Renderer
     held: Pixels | None = None
@@ -143,12 +144,10 @@ class Training:
         line: dict[str, Any] = {"step": self.clock.step, "seconds": seconds, "progress": done}
         if "mse" in terms:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
-        held = None if self.held is None else poses.over_white(self.held, model.poses)
-        for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": held}.items():
-            if pixels is not None:
-                *rays, target = pixels
-                rendered = self.renderer.rays(model, *rays)["rgb"]
-                line[name] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
+        if self.probe is not None:
+            line["psnr_unseen"] = self.probe.psnr(model, self.renderer)
+        if self.held is not None:
+            line["psnr_held_out"] = held_out_psnr(self.held, model, self.renderer)
         line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
         line |= model.sampler.figures()
         self.run.append_log(line)

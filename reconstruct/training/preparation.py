@@ -11,19 +11,23 @@ from datasets.core.console import progress
 from datasets.imaging.copies import Copies
 from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.rendering.probe import Probe
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene import poses
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.pool import Pool
 from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.scene.reading import held_out, probe, training_pixels
+from reconstruct.scene.reading import held_out, training_pixels
 from reconstruct.training import distributed
 from reconstruct.training.batches import Division
 from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
+from reconstruct.training.skipping.gains import gains_between
+from reconstruct.training.skipping.matched import matches_of
 from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
+from reconstruct.training.skipping.refinement import with_poses
 from reconstruct.training.step import Step, TrainState
 
 
@@ -34,8 +38,8 @@ class Prepared(NamedTuple):
     """For the configuration as it was decided."""
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
-    """Pixels of test views: (origins, directions, radii, colour over white); None where there are no such views."""
+    probe: Probe | None
+    """Pixels of test views; None where there are no such views."""
     held: Pixels | None
     """Pixels of training views that are never trained on, where an early stop is decided by them."""
     pool: Pool | None
@@ -61,14 +65,20 @@ def prepare(
     """
     views = lenses(scene.split("train"), config)
     pixels, pool = training_pixels(views, normalisation, config.scale, copies)
+    matches = matches_of(scene, views, config) if fresh else None
+    config, refined = with_poses(config, matches, scene, normalisation)
     possible = _possible_cells(config, pixels, pool, views, normalisation)
     skips: list[record.Skip] = []
     facts = known
     if fresh:
-        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale)
+        gains = None if matches is None else gains_between(matches)
+        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains)
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
+        skips.append(refined)
         if known is None:
             config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
+            if gains is not None and config.train.per_image != "none":
+                facts = facts.with_gains(gains.log_gains_of(views))
     assert facts is not None, "a training that is not fresh knows its scene"
     held = None
     if config.train.patience:
@@ -82,7 +92,7 @@ def prepare(
     distributed.require_same((state, pixels), "scene")
     if pool is not None:
         pool = replace(pool, rays=state.model.sampler.rays_drawn * config.train.accumulate)
-    return Prepared(step, state, pixels, probe(scene, normalisation, config.scale, copies), held, pool, skips)
+    return Prepared(step, state, pixels, Probe.of(scene, config, normalisation, copies), held, pool, skips)
 
 
 def _possible_cells(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from datasets.scene import Scene, View
 from reconstruct.sampling.occupancy import cell_centres
 from reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
+from reconstruct.training.skipping.gains import Differences
 
 PLACES = 2000
 """Places of the object at which footprints are measured."""
@@ -33,6 +34,8 @@ class Evidence:
     """Views through a lens that distorts."""
     poses: str
     """Where the poses come from."""
+    gains: Differences | None = None
+    """Exposure and white balance of the views; None: not measured."""
 
     @property
     def volume(self) -> float:
@@ -47,6 +50,7 @@ def evidence_of(
     normalisation: Normalisation,
     possible: NDArray[np.bool_] | None,
     scale: float,
+    gains: Differences | None = None,
 ) -> Evidence:
     """Look at a scene.
 
@@ -71,6 +75,7 @@ def evidence_of(
         possible=share,
         bent=sum(not view.camera.is_pinhole for view in views),
         poses=str(scene.provenance.get("format", "the scene's files")),
+        gains=gains,
     )
 
 

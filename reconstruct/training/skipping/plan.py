@@ -56,7 +56,9 @@ def plan(found: Evidence, config: Config, pilot: Callable[[], float]) -> tuple[C
     skips.append(skip)
     skips.append(_consistent_passes(config))
     config, skip = _converged(config)
-    return config, [*skips, skip, _distortion(found, config), _structure_from_motion(found)]
+    skips += [skip, _distortion(found, config), _structure_from_motion(found)]
+    config, skip = _exposure(found, config)
+    return config, [*skips, skip]
 
 
 def _surroundings(found: Evidence, config: Config) -> Skip:
@@ -156,3 +158,12 @@ def _structure_from_motion(found: Evidence) -> Skip:
     return Skip.of(
         "structure_from_motion", True, f"poses from {found.poses}; {ELSEWHERE['structure_from_motion']}", "matching the views"
     )
+
+
+def _exposure(found: Evidence, config: Config) -> Decision:
+    wanted, gains = config.train.per_image, found.gains
+    if wanted == "auto":
+        wanted = "none" if gains is None else gains.needed
+        config = merged_config(config, {"train": {"per_image": wanted}})
+    evidence = "not measured" if gains is None else gains.words()
+    return config, Skip.of("exposure", wanted == "none", evidence, NOTHING_MORE)

@@ -183,3 +183,16 @@ def test_regularisers_without_a_weight_are_not_computed(rays: Rays, surface: Sur
     directional = with_changes(density=0.0, normal=0.0).terms(half_space(), rays, surface, jax.random.key(0))
     assert spatial.keys() == {"density_smoothness", "normal_consistency"}
     assert directional.keys() == {"lambertian_bias", "specular_variation"}
+
+
+def test_a_saturated_channel_tells_no_more_than_the_least_light() -> None:
+    """Red is above the clipped value, green below it; the second ray is half transparent, and counts as it is."""
+    seen = rendered([[1.0], [1.0]], [[1.2, 0.8, 0.5], [1.2, 0.8, 0.5]])
+    colour = jnp.array([[1.0, 1.0, 0.5, 1.0], [1.0, 1.0, 0.5, 0.5]])
+    background, used = jnp.ones((2, 3)), jnp.ones(2, bool)
+    error = np.array([[0.2, -0.2, 0.0], [0.2, -0.2, -0.25]])
+    plain = objective.photometric(seen, colour, background, used, 1e-3)["mse"]
+    np.testing.assert_allclose(plain, np.mean(error**2), rtol=1e-5)
+    clipped = objective.photometric(seen, colour, background, used, 1e-3, True)["mse"]
+    error[0, 0] = 0
+    np.testing.assert_allclose(clipped, np.mean(error**2), rtol=1e-5)
