@@ -1,14 +1,21 @@
+import io
 import json
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from unittest import mock
 
 import pytest
 
+from calib.cli import main
+
 
 def calib(*arguments):
-    """Run the command as a person does."""
-    code = "import sys; from calib.cli import main; sys.argv[0] = 'calib'; main()"
-    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    """Run the command inside this process; returns what `subprocess.run` does."""
+    words, out, err = ["calib", *map(str, arguments)], io.StringIO(), io.StringIO()
+    with mock.patch.object(sys, "argv", words), redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as left:
+        main()
+    return subprocess.CompletedProcess(words, int(left.value.code or 0), out.getvalue(), err.getvalue())
 
 
 @pytest.fixture(scope="module")
