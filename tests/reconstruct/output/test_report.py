@@ -44,7 +44,7 @@ def no_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_figures_are_taken_over_while_they_are_of_this_state(ball: TrainedModel, tmp_path: Path) -> None:
     written = evaluate.evaluate(ball)
     written["mean"]["psnr"] = 12.345
-    files.write_json(ball.run.path / "metrics.json", written | {"mesh_stands_on": "-z"})
+    files.write_json(ball.run.path / "metrics.json", written | {"mesh_stands_on": "-z", "mesh": {"chamfer_mm": 0.5}})
     assert report.write(ball, tmp_path / "first")["mean"]["psnr"] == 12.345
     page = (tmp_path / "first" / "index.html").read_text()
     assert "Of the mesh of the object that stands on -z, without whatever else enters the box." in page
