@@ -40,10 +40,8 @@ HEADLINE = {
     "depth_median_mm": ("depth, median error", 2),
 }
 """Name and digits of the metrics in the headline."""
-Measurement = tuple[str, Number, str]
-"""Name, value with its unit, meaning."""
-Pair = tuple[NDArray[np.floating] | None, NDArray[np.floating]]
-"""Truth, if it is known, and rendering."""
+Measurement = tuple[str, Number, str]  # name, value with its unit, meaning
+Pair = tuple[NDArray[np.floating] | None, NDArray[np.floating]]  # truth, if it is known, and rendering
 
 
 def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:

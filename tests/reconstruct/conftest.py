@@ -170,8 +170,14 @@ def painted(ball: TrainedModel) -> TrainedModel:
     return replace(ball, model=replace(ball.model, field=solid))
 
 
+@pytest.fixture(scope="session")
+def renderer(ball_scene: tuple[Scene, Path]) -> Renderer:
+    """One for all models of the ball, which is compiled once."""
+    return Renderer(Normalisation.of(ball_scene[0]))
+
+
 @pytest.fixture
-def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> TrainedModel:
+def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer: Renderer) -> TrainedModel:
     """The ball in place of a trained model, its occupancy grid holding the cells near the surface."""
     run = make_run(checkpointed=False)
     model = Model.create(jax.random.key(0), run.config, run.facts)
@@ -185,5 +191,5 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
     field = model.field
     solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
-    assert run.normalisation.bounded
-    return TrainedModel(run, ball_scene[0], model, 0, Renderer(run.normalisation))
+    assert run.normalisation.bounded and run.normalisation == renderer.normalisation
+    return TrainedModel(run, ball_scene[0], model, 0, renderer)

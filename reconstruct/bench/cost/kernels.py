@@ -26,8 +26,7 @@ from reconstruct.sampling.occupied_steps import OccupiedSteps
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
 
-BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)
-"""An object in the cube [-1, 1]^3, seen from four away."""
+BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)  # an object in the cube [-1, 1]^3, seen from four away
 OCCUPIED = 0.03  # radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]
 
 

@@ -15,8 +15,7 @@ from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
 
 CHUNK = 1 << 17  # points evaluated at once
-Axes = tuple[NDArray[np.float64], ...]
-"""Coordinates of the grid points along x, y and z [scene unit]."""
+Axes = tuple[NDArray[np.float64], ...]  # coordinates of the grid points along x, y and z [scene unit]
 
 
 def grid_axes(trained: TrainedModel, resolution: int) -> Axes:

@@ -100,7 +100,7 @@ def test_features_are_averaged_over_groups_in_contracted_space() -> None:
     assert jacobian.shape == (4, 3, 3)
 
 
-@pytest.mark.parametrize("group", [1, 6])
+@pytest.mark.parametrize("group", [pytest.param(1, marks=pytest.mark.slow), 6])
 def test_points_that_are_followed_get_the_gradient_of_the_features(group: int) -> None:
     """Against the analytic derivative to the scene's coordinates, inside and outside the unit ball; elsewhere points are data."""
     lattice = PermutohedralLattice.create(jax.random.key(0), levels=2, features=2, log2_size=8, coarsest=2.0, finest=4.0)
