@@ -10,6 +10,7 @@ import numpy as np
 
 from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
@@ -51,5 +52,7 @@ class SceneFacts:
     def from_json(cls, content: dict[str, Any]) -> "SceneFacts":
         """Inverse of `to_json`. Raises KeyError, TypeError or ValueError where something is missing or unknown."""
         normalisation = {**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])}
+        if frustum := normalisation.get("frustum"):
+            normalisation["frustum"] = Frustum.from_json(frustum)
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
         return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation)})

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
-from reconstruct.field.contraction import contract, contraction_scale, pull_back
+from reconstruct.scene.contraction import contract, contraction_scale, pull_back
 from reconstruct.field.encodings.directional import integrated_directional_encoding, view_encoding
 from reconstruct.field.encodings.frequencies import Frequencies
 from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share

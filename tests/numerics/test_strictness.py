@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.contraction import contract, contraction_scale, pull_back
+from reconstruct.scene.contraction import contract, contraction_scale, pull_back
 from reconstruct.field.encodings.directional import integrated_directional_encoding
 from reconstruct.models import load_config
 from reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_linear

@@ -12,7 +12,7 @@ from reconstruct.field.cloud import (
     hexagons_in_frustums,
     points_on_rays,
 )
-from reconstruct.field.contraction import contract, contraction_scale
+from reconstruct.scene.contraction import contract, contraction_scale
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 from reconstruct.scene.rays import Rays
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.contraction import contract
+from reconstruct.scene.contraction import contract
 from reconstruct.sampling.occupancy import Occupancy
 
 
