@@ -15,6 +15,7 @@ from reconstruct.rendering.pictures import Renderer, composited_normals
 from reconstruct.run import Run
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.rays import Rays, view_rays
+from reconstruct.scene.space import BOX
 
 
 def rays_of(trained: TrainedModel) -> Rays:
@@ -30,7 +31,7 @@ def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     rays, field = rays_of(trained), trained.model.field
     found = trained.model.sampler.look(rays)
     samples = found.samples
-    cloud = cloud_of(rays, samples, bounded=True, footprint=found.footprint)
+    cloud = cloud_of(rays, samples, space=BOX, footprint=found.footprint)
     rendered, _ = render(field, rays, samples, cloud)
     _, _, normals = field.with_normals(cloud)
     every = composite(normals, samples.packed(rendered.weights), samples)
