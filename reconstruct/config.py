@@ -208,6 +208,9 @@ class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has the costs."""
 
     surroundings: bool = setting(True, "Contraction and background, where pictures carry an alpha.")
+    contraction: bool = setting(
+        True, "The contraction, where all cameras look the same way: the frustum that they see takes its place."
+    )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
     fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
     table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")

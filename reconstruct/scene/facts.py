@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
@@ -58,6 +59,8 @@ class SceneFacts:
     def from_json(cls, content: dict[str, Any]) -> "SceneFacts":
         """Inverse of `to_json`. Raises KeyError, TypeError or ValueError where something is missing or unknown."""
         normalisation = {**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])}
+        if frustum := normalisation.get("frustum"):
+            normalisation["frustum"] = Frustum.from_json(frustum)
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
         gains = None if (v := content.get("log_gains")) is None else tuple(tuple(gain) for gain in v)
         return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation), "log_gains": gains})

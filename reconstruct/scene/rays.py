@@ -17,6 +17,8 @@ from datasets.imaging.downscale import streamed
 from datasets.imaging.reduced import READERS
 from datasets.scene import Scene, View
 from reconstruct.numerics.safe import safe_norm
+from reconstruct.scene.frustum import Frustum
+from reconstruct.scene.space import BALL, BOX, Space
 
 BRIGHTEST = 6e4
 """Brighter colours are kept as this, which float16 can still hold."""
@@ -59,6 +61,8 @@ class Normalisation:
     """Furthest depth [scene unit]."""
     backdrop: bool = False
     """True where surroundings are allowed for although the pictures' background is blank."""
+    frustum: Frustum | None = None
+    """What the cameras see, where they all look the same way and it takes the place of the contraction."""
 
     @classmethod
     def of(cls, scene: Scene, *, backdrop: bool = False) -> "Normalisation":
@@ -69,6 +73,11 @@ class Normalisation:
         scale = float(1 / max(reach, 1e-12))
         far = scene.far * scale if np.isfinite(scene.far) else 1e3
         return cls(tuple(((low + high) / 2).tolist()), scale, bounded, scene.near * scale, min(far, 1e3), backdrop)
+
+    @property
+    def space(self) -> Space:
+        """Where the field lives."""
+        return BOX if self.bounded else self.frustum or BALL
 
 
 def view_rays(

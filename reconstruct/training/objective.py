@@ -60,7 +60,7 @@ class Objective:
         rays, terms = batch.rays, {}
         moving = followed(rays, model.poses)  # poses follow the picture; where else the field is looked at is data
         found = model.sampler.sampled(batch, sample_key)
-        cloud = cloud_of(moving, found.samples, bounded=self.place.bounded, footprint=found.footprint)
+        cloud = cloud_of(moving, found.samples, space=self.place.space, footprint=found.footprint)
         rendered, density = _rendered(model, moving, found.samples, cloud)
         if model.poses is not None and self.pose_prior:
             terms |= pose_term(model.poses / jnp.array(self.pose_sigma), self.pose_prior)

@@ -30,6 +30,7 @@ from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
+from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
@@ -186,7 +187,7 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer:
     distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
     radius = RADIUS * run.normalisation.scale
     occupancy = Occupancy.create(
-        jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
+        jax.random.key(0), grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid
     )
     field = model.field
     solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)

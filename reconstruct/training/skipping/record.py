@@ -18,6 +18,7 @@ ELSEWHERE = {"structure_from_motion": "poses are taken as the scene has them; 'c
 
 COSTS = {
     "surroundings": "none: 1.9 and 2.2 dB better on two scenes",
+    "contraction": "none: CONTRACTION",
     "empty_rays": "none: 1.5 and 2.8 dB better on two scenes",
     "fine_levels": "0.17 dB better to 0.12 dB worse on three scenes",
     "table_size": "0.42 dB better to 0.30 dB and 2 deg worse on three scenes",
@@ -33,6 +34,7 @@ COSTS = {
 """Price of each skip; docs/skipping.md has the figures."""
 PLAIN = {
     "surroundings": "what is around the object",
+    "contraction": "space where no camera looks",
     "empty_rays": "empty space",
     "fine_levels": "detail that is finer than a pixel can show",
     "table_size": "memory for more places than there are",

@@ -17,6 +17,7 @@ from reconstruct.rendering.pictures import Renderer, composited_normals
 from reconstruct.run import Run
 from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.rays import Rays, view_rays
+from reconstruct.scene.space import BOX
 
 
 def rays_of(trained: TrainedModel) -> Rays:
@@ -27,7 +28,7 @@ def rays_of(trained: TrainedModel) -> Rays:
 def of_all_samples(model: Model, rays: Rays) -> tuple[Cloud, RaySamples, Rendered, jax.Array]:
     """What a picture is made of, and the normals of every sample composited."""
     found = model.sampler.look(rays)
-    cloud = cloud_of(rays, found.samples, bounded=True, footprint=found.footprint)
+    cloud = cloud_of(rays, found.samples, space=BOX, footprint=found.footprint)
     rendered, _ = render(model.field, rays, found.samples, cloud)
     _, _, normals = model.field.with_normals(cloud)
     return cloud, found.samples, rendered, composite(normals, found.samples.packed(rendered.weights), found.samples)

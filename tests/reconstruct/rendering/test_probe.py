@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -6,9 +7,11 @@ import pytest
 
 from datasets.core.progress import ignore
 from datasets.imaging.images import linear_from_srgb, srgb_from_linear
+from datasets.scene import Scene
+from reconstruct.models import load_config
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.probe import Probe, held_out_psnr
-from reconstruct.scene.rays import Pixels
+from reconstruct.rendering.probe import PIXELS, Probe, held_out_psnr
+from reconstruct.scene.rays import Normalisation, Pixels
 
 
 class Silent:
@@ -65,3 +68,32 @@ def test_held_out_pixels_have_the_gains_of_their_views(ball: TrainedModel) -> No
     learned = replace(ball.model, per_image=jnp.asarray(log_gains + 7, jnp.float32))  # counted from their mean
     assert held_out_psnr(bright, ball.model, ball.renderer) < before - 1
     assert held_out_psnr(bright, learned, ball.renderer) == pytest.approx(before, abs=1.0)
+
+
+class Silent:
+    """A progress that nobody looks at."""
+
+    def advance(self) -> None:
+        """Nothing."""
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_the_probe_is_a_random_part_of_the_unseen_pixels(make_scene: Callable[..., Scene], scale: float) -> None:
+    """The reference holds all the pixels, and draws from them."""
+    scene = make_scene(count=9, truth=False)
+    normalisation = Normalisation.of(scene)
+    unseen = tuple(view for view in scene.views if view.split == "test")
+    assert len(unseen) == 3
+    everything = Pixels.load(unseen, normalisation, scale, Silent())
+    total = len(everything.view)
+    index = np.random.default_rng(0).choice(total, min(PIXELS, total), replace=False)
+    found = Probe.of(scene, load_config(overrides=[f"scale={scale}"]), normalisation)
+    assert found is not None
+    for one, other in zip(found[:4], everything.over_white(index), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(found.view, np.asarray(everything.view)[index])
+
+
+def test_without_test_views_there_is_no_probe(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(count=4, truth=False)
+    assert Probe.of(scene.with_views(scene.split("train")), load_config(), Normalisation.of(scene)) is None

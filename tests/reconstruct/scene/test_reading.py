@@ -8,8 +8,8 @@ from datasets.imaging.copies import Copies
 from datasets.scene import Scene
 from reconstruct.scene import pool as pools
 from reconstruct.scene import rays
-from reconstruct.scene.rays import Normalisation, Pixels, read_scaled
-from reconstruct.scene.reading import PROBE, held_out, probe, training_pixels
+from reconstruct.scene.rays import Normalisation, read_scaled
+from reconstruct.scene.reading import held_out, training_pixels
 
 
 class Silent:
@@ -17,27 +17,6 @@ class Silent:
 
     def advance(self) -> None:
         """Nothing."""
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_the_probe_is_a_random_part_of_the_unseen_pixels(make_scene: Callable[..., Scene], scale: float) -> None:
-    """The reference holds all the pixels, and draws from them."""
-    scene = make_scene(count=9, truth=False)
-    normalisation = Normalisation.of(scene)
-    unseen = tuple(view for view in scene.views if view.split == "test")
-    assert len(unseen) == 3
-    everything = Pixels.load(unseen, normalisation, scale, Silent())
-    total = len(everything.view)
-    index = np.random.default_rng(0).choice(total, min(PROBE, total), replace=False)
-    found = probe(scene, normalisation, scale)
-    assert found is not None
-    for one, other in zip(found, everything.over_white(index), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-def test_without_test_views_there_is_no_probe(make_scene: Callable[..., Scene]) -> None:
-    scene = make_scene(count=4, truth=False)
-    assert probe(scene.with_views(scene.split("train")), Normalisation.of(scene), 1.0) is None
 
 
 def test_a_pool_is_made_where_memory_is_short(make_scene: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,9 @@ from reconstruct.training.skipping.gains import Differences
 from reconstruct.training.skipping.plan import lenses, normalisation_of, plan
 from reconstruct.training.skipping.record import NAMES, Skip
 
-FOUND = Evidence(bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, poses="koala-scene")
+FOUND = Evidence(
+    bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, frustum=None, poses="koala-scene"
+)
 
 
 def planned(found: Evidence = FOUND, gain: float = 3.0, **skip: bool) -> tuple[Config, dict[str, Skip]]:
