@@ -97,9 +97,8 @@ class View:
         """
         if images.steps(self.image) != 1 and (self.mask is None or images.steps(self.mask) != 1):
             self._require_channels(images.channels(self.image))
-            for path in filter(None, (self.image, self.mask)):
-                self._require_size(*images.size(path), path)
-            return reduced.read_resized(self.image, self.mask, width, height)
+            self._require_size(*images.size(self.image), self.image)
+            return reduced.read_resized(self.image, None if self.mask is None else self.read_stored_mask(), width, height)
         picture = reduced.visible(self.read())
         if not np.isfinite(picture).all():
             raise DatasetError("image holds values that are not finite", where=self.image, remedy="write it again")
@@ -121,10 +120,20 @@ class View:
             UsageError: the view has no mask.
             DatasetError: the file is missing, damaged, or of another shape than the image.
         """
+        return images.as_float(self.read_stored_mask())
+
+    def read_stored_mask(self) -> NDArray[Any]:
+        """`read_mask` as the integers of its file, for `images.as_float`, where they are used as they are; else as float32."""
         if self.mask is None:
             raise UsageError("view has no mask", where=f"view {self.name}")
-        stored = images.read(self.mask)
-        self._check_shape(stored, self.mask)
+        integers = images.read_stored(self.mask)
+        self._check_shape(integers, self.mask)
+        white = 1 if integers.dtype == np.float32 else np.iinfo(integers.dtype).max
+        labels = 0 < float(integers.max()) <= LABELS * white
+        same_size = integers.shape == (self.camera.height, self.camera.width, 1)
+        if same_size and not (labels or self.mask_inverted or self.mask.suffix.lower() in LOSSY):
+            return integers
+        stored = images.as_float(integers)
         has_alpha = stored.shape[-1] in (2, 4) and float(stored[..., -1].min()) < 1
         mask = stored[..., -1:] if has_alpha else stored[..., : 3 if stored.shape[-1] > 2 else 1].max(-1, keepdims=True)
         if 0 < float(mask.max()) <= LABELS:

@@ -32,24 +32,28 @@ class Copies:
 
     folder: Path
 
-    def of(self, sources: Sequence[Path], width: int, height: int, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+    def of(
+        self, sources: Sequence[Path], width: int, height: int, make: Callable[[], NDArray[Any]], *, how: str = ""
+    ) -> NDArray[Any]:
         """The picture of some files at `width` x `height` [px], from its copy if there is one, else from `make`.
+
+        `how` names what else its values depend on.
 
         Returns:
             The array, read-only and mapped where it comes from the copy.
         """
         if not all(Path(source).is_file() for source in sources):
             return make()  # which knows what to say
-        path = self._path(sources, width, height)
+        path = self._path(sources, width, height, how)
         found = mapped(path)
         if found is None or found.shape[:2] != (height, width):
             found = make()
             self._keep(path, found)
         return found
 
-    def _path(self, sources: Sequence[Path], width: int, height: int) -> Path:
+    def _path(self, sources: Sequence[Path], width: int, height: int, how: str) -> Path:
         stats = [os.stat(source) for source in sources]
-        what = [[os.fspath(Path(source).absolute()) for source in sources], width, height]
+        what = [[os.fspath(Path(source).absolute()) for source in sources], width, height, how]
         state = [[stat.st_size, stat.st_mtime_ns] for stat in stats]
         return self.folder / f"{_digest(what)}-{_digest([state, VERSION])}.npy"
 

@@ -1,4 +1,4 @@
-"""Reading a picture, and its mask, no finer than needed, and averaging it to the size that is wanted.
+"""Reading a picture no finer than needed, and averaging it to the size that is wanted.
 
 A JPEG can be decoded at a half, a quarter or an eighth of its size, which is faster: the decoder leaves out the finest waves of
 each block of 8x8 sRGB values. The result is not quite the mean light of the pixels where neighbours differ much. Such a size is
@@ -21,15 +21,15 @@ READERS = min(os.cpu_count() or 1, 4)
 JPEG, END_OF_JPEG = b"\xff\xd8\xff", b"\xff\xd9"
 
 
-def read_resized(image: Path, mask: Path | None, width: int, height: int) -> NDArray[Any]:
-    """(height, width, 3 or 4) sRGB of a picture of integers; the mask becomes its alpha. What is transparent is black.
+def read_resized(image: Path, alpha: NDArray[Any] | None, width: int, height: int) -> NDArray[Any]:
+    """(height, width, 3 or 4) sRGB of a picture of integers; `alpha` replaces its own. What is transparent is black.
 
     At the picture's own size these are the values of the files, as uint8 or uint16 where both hold the same type; else float32
     in 0..1, averaged over areas in linear light and weighted by alpha.
 
     Args:
         image: 8- or 16-bit file, 1 to 4 channels.
-        mask: grey picture of the same size, or None.
+        alpha: (rows, columns, 1) of the picture's size, as `images.read_stored` has it; None for the picture's own.
         width: wanted width [px].
         height: wanted height [px].
 
@@ -38,7 +38,6 @@ def read_resized(image: Path, mask: Path | None, width: int, height: int) -> NDA
     """
     resized = images.size(image) != (width, height)
     picture = _in_colour(read_stored(image, width, height) if resized else images.read_stored(image))
-    alpha = None if mask is None else images.read_stored(mask)[..., :1]
     if resized:
         return _averaged(picture, alpha, width, height)
     if alpha is not None:

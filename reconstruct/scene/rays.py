@@ -126,7 +126,8 @@ def stored_pixels(view: View, scale: float, copies: Copies | None = None) -> Sha
     size = camera.width, camera.height
     if copies is None or view.camera.width * view.camera.height < WORTH_A_COPY:
         return view.read_resized(*size)
-    return copies.of([path for path in (view.image, view.mask) if path], *size, lambda: view.read_resized(*size))
+    sources, how = [path for path in (view.image, view.mask) if path], "black is the object" if view.mask_inverted else ""
+    return copies.of(sources, *size, lambda: view.read_resized(*size), how=how)
 
 
 def read_scaled(view: View, scale: float, copies: Copies | None = None) -> Float[np.ndarray, "height width channels"]:

@@ -38,6 +38,11 @@ def test_masks_of_all_kinds_read_alike(make_scene: Callable[..., Scene], stored:
     images.write(view.mask, stored(disc).astype(np.uint8))
     assert np.array_equal(view.read_mask()[..., 0], disc) and np.array_equal(view.read()[..., 3], disc)
     assert np.array_equal(replace(view, mask_inverted=True).read_mask()[..., 0], 1 - disc)
+    for changed in (view, replace(view, mask_inverted=True)):  # what training reads
+        whole = changed.read()
+        assert np.array_equal(images.as_float(changed.read_resized(96, 72))[..., 3], whole[..., 3])
+        small = images.resize(np.where(whole[..., 3:] > 0, whole, 0), 48, 36)
+        assert np.abs(changed.read_resized(48, 36) - small).max() < 1e-6
 
 
 def test_masks_of_another_shape_are_refused(make_scene: Callable[..., Scene]) -> None:

@@ -54,8 +54,9 @@ def test_each_size_and_each_mask_has_its_own_copy(tmp_path: Path, source: Path) 
     kept.of([source], 8, 6, make)
     kept.of([source], 4, 3, lambda: make()[:3, :4])
     kept.of([source, mask], 8, 6, make)
-    assert make.count == 3 and len(list((tmp_path / "kept").iterdir())) == 3
-    assert kept.of([source], 4, 3, make).shape == (3, 4, 3) and make.count == 3
+    kept.of([source, mask], 8, 6, make, how="black is the object")
+    assert make.count == 4 and len(list((tmp_path / "kept").iterdir())) == 4
+    assert kept.of([source], 4, 3, make).shape == (3, 4, 3) and make.count == 4
 
 
 @pytest.mark.parametrize("change", ["time", "size"])
