@@ -70,6 +70,8 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
     files.refuse_existing(out)
     work = Work(out)
     found, resumed = _pictures(source, work, request)
+    if resumed:
+        console.hint(f"continuing in {work.folder}")
     pictures, damaged = _searched(found, work, request)
     _matched(pictures, work, request, in_order=frames.is_video(source))
     groups = _mapped(pictures, work, source)
@@ -81,7 +83,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
     aligned = alignment.align(scene, seen, wishes)
     known: dict[str, Any] = {"format": "photographs", "source": str(source.absolute()), "left_out": left_out}
     known |= {"scale_from": aligned.scale_from, "up_from": aligned.up_from, "groups": [len(group) for group in groups]}
-    scene = replace(aligned.scene, provenance=known, notes=_notes(left_out, given, groups))
+    scene = replace(aligned.scene, provenance=known, notes=_notes(left_out, given, groups, found.ignored))
     koala.save(scene, out)
     work.remove()
     sizes = tuple(len(group) for group in groups)
@@ -185,7 +187,7 @@ def _at_full_size(picture: Picture) -> tuple[Marker, ...]:
     return tuple(replace(marker, corners=marker.corners * ratio) for marker in picture.features.markers)
 
 
-def _notes(left_out: Mapping[str, str], given: int, groups: mapping.Groups) -> tuple[str, ...]:
+def _notes(left_out: Mapping[str, str], given: int, groups: mapping.Groups, ignored: tuple[str, ...]) -> tuple[str, ...]:
     """What was left out, for everyone who uses the scene."""
     notes = []
     if left_out:
@@ -194,4 +196,7 @@ def _notes(left_out: Mapping[str, str], given: int, groups: mapping.Groups) -> t
     if len(groups) > 1:
         sizes = ", ".join(str(len(group)) for group in groups)
         notes.append(f"the pictures fall into groups of {sizes} that do not connect; the largest is the scene")
+    if ignored:
+        more = f" and {len(ignored) - 5} more" if len(ignored) > 5 else ""
+        notes.append(f"{len(ignored)} files are of no kind that is read: {', '.join(ignored[:5])}{more}")
     return tuple(notes)

@@ -70,8 +70,7 @@ def read_groups(out: Path) -> Groups | None:
 def refine(model: "pycolmap.Reconstruction") -> None:
     """Adjust everything once more, with OPENCV's lens and the principal point where a camera has enough pictures.
 
-    The first adjustment has few parameters and can start from a guess; this one starts close to the truth. The loss grows only
-    linearly for large errors, and observations that stay wrong are dropped.
+    Mapping has few parameters and can start from a guess; this starts close to the truth. Observations that stay wrong are dropped.
     """
     import pycolmap
 
@@ -95,7 +94,6 @@ def _adjust(model: "pycolmap.Reconstruction", constant: set[int], *, principal_p
     import pycolmap
 
     options = pycolmap.BundleAdjustmentOptions(refine_principal_point=principal_point, print_summary=False)
-    options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, 1.0
     config = pycolmap.BundleAdjustmentConfig()
     for number in model.reg_image_ids():
         config.add_image(number)

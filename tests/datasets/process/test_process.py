@@ -1,16 +1,17 @@
 """From rendered photographs to a scene: accuracy, resuming, what is left out, and clear refusals."""
 
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytest.importorskip("pycolmap")
-
 from datasets import pose
 from datasets.checks.check import check
-from datasets.core.errors import UsageError
+from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import load_scene
 from datasets.imaging import images
 from datasets.process.pictures import features
@@ -19,7 +20,10 @@ from datasets.process.process import Processed, Request, process
 from datasets.process.work import Work
 from datasets.process.world import similarity
 from datasets.process.world.alignment import Wishes
+from datasets.process.world.scale import KnownLength
 from datasets.scene import Scene
+
+pytest.importorskip("pycolmap")
 
 SIDE_M = 0.24
 
@@ -85,6 +89,7 @@ def test_what_is_left_out_is_named_with_the_reason(finished) -> None:
     assert "too few features" in result.left_out["grey.png"]
     assert "too few matches" in result.left_out["elsewhere.png"]
     assert "3 of 13 pictures are left out" in load_scene(out).notes[0]
+    assert load_scene(out).notes[1:] == ("1 files are of no kind that is read: notes.txt",)
     assert not out.with_name("table.work").exists()
 
 
@@ -140,7 +145,47 @@ def test_an_interrupted_call_continues(shots, tmp_path: Path, monkeypatch: pytes
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene"]
 
 
-def _length(end: str):
-    from datasets.process.world.scale import KnownLength
+def test_a_killed_process_leaves_what_the_next_one_needs(shots, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out, work = tmp_path / "scene", Work(tmp_path / "scene")
+    command = [sys.executable, "-m", "datasets.cli", "process", str(shots.folder), "--out", str(out)]
+    running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 3:
+        time.sleep(0.02)
+    running.kill()
+    running.wait()
+    kept = list(work.features.glob("0*.npz"))
+    assert len(kept) >= 3 and not out.exists()
+    detected = []
+    whole = features.detect
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(features, "detect", lambda path: detected.append(path) or whole(path))
+        found = process(shots.folder, out, Request(), Wishes())
+    assert found.resumed and len(found.aligned.scene.views) == 10 and len(detected) == 10 - len(kept)
+    assert f"continuing in {work.folder}" in capfd.readouterr().err
 
+
+def test_other_choices_keep_the_features_and_other_pictures_do_not(tmp_path: Path) -> None:
+    work = Work(tmp_path / "scene")
+    assert not work.start(["a"], ["all"])
+    work.features.mkdir()
+    work.model.mkdir(parents=True)
+    work.database.write_bytes(b"")
+    assert work.start(["a"], ["all"]) and work.model.exists()
+    assert not work.start(["a"], ["alike"])
+    assert work.features.exists() and not work.model.exists() and not work.database.exists()
+    assert not work.start(["b"], ["alike"]) and not work.features.exists()
+
+
+def test_pictures_of_different_places_do_not_overlap(tmp_path: Path) -> None:
+    """The refusal comes again the second time, from what is known already."""
+    random = np.random.default_rng(0)
+    for k in range(4):
+        picture = random.integers(0, 255, (75, 100, 3), dtype=np.uint8)
+        images.write(tmp_path / "photos" / f"{k}.png", np.kron(picture, np.ones((4, 4, 1), np.uint8)))
+    for _ in range(2):
+        with pytest.raises(DatasetError, match="do not overlap enough for poses"):
+            process(tmp_path / "photos", tmp_path / "scene", Request(), Wishes())
+
+
+def _length(end: str) -> KnownLength:
     return KnownLength.parse(end, end, 1.0)
