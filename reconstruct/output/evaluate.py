@@ -44,7 +44,7 @@ EXPOSED = {
     "psnr_as_rendered": "psnr without them: at the mean exposure of the training views [dB]",
 }
 """Definitions for models with gains."""
-ALIGNED_SHOWN = ("psnr", "ssim", "lpips")  # metrics of aligned views in the summary
+ALIGNED_SHOWN = ("psnr", "ssim", "psnr_inside", "ssim_inside", "lpips")  # metrics of aligned views in the summary
 TRUE_SURFACE = "truth/object.ply"  # true mesh [m] of the object in a simulated scene
 
 
@@ -183,6 +183,9 @@ def compare(
     """
     pair = shown["rgb"], truth["rgb"]
     found: dict[str, float | None] = {"psnr": metrics.psnr(*pair), "ssim": metrics.ssim(*pair)}
+    if "alpha" in truth:
+        inside = metrics.inside(truth["alpha"])
+        found |= {"psnr_inside": metrics.psnr(*pair, inside), "ssim_inside": metrics.ssim(*pair, inside)}
     if lpips is not None:
         found["lpips"] = lpips(*pair)
     opacity = shown.get("opacity", np.ones_like(truth["rgb"][..., :1]))

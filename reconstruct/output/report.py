@@ -36,6 +36,7 @@ HELD_OUT = {"held_out_px": "corners on held-out views", "held_out_mm": "corners 
 HEADLINE = {
     "psnr": ("PSNR", 2),
     "ssim": ("SSIM", 3),
+    "psnr_inside": ("PSNR inside the mask", 2),
     "normal_mae_alpha_acc_deg": ("normals, mean error", 2),
     "depth_median_mm": ("depth, median error", 2),
 }

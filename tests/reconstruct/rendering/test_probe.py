@@ -70,13 +70,6 @@ def test_held_out_pixels_have_the_gains_of_their_views(ball: TrainedModel) -> No
     assert held_out_psnr(bright, learned, ball.renderer) == pytest.approx(before, abs=1.0)
 
 
-class Silent:
-    """A progress that nobody looks at."""
-
-    def advance(self) -> None:
-        """Nothing."""
-
-
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 def test_the_probe_is_a_random_part_of_the_unseen_pixels(make_scene: Callable[..., Scene], scale: float) -> None:
     """The reference holds all the pixels, and draws from them."""
@@ -92,8 +85,3 @@ def test_the_probe_is_a_random_part_of_the_unseen_pixels(make_scene: Callable[..
     for one, other in zip(found[:4], everything.over_white(index), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(found.view, np.asarray(everything.view)[index])
-
-
-def test_without_test_views_there_is_no_probe(make_scene: Callable[..., Scene]) -> None:
-    scene = make_scene(count=4, truth=False)
-    assert Probe.of(scene.with_views(scene.split("train")), load_config(), Normalisation.of(scene)) is None
