@@ -94,8 +94,7 @@ FAINTEST = 0.1
 
 def _silhouette(view: View) -> Silhouette:
     """A view's mask in cells, of the object where any of their pixels is."""
-    picture = images.read(view.mask or view.image)
-    inside = picture[..., 0 if view.mask else -1] > FAINTEST
+    inside = (view.read_mask() if view.mask else images.read(view.image))[..., -1] > FAINTEST
     height, width = inside.shape
     padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
     rows, columns = padded.shape[0] // _CELL, padded.shape[1] // _CELL

@@ -57,15 +57,28 @@ def cells_in_masks(
 
 
 def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: int, needed: int = 3) -> NDArray[np.bool_]:
-    """(grid^3,) True for cells of the contracted surroundings that cameras can place.
+    """(grid^3,) True for cells of the surroundings that cameras can place.
 
-    Nearer than the furthest camera, a cell must be in the picture of `needed` cameras: what fewer see cannot be
-    triangulated, and would only be a cloud before a lens. Further out, one camera is enough.
+    In a common frustum these are all that any camera sees. Around an object, a cell nearer than the furthest camera must be in
+    the pictures of `needed` cameras: what fewer see cannot be triangulated, and would only be a cloud before a lens. Further
+    out, one camera is enough.
     """
+    if normalisation.frustum is not None:
+        mapped = cell_centres(grid, 1.0)
+        deep = np.abs(mapped[:, 2]) < normalisation.frustum.deep + 1 / grid
+        return deep & (views_of(views, normalisation, normalisation.frustum.scene_points(mapped)) > 0)
     contracted = cell_centres(grid, 2.0)
     radius = np.linalg.norm(contracted, axis=-1, keepdims=True)
     outward = contracted / np.maximum(radius, 1e-9)
     scene = np.where(radius > 1, outward / np.maximum(2 - radius, 1e-3), contracted)
+    positions = np.stack([view.world_from_camera[:3, 3] for view in views])
+    furthest = np.linalg.norm((positions - normalisation.centre) * normalisation.scale, axis=-1).max()
+    near = np.linalg.norm(scene, axis=-1) < furthest
+    return views_of(views, normalisation, scene) >= np.where(near, min(needed, len(views)), 1)
+
+
+def views_of(views: tuple[View, ...], normalisation: Normalisation, scene: NDArray[np.float64]) -> NDArray[np.int_]:
+    """(n,) How many views have each of the (n, 3) scene points in their picture, or nearly so."""
     world = scene / normalisation.scale + normalisation.centre
     count = np.zeros(len(world), int)
     for view in views:
@@ -79,7 +92,4 @@ def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: 
             & (np.abs(column - camera.width / 2) < camera.width / 2 + margin)
             & (np.abs(row - camera.height / 2) < camera.height / 2 + margin)
         )
-    positions = np.stack([view.world_from_camera[:3, 3] for view in views])
-    furthest = np.linalg.norm((positions - normalisation.centre) * normalisation.scale, axis=-1).max()
-    near = np.linalg.norm(scene, axis=-1) < furthest
-    return count >= np.where(near, min(needed, len(views)), 1)
+    return count

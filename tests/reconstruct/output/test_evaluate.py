@@ -135,3 +135,25 @@ def test_normals_that_nobody_predicts_are_not_measured() -> None:
     up = np.broadcast_to(np.array([0, 0, 1], np.float32), (4, 4, 3))
     found = evaluate.compare({"rgb": up, "normals": up, "normals_pred": 0 * up}, {"rgb": up, "normals": up}, metric=False)
     assert found["normal_mae_deg"] == 0 and "normal_pred_mae_deg" not in found
+
+
+def test_exposure_of_unseen_views_is_fitted_where_training_views_have_gains(ball: TrainedModel) -> None:
+    """Pictures of 1.8 times the light and another white balance: as good as the true ones, and said so."""
+    before = evaluate.evaluate(ball)
+    injured = []
+    for view in ball.scene.views:
+        picture = images.read(view.image)
+        light = images.linear_from_srgb(picture[..., :3]) * np.array([1.8, 1.5, 1.3])
+        path = ball.run.path / f"{view.name}_bright.png"
+        images.write(path, np.concatenate([images.srgb_from_linear(light).clip(0, 1), picture[..., 3:]], -1))
+        injured.append(replace(view, image=path))
+    bright = replace(ball, scene=ball.scene.with_views(tuple(injured)))
+    with_gains = replace(bright, model=replace(ball.model, per_image=jnp.zeros((4, 3))))
+    fixed, exposed = evaluate.evaluate(bright), evaluate.evaluate(with_gains)
+    assert "exposure" not in fixed and "log_gains" not in fixed["per_view"][0]
+    assert fixed["mean"]["psnr"] < before["mean"]["psnr"] - 3, "the premise: exposure is seen"
+    assert exposed["mean"]["psnr"] > before["mean"]["psnr"]  # a brighter ball differs less from white, so its rim errs less
+    assert exposed["exposure"]["psnr_as_rendered"] == pytest.approx(fixed["mean"]["psnr"], abs=1e-6)
+    for view in exposed["per_view"]:
+        np.testing.assert_allclose(view["log_gains"], [np.log([1.8, 1.5, 1.3])] * 2, atol=0.05)
+    assert "one half" in exposed["exposure"]["definitions"]["exposure"] and "one half" in evaluate.table(exposed)
