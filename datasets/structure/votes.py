@@ -14,8 +14,8 @@ from datasets.camera_model import Camera
 from datasets.structure.bounds import half_field
 
 FEWEST, SHARE = 2, 0.1
-"""A place is ruled out by so many of the views that see it, and by this share of them. A share of 0.1 restores the rims of a
-set in which a tenth of the masks cut them off, and costs nothing where masks are exact; docs/lab has the figures."""
+"""A place is ruled out by so many of the views that see it, and by this share of them. A share of 0.1 restores the rim of a
+gold cape that several masks cut off (docs/lab, 2026-11-23); what it costs where masks are exact is not measured yet."""
 Slack = tuple[float, float]
 """How far cameras may be from where they are said to be [world unit], and turned [rad]."""
 EXACT: Slack = (0.0, 0.0)
