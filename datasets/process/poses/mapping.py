@@ -21,8 +21,8 @@ SMALLEST = 3
 """Smallest number of pictures of a group."""
 FEW = 8
 LEAST_TURN = 0.05
-"""Smallest mean squared sine between a camera's axes and their main direction. A camera with fewer pictures, or one that turns less,
-keeps one focal length and one coefficient of distortion: moving the principal point looks like turning all of its pictures."""
+"""Smallest mean squared sine between a camera's axes and their main direction. A camera with fewer pictures, or one that turns
+less, keeps one focal length and one coefficient of distortion: moving the principal point looks like turning its pictures."""
 LARGEST_PX = 2.0
 """Observations further than this from their projected point are dropped at the end [px of the picture that was searched]."""
 LEAST_ANGLE_DEG = 1.5
@@ -72,8 +72,8 @@ def read_groups(out: Path) -> Groups | None:
 def refine(model: "pycolmap.Reconstruction") -> None:
     """Adjust everything once more, with a second coefficient of distortion and the principal point where pictures fix them.
 
-    Mapping has few parameters and can start from a guess; this starts close to the truth. Decentring is left out, since it can hardly
-    be told from a shift of the principal point. Observations that stay wrong are dropped.
+    Mapping has few parameters and can start from a guess; this starts close to the truth. Decentring is left out, since it can
+    hardly be told from a shift of the principal point. Observations that stay wrong are dropped.
     """
     import pycolmap
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from datasets import pose
+from datasets.camera_model import Camera
 from datasets.checks.check import check
 from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import load_scene
@@ -25,6 +26,8 @@ from datasets.scene import Scene
 
 pytest.importorskip("pycolmap")
 
+CAMERA = Camera(400, 300, 420.0, 421.0, 203.0, 147.0, k1=-0.04)
+"""Of the photographs, as in `conftest`."""
 SIDE_M = 0.24
 
 
@@ -58,6 +61,15 @@ def test_poses_are_those_of_the_cameras(finished, shots) -> None:
     distance, angle = off(scene, shots.poses)
     assert distance.max() < 0.005 and angle.max() < 0.3  # what is asked of real photographs
     assert finished[0].error_px < 0.5
+
+
+def test_the_lens_is_that_of_the_camera(finished) -> None:
+    found = {view.camera for view in load_scene(finished[1]).views}
+    assert len(found) == 1
+    camera = found.pop()
+    assert [camera.fx, camera.fy] == pytest.approx([CAMERA.fx, CAMERA.fy], rel=0.01)
+    assert [camera.cx, camera.cy] == pytest.approx([CAMERA.cx, CAMERA.cy], abs=3.0)  # as far as ten small pictures tell
+    assert camera.k1 == pytest.approx(CAMERA.k1, abs=0.02) and camera.p1 == camera.p2 == 0
 
 
 def test_the_marker_gives_metres_and_up(finished, shots) -> None:
