@@ -198,5 +198,5 @@ def _notes(left_out: Mapping[str, str], given: int, groups: mapping.Groups, igno
         notes.append(f"mapping gave {len(groups)} models, of {sizes} pictures; the largest is the scene")
     if ignored:
         more = f" and {len(ignored) - 5} more" if len(ignored) > 5 else ""
-        notes.append(f"{len(ignored)} files are of no kind that is read: {', '.join(ignored[:5])}{more}")
+        notes.append(f"files of other kinds are not read: {', '.join(ignored[:5])}{more}")
     return tuple(notes)

@@ -101,7 +101,7 @@ def test_what_is_left_out_is_named_with_the_reason(finished) -> None:
     assert "too few features" in result.left_out["grey.png"]
     assert "too few matches" in result.left_out["elsewhere.png"]
     assert "3 of 13 pictures are left out" in load_scene(out).notes[0]
-    assert load_scene(out).notes[1:] == ("1 files are of no kind that is read: notes.txt",)
+    assert load_scene(out).notes[1:] == ("files of other kinds are not read: notes.txt",)
     assert not out.with_name("table.work").exists()
 
 
