@@ -23,7 +23,7 @@ from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model, render
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.poses import corrected
-from reconstruct.scene.rays import Rays, over, read_scaled, view_rays
+from reconstruct.scene.rays import Rays, over, read_scaled
 from reconstruct.scene.twists import moved
 
 PIXELS = 2048  # maximum number of pixels used for the alignment; at most half of the view's
@@ -57,8 +57,9 @@ class Aligner:
         picture = read_scaled(view, trained.run.config.scale).reshape(camera.height * camera.width, -1)
         colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
-        origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
-        rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))
+        lists = trained.renderer.rays_of(view, camera)
+        origins, directions, radii, light = (None if values is None else jnp.asarray(values[chosen]) for values in lists)
+        rays = Rays(origins, directions, radii, jnp.zeros(len(chosen), jnp.int32), light)
         twist, steps = self._solved(rays, colour[chosen])
         pose = corrected(view.world_from_camera, twist, trained.run.normalisation.scale)
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)
@@ -111,7 +112,7 @@ def _linearised(
     found = model.sampler.look(rays)
 
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        shifted = Rays(origins, directions, rays.radii)
+        shifted = Rays(origins, directions, rays.radii, light=rays.light)
         cloud = cloud_of(shifted, found.samples, bounded=bounded, footprint=found.footprint)
         rendered, _ = render(model.field, shifted, found.samples, replace(cloud, followed=True))
         return jnp.clip(rendered.over(behind[None]), 0, 1)

@@ -10,6 +10,7 @@ import numpy as np
 
 from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.scene.light import LightFrame
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
@@ -29,15 +30,24 @@ class SceneFacts:
     """Whether the scene states the object's box; else the pictures suggest it."""
     volume: float | None = None
     """Contracted space that can hold anything [scene unit^3]; None: not measured."""
+    light: LightFrame = LightFrame()
+    """Where the lamps stand still, as it was decided."""
 
     @classmethod
-    def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation, volume: float | None = None) -> "SceneFacts":
+    def of(
+        cls,
+        scene: Scene,
+        views: tuple[View, ...],
+        normalisation: Normalisation,
+        volume: float | None = None,
+        light: LightFrame = LightFrame(),
+    ) -> "SceneFacts":
         """Measure a scene. `views`: those that are trained on."""
         half_box = None
         if not normalisation.bounded:
             x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
             half_box = (x, y, z)
-        return cls(normalisation, direction_of_cameras(views, normalisation), half_box, scene.box_is_stated, volume)
+        return cls(normalisation, direction_of_cameras(views, normalisation), half_box, scene.box_is_stated, volume, light)
 
     def table_volume(self, config: Config) -> float | None:
         """Space that the encoding's tables are made for; None: full tables."""
@@ -52,4 +62,6 @@ class SceneFacts:
         """Inverse of `to_json`. Raises KeyError, TypeError or ValueError where something is missing or unknown."""
         normalisation = {**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])}
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
-        return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation)})
+        light = content.get("light", {})  # older runs do not say: none of them had lamps that move
+        light = LightFrame(**{**light, **({"axis": tuple(light["axis"])} if light else {})})
+        return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation), "light": light})

@@ -55,7 +55,7 @@ class Training:
     one_step: Step
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
+    probe: tuple[np.ndarray | None, ...] | None
     clock: Clock
     renderer: Renderer
     held: Pixels | None = None
@@ -343,5 +343,5 @@ def _require_room(out: Path, state: TrainState) -> None:
 
 
 def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:
-    renderer = Renderer(run.normalisation)
+    renderer = Renderer(run.normalisation, light=run.facts.light)
     return Training(run, prepared.step, state, prepared.pixels, prepared.probe, clock, renderer, prepared.held, skips)

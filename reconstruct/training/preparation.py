@@ -18,6 +18,7 @@ from reconstruct.training.batches import Division
 from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
+from reconstruct.training.skipping.lamps import decided_light
 from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
 from reconstruct.training.step import Step, TrainState
@@ -33,8 +34,8 @@ class Prepared(NamedTuple):
     """For the configuration as it was decided."""
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
-    """Pixels of test views: (origins, directions, radii, colour over white); None where there are no such views."""
+    probe: tuple[np.ndarray | None, ...] | None
+    """Pixels of test views, see `Pixels.over_white`; None where there are no such views."""
     held: Pixels | None
     """Pixels of training views that are never trained on, where an early stop is decided by them."""
     skips: list[record.Skip]
@@ -60,8 +61,11 @@ def prepare(
         evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale)
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
         if known is None:
-            config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
+            light, skip = decided_light(views, pixels, normalisation, possible, config)
+            skips.append(skip)
+            config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume, light)
     assert facts is not None, "a training that is not fresh knows its scene"
+    pixels = pixels.lit(facts.light, views)
     held = None
     if config.train.patience:
         pixels, held = pixels.held_out(PROBE)
@@ -72,16 +76,16 @@ def prepare(
     state = step.initial(jax.random.key(config.train.seed), possible, len(views))
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
-    return Prepared(step, state, pixels, _probe(scene, config, normalisation), held, skips)
+    return Prepared(step, state, pixels, _probe(scene, config, facts), held, skips)
 
 
-def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
-    """Random pixels of a few test views: (origins, directions, radii, colour over white)."""
+def _probe(scene: Scene, config: Config, facts: SceneFacts) -> tuple[np.ndarray | None, ...] | None:
+    """Random pixels of a few test views, see `Pixels.over_white`."""
     views = [view for view in scene.views if view.split == "test"]
     if not views:
         return None
     views = tuple(views[:: max(1, len(views) // 4)][:4])
     with progress("reading unseen pixels", len(views), "images") as shown:
-        pixels = Pixels.load(views, normalisation, config.scale, shown)
+        pixels = Pixels.load(views, facts.normalisation, config.scale, shown).lit(facts.light, views)
     index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
     return pixels.over_white(index)

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from datasets.core.console import progress
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.scene.light import LightFrame
 
 CHUNK = 1 << 17  # points evaluated at once
 Axes = tuple[NDArray[np.float64], ...]
@@ -47,8 +49,10 @@ def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y 
 
 def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
     """(n, 3) sRGB of points [scene unit] viewed along their normals: diffuse and specular, as metals have no diffuse part."""
-    field, bounded = trained.model.field, trained.run.normalisation.bounded
-    values = _by_chunks(lambda part, facing: _colour(field, part, facing, bounded), points, normals)
+    field, facts = trained.model.field, trained.run.facts
+    values = _by_chunks(
+        lambda part, facing: _colour(field, part, facing, facts.normalisation.bounded, facts.light), points, normals
+    )
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
@@ -80,9 +84,12 @@ def _density(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[
 
 
 @compiled
-def _colour(field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
+def _colour(
+    field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], bounded: bool, frame: LightFrame
+) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, bounded))
-    return field.shade(material, -normals).rgb
+    light = Lit.towards(frame, -normals)
+    return field.shade(field.lit(material, light), -normals, light=light).rgb
 
 
 @compiled

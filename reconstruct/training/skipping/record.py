@@ -26,6 +26,7 @@ COSTS = {
     "consistent_passes": "not measured; normals may drift apart between passes",
     "converged": "0.15 dB better to 1.78 dB worse where it stopped a training",
     "distortion": "none: the same figures",
+    "moving_lamps": "none where lamps stand still",
     "structure_from_motion": "none in training",
 }
 """Price of each skip; docs/skipping.md has the figures."""
