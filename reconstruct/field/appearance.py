@@ -21,7 +21,7 @@ from reconstruct.field.encodings.directional import ide_channels, integrated_dir
 from reconstruct.field.lit import Lit
 from reconstruct.field.mlp import Mlp
 from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
-from reconstruct.scene.light import LightFrame
+from reconstruct.scene.light import STILL, LightFrame
 
 RAMP = 0.2
 """Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""
@@ -67,7 +67,7 @@ class Start:
     """Mean direction from the object to the cameras."""
     half_box: tuple[float, float, float] | None = None
     """Half the size of the object's box [scene unit], where there is something around it."""
-    light: LightFrame = LightFrame()
+    light: LightFrame = STILL
     """Where the lamps stand still."""
 
 

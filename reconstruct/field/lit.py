@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from reconstruct.numerics.safe import normalise
@@ -31,8 +32,9 @@ class Lit(eqx.Module):
         """Of points that cameras look at along unit directions, upright and from their usual distance."""
         if not frame.moves:
             return None
-        axis = jnp.asarray(frame.axis)[:, None]
-        across = normalise(jnp.cross(axis, -viewdirs, axis=0) + 1e-6 * jnp.array([[0.36], [0.48], [0.8]]), axis=0)
+        sideways = np.cross(frame.axis, np.eye(3)[np.argmin(np.abs(frame.axis))])  # for those that look along the axis
+        axis, sideways = jnp.asarray(frame.axis)[:, None], jnp.asarray(sideways, jnp.float32)[:, None]
+        across = normalise(jnp.cross(axis, -viewdirs, axis=0) + 1e-6 * sideways, axis=0)
         rows = (across, jnp.cross(viewdirs, across, axis=0), viewdirs)
         if frame.kind == "turntable":
             rows = (jnp.cross(across, axis, axis=0), across, jnp.broadcast_to(axis, across.shape))

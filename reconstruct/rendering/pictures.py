@@ -18,7 +18,7 @@ from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.rendering.model import Model, Rendered, render
 from reconstruct.sampling.samples import RaySamples, cloud_of
-from reconstruct.scene.light import LightFrame
+from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, Rays, view_rays
 
 SIZES = (256, 1024, 4096)
@@ -93,7 +93,7 @@ class Renderer:
 
     normalisation: Normalisation
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    light: LightFrame = LightFrame()
+    light: LightFrame = STILL
     """Where the scene's lamps stand still."""
     _compiled: dict[Any, Any] = field(default_factory=dict)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from datasets.scene import Scene, View
 from reconstruct.config import Config
-from reconstruct.scene.light import LightFrame
+from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
@@ -30,7 +30,7 @@ class SceneFacts:
     """Whether the scene states the object's box; else the pictures suggest it."""
     volume: float | None = None
     """Contracted space that can hold anything [scene unit^3]; None: not measured."""
-    light: LightFrame = LightFrame()
+    light: LightFrame = STILL
     """Where the lamps stand still, as it was decided."""
 
     @classmethod
@@ -40,7 +40,7 @@ class SceneFacts:
         views: tuple[View, ...],
         normalisation: Normalisation,
         volume: float | None = None,
-        light: LightFrame = LightFrame(),
+        light: LightFrame = STILL,
     ) -> "SceneFacts":
         """Measure a scene. `views`: those that are trained on."""
         half_box = None

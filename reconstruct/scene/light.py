@@ -57,3 +57,7 @@ class LightFrame:
         """`from_scene` of the views' poses, float32."""
         found = self.from_scene(np.stack([view.world_from_camera[:3, :3] for view in views]))
         return None if found is None else found.astype(np.float32)
+
+
+STILL = LightFrame()
+"""Lamps that stand still about the object."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from datasets.core.console import progress
+from datasets.core.console import hint, progress
 from datasets.scene import Scene
 from reconstruct.config import Config
 from reconstruct.sampling.create import sampler_type
@@ -63,6 +63,8 @@ def prepare(
         if known is None:
             light, skip = decided_light(views, pixels, normalisation, possible, config)
             skips.append(skip)
+            if light.moves:
+                hint(f"lamps move about the object ({skip.evidence}): light.frame={light.kind}")
             config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume, light)
     assert facts is not None, "a training that is not fresh knows its scene"
     pixels = pixels.lit(facts.light, views)

@@ -13,8 +13,11 @@ NAMES = tuple(SkipConfig.model_fields)
 """What can be forced."""
 NOTHING_MORE = "nothing more"
 """Saving of what the model would not have done anyway."""
-ELSEWHERE = {"structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them"}
-"""What a person may look for in the list although training has no part in it, and where it is decided."""
+ELSEWHERE = {
+    "structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them",
+    "moving_lamps": "where lamps stand still is set by light.frame: world, camera or turntable",
+}
+"""What is on the list although no setting of `skip` decides it, and where it is decided."""
 
 COSTS = {
     "surroundings": "none: 1.9 and 2.2 dB better on two scenes",
@@ -78,11 +81,11 @@ def forced(names: Sequence[str]) -> list[str]:
     """Overrides of the configuration that keep the named things from being skipped.
 
     Raises:
-        UsageError: there is no such skip, or it is not decided by a training.
+        UsageError: there is no such skip, or it is decided elsewhere.
     """
     for name in names:
         if name in ELSEWHERE:
-            raise UsageError(f"training has no part in {name}", where="--no-skip", why=ELSEWHERE[name])
+            raise UsageError(f"{name} is decided elsewhere", where="--no-skip", why=ELSEWHERE[name])
         if name not in NAMES:
             raise UsageError(f"there is no skip '{name}'", where="--no-skip", remedy=nearest(name, NAMES))
     return [f"skip.{name}=false" for name in names]
