@@ -13,21 +13,18 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import FieldConfig
 from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding, view_channels, view_encoding
 from reconstruct.field.lit import Lit
 from reconstruct.field.mlp import Mlp
+from reconstruct.field.moving_lamps import MovingLamps
 from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
 from reconstruct.scene.light import STILL, LightFrame
 
 RAMP = 0.2
 """Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""
-
-IRRADIANCE_WIDTH = 32
-"""Width of the network from a normal to the light that a matte surface receives."""
 
 
 class Material(eqx.Module):
@@ -116,42 +113,6 @@ class StartMatte:
         return self.weight * jnp.clip(beyond / RAMP, 0.0, 1.0)
 
 
-class MovingLamps(eqx.Module):
-    """What lamps that move about the object change of its colours.
-
-    Reflected directions are encoded in the frame in which the lamps stand still, and a matte point has no colour of its own
-    any more: its diffuse colour is multiplied by an irradiance, a function of its normal in that frame. Near lamps look
-    different from each place, which both then depend on.
-    """
-
-    irradiance: Mlp
-    near: bool = eqx.field(static=True)
-    distance: float = eqx.field(static=True)
-
-    @classmethod
-    def create(cls, key: PRNGKeyArray, light: LightFrame) -> "MovingLamps":
-        """Fresh weights."""
-        network = Mlp.create(key, channels=9 + 3 * light.near, width=IRRADIANCE_WIDTH, depth=1, outputs=3)
-        return cls(network, light.near, light.distance)
-
-    @property
-    def channels(self) -> int:
-        """Of the place, beside the direction."""
-        return 3 if self.near else 0
-
-    def seen_by(self, light: Lit, directions: Float[Array, "3 n"]) -> tuple[Float[Array, "3 n"], list[Float[Array, "3 n"]]]:
-        """Unit directions of the scene, and the places if they matter, as the networks take them."""
-        if not self.near:
-            return light.turned(directions), []
-        return light.turned_about_lens(directions), [light.places / self.distance - jnp.array([[0.0], [0.0], [1.0]])]
-
-    def lit(self, material: Material, light: Lit) -> Material:
-        """The material with its diffuse colour under these lamps."""
-        (x, y, z), places = self.seen_by(light, normalise(material.normals_pred, axis=0))
-        irradiance = self.irradiance(jnp.concatenate([jnp.stack([x, y, z, x * y, y * z, z * x, x * x, y * y, z * z]), *places]))
-        return replace(material, diffuse=material.diffuse * jax.nn.softplus(irradiance) / np.log(2))
-
-
 class Reflection(eqx.Module):
     """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected.
 
@@ -215,7 +176,10 @@ class Reflection(eqx.Module):
 
     def lit(self, material: Material, light: Lit) -> Material:
         """The material with its diffuse colour under lamps that move about it."""
-        return material if self.moving is None else self.moving.lit(material, light)
+        if self.moving is None:
+            return material
+        irradiance = self.moving.irradiance(light, normalise(material.normals_pred, axis=0))
+        return replace(material, diffuse=material.diffuse * irradiance)
 
 
 class ViewColour(eqx.Module):
