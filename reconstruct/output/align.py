@@ -21,6 +21,7 @@ from datasets.scene import View
 from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model, render
+from reconstruct.rendering.pictures import on_device, taken
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.poses import corrected
 from reconstruct.scene.rays import Rays, over, read_scaled
@@ -57,9 +58,8 @@ class Aligner:
         picture = read_scaled(view, trained.run.config.scale).reshape(camera.height * camera.width, -1)
         colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
-        lists = trained.renderer.rays_of(view, camera)
-        origins, directions, radii, light = (None if values is None else jnp.asarray(values[chosen]) for values in lists)
-        rays = Rays(origins, directions, radii, jnp.zeros(len(chosen), jnp.int32), light)
+        rays = on_device(taken(trained.renderer.rays_of(view, camera), chosen))
+        rays = replace(rays, view=jnp.zeros(len(chosen), jnp.int32))
         twist, steps = self._solved(rays, colour[chosen])
         pose = corrected(view.world_from_camera, twist, trained.run.normalisation.scale)
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)

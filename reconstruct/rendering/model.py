@@ -117,9 +117,8 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple
     density, material = barrier(field(cloud))
     weights = barrier(sample_weights(density, samples, rays.speed))
     flat = barrier(samples.packed(weights))
-    if not field.deferred:
-        light = Lit.on(rays, samples.t, samples.ray)
-        material = field.lit(material, light)
+    light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
+    material = field.lit(material, light)
     channels = jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], material.stacked()])
     if not field.deferred:
         directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T

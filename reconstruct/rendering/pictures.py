@@ -82,9 +82,17 @@ def _slice(start: int, end: int, picture: int) -> Int[np.ndarray, " size"]:
     return np.minimum(np.arange(start, start + _size(picture)), end - 1)
 
 
-def _chosen(rays: Lists, rows: Int[np.ndarray, " size"]) -> Rays:
-    origins, directions, radii, light = (None if values is None else jnp.asarray(values[rows]) for values in rays)
-    return Rays(origins, directions, radii, light=light)
+def taken(rays: Lists, rows: Int[np.ndarray, " size"]) -> Lists:
+    """Some of the rays, by their indices."""
+    origins, directions, radii, light = rays
+    return origins[rows], directions[rows], radii[rows], None if light is None else light[rows]
+
+
+def on_device(rays: Lists) -> Rays:
+    """The same rays as programs take them."""
+    origins, directions, radii, light = rays
+    lit = None if light is None else jnp.asarray(light)
+    return Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), light=lit)
 
 
 @dataclass
@@ -149,7 +157,7 @@ class Renderer:
         start = 0
         while start < len(wanted):
             rows = wanted[_slice(start, len(wanted), len(origins))]
-            found, done = function(model, _chosen(given, rows), limit)
+            found, done = function(model, on_device(taken(given, rows)), limit)
             count = min(int(done), len(wanted) - start)
             values[rows[:count]] = found[:count]
             start += count
@@ -159,10 +167,9 @@ class Renderer:
     def warm_up(self, model: Model, given: Lists) -> None:
         """Compile what `rays` needs for as many rays, normals included, by rendering a few of them."""
         rows = _slice(0, len(given[0]), len(given[0]))
-        origins, directions, radii, light = (None if values is None else values[rows] for values in given)
-        self._meets(model, (origins, directions, radii, light))
-        few = _chosen(given, rows)
-        jax.block_until_ready(self._function(True, False)(model, few, jnp.asarray(np.inf, jnp.float32)))
+        few = taken(given, rows)
+        self._meets(model, few)
+        jax.block_until_ready(self._function(True, False)(model, on_device(few), jnp.asarray(np.inf, jnp.float32)))
 
     def _meets(self, model: Model, rays: Lists) -> Bool[np.ndarray, " n"]:
         """Which rays are worth rendering: in pictures of an object alone, most meet nothing."""
@@ -172,7 +179,7 @@ class Renderer:
         if "meets" not in self._compiled:
             self._compiled["meets"] = jit(lambda model, rays: model.sampler.meets(rays))
         look = self._compiled["meets"]
-        parts = [look(model, _chosen(rays, _slice(start, count, count))) for start in range(0, count, _size(count))]
+        parts = [look(model, on_device(taken(rays, _slice(start, count, count)))) for start in range(0, count, _size(count))]
         return np.concatenate(parts)[:count]
 
     def _function(self, normals: bool, limited: bool):

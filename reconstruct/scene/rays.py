@@ -115,7 +115,7 @@ def over(picture: Shaped[Any, "... channels"], background: float | Float[Any, ".
     return picture[..., :3] * alpha + (1 - alpha) * background
 
 
-def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[np.ndarray | None, ...]:
+def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[Any, ...]:
     """(origins, directions, radii, light or None, colour over white) of pixels, on the host."""
     light = None if rays.light is None else np.asarray(rays.light)
     return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), light, over(np.asarray(colour))
@@ -169,7 +169,7 @@ class Pixels(eqx.Module):
 
         return part(rest), part(held)
 
-    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray | None, ...]:
+    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[Any, ...]:
         """(origins, directions, radii, light or None, colour over white) of some pixels."""
         return pixels_over_white(*self.take(jnp.asarray(index)))
 

@@ -55,7 +55,7 @@ class Training:
     one_step: Step
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray | None, ...] | None
+    probe: tuple[Any, ...] | None
     clock: Clock
     renderer: Renderer
     held: Pixels | None = None

@@ -1,7 +1,7 @@
 """Everything that a training needs before its first step, apart from the run that it leaves."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ class Prepared(NamedTuple):
     """For the configuration as it was decided."""
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray | None, ...] | None
+    probe: tuple[Any, ...] | None
     """Pixels of test views, see `Pixels.over_white`; None where there are no such views."""
     held: Pixels | None
     """Pixels of training views that are never trained on, where an early stop is decided by them."""
@@ -81,7 +81,7 @@ def prepare(
     return Prepared(step, state, pixels, _probe(scene, config, facts), held, skips)
 
 
-def _probe(scene: Scene, config: Config, facts: SceneFacts) -> tuple[np.ndarray | None, ...] | None:
+def _probe(scene: Scene, config: Config, facts: SceneFacts) -> tuple[Any, ...] | None:
     """Random pixels of a few test views, see `Pixels.over_white`."""
     views = [view for view in scene.views if view.split == "test"]
     if not views:

@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from datasets.imaging.images import linear_from_srgb

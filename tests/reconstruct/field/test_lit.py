@@ -20,7 +20,7 @@ def unit(count: int) -> np.ndarray:
 
 
 def some_rays(count: int = 5) -> Rays:
-    rotation = Rotation.random(count, random_state=1).as_matrix()
+    rotation = Rotation.random(count, rng=np.random.default_rng(1)).as_matrix()
     directions = np.concatenate([RNG.uniform(-0.3, 0.3, (count, 2)), np.ones((count, 1))], -1)
     world = np.einsum("nij,nj->ni", rotation.transpose(0, 2, 1), directions)
     f = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
@@ -61,6 +61,7 @@ def test_a_camera_that_looks_at_a_point_is_upright_in_its_lamps_frame(kind: Fram
     light = Lit.towards(frame, jnp.asarray(viewdirs.T, jnp.float32))
     assert light is not None
     expected = frame.from_scene(np.stack([pose.look_at(-d, (0, 0, 0))[:3, :3] for d in viewdirs]))
+    assert expected is not None
     np.testing.assert_allclose(light.rotation, expected, atol=5e-5)  # the axis is tilted by 1e-6, against a zero across it
     np.testing.assert_allclose(jnp.linalg.norm(light.places, axis=0), 1.7, rtol=1e-5)
 

@@ -50,5 +50,6 @@ def test_from_straight_above_the_bottom_of_the_picture_is_at_azimuth_zero() -> N
 def test_lamps_on_the_camera_see_what_it_sees() -> None:
     """From +x, upright: forward (z) is -x, right (x) is +y, down (y) is -z."""
     camera_from_scene = RING.from_scene(orientation((2.0, 0.0, 0.0)))
+    assert camera_from_scene is not None
     expected = [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
     np.testing.assert_allclose(camera_from_scene, expected, atol=1e-12)

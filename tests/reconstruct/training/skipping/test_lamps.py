@@ -16,6 +16,7 @@ from datasets.formats import koala
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.field.appearance import Reflection
 from reconstruct.models import merged_config
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import Run
@@ -123,7 +124,8 @@ def test_training_keeps_the_frame_and_pictures_use_it(turntable: Scene, small_co
     run = Run.open(tmp_path / "run")
     assert run.facts.light.kind == "turntable" and run.content["facts"]["light"]["kind"] == "turntable"
     trained = TrainedModel.open(tmp_path / "run")
-    assert trained.model.field.appearance.moving is not None and trained.renderer.light == run.facts.light
+    appearance = trained.model.field.appearance
+    assert isinstance(appearance, Reflection) and appearance.moving is not None and trained.renderer.light == run.facts.light
     unseen = turntable.split("test")[0]
     rotation = trained.renderer.rays_of(unseen, CAMERA)[3]
     assert rotation is not None
