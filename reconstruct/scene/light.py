@@ -6,7 +6,7 @@ camera      the camera's: lamps ride on it, near the lens
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +26,11 @@ class LightFrame:
     """Unit vector in the scene about which the object turns; of turntables alone."""
     distance: float = 1.0
     """Median distance of the cameras from the scene's middle [scene unit]."""
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any] | None) -> "LightFrame":
+        """As run.json has it; older runs have nothing, and lamps that stand still."""
+        return cls(**{**content, "axis": tuple(content["axis"])}) if content else cls()
 
     @property
     def moves(self) -> bool:
