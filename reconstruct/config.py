@@ -224,6 +224,9 @@ class SkipConfig(Schema):
     contraction: bool = setting(
         True, "The contraction, where all cameras look the same way: the frustum that they see takes its place."
     )
+    regularisers: bool = setting(
+        False, "Regularisers of shape and normals, where neither masks nor the scene's box say what the object is."
+    )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
     fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
     table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")

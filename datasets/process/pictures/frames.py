@@ -136,23 +136,24 @@ def _length(video: Path) -> int:
 
 def _decoded(video: Path) -> Iterator[Any]:
     """Frames one by one; a file that is cut off ends early."""
-    import av
+    from av.error import FFmpegError
 
     with _opened(video) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         try:
             yield from container.decode(stream)
-        except av.error.FFmpegError:
+        except FFmpegError:
             return
 
 
 def _opened(video: Path) -> Any:
     import av
+    from av.error import FFmpegError
 
     try:
         container = av.open(str(video))
-    except av.error.FFmpegError as error:
+    except FFmpegError as error:
         raise DatasetError(
             "video cannot be read", where=video, why=str(error.strerror or error), remedy="copy it again"
         ) from None

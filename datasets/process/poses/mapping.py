@@ -70,7 +70,8 @@ def read_groups(out: Path) -> Groups | None:
 def refine(model: "pycolmap.Reconstruction") -> None:
     """Adjust everything once more, with OPENCV's lens and the principal point where a camera has enough pictures.
 
-    Mapping has few parameters and can start from a guess; this starts close to the truth. Observations that stay wrong are dropped.
+    Mapping has few parameters and can start from a guess; this starts close to the truth. Observations that stay wrong are
+    dropped.
     """
     import pycolmap
 
