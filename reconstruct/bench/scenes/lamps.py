@@ -48,6 +48,13 @@ class Ring:
         place, colour, ambient = parts
         return cls(place, concentration, colour, ambient)
 
+    @classmethod
+    def beside_lens(cls) -> "Ring":
+        """One large lamp on an arm to the left of the camera and above it, as far from it as the object."""
+        ring = cls.about_lens()
+        place = np.array([[-4.0, -3.0, 0.0]], np.float32)
+        return cls(place, 0.6, np.full((1, 3), 9.0, np.float32), ring.ambient)
+
     def convolved(
         self, directions: Float[Array, "3 n"], blur: float | Float[Array, " n"], places: Float[Array, "3 n"] | None = None
     ) -> Float[Array, "3 n"]:

@@ -1,8 +1,8 @@
 """Which scenes there are to render: an object, its lamps, where these stand, and where the cameras do.
 
-The five of `shiny` stand in a room among cameras all around. For two of them there is also `NAME_room`, `NAME_turntable` and
-`NAME_ring_light`: the same object from cameras on rings, in the same room, turning among lamps and camera that stand still,
-and under a ring of lamps around the lens in a dark room. Frozen like those.
+The five of `shiny` stand in a room among cameras all around. For two of them there is also `NAME_room`, `NAME_turntable`,
+`NAME_ring_light` and `NAME_side_light`: the same object from cameras on rings, in the same room, turning among lamps and camera
+that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. Frozen like those.
 """
 
 from collections.abc import Callable
@@ -89,12 +89,13 @@ class Stage:
         return None if found is None else pose.rigid(found[:3, :3], found[:3, 3] / RADIUS_M)
 
 
-def _under_a_ring(made: Callable[[], Tracer]) -> Callable[[], Tracer]:
-    return lambda: replace(made(), light=Ring.about_lens())
+def _under(lamps: Callable[[], Ring], made: Callable[[], Tracer]) -> Callable[[], Tracer]:
+    return lambda: replace(made(), light=lamps())
 
 
 STAGES: dict[str, Stage] = {name: Stage(made) for name, made in SCENES.items()}
 for _name in OBJECTS:
     STAGES[f"{_name}_room"] = Stage(SCENES[_name], rings)
     STAGES[f"{_name}_turntable"] = Stage(SCENES[_name], rings, turning)
-    STAGES[f"{_name}_ring_light"] = Stage(_under_a_ring(SCENES[_name]), rings, carried)
+    STAGES[f"{_name}_ring_light"] = Stage(_under(Ring.about_lens, SCENES[_name]), rings, carried)
+    STAGES[f"{_name}_side_light"] = Stage(_under(Ring.beside_lens, SCENES[_name]), rings, carried)
