@@ -64,18 +64,34 @@ def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: in
     for view in views:
         found.append(detect(view, side=side))
         done()
+    return joined(views, found, pairs)
+
+
+def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[tuple[int, int]]) -> Matches:
+    """Matches of views whose features are known, between the given pairs."""
     kept = [(i, j, match(found[i], found[j])) for i, j in pairs]
     return Matches(tuple(views), tuple(found), tuple(pair for pair in kept if len(pair[2])))
 
 
 def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     """Features of a view; with an alpha or a mask, only those of the object. Raises as `View.read` does."""
+    return detect_in(shrunk(view.read(), side), view, count=count)
+
+
+def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32]:
+    """A picture of at most `side` pixels, averaged over areas."""
     import cv2
 
-    picture = view.read()
     shrink = max(1.0, max(picture.shape[:2]) / side)
     width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
-    small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> Features:
+    """Features of a view in its picture at any size."""
+    import cv2
+
+    height, width = small.shape[:2]
     grey = 255 * small[..., :3].mean(-1)
     grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # NaN, as behind a mask, becomes black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
