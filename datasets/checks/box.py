@@ -51,8 +51,8 @@ def _looked_at(evidence: Evidence) -> NDArray[np.float64]:
         depth = bounds.depths_in_picture(view, points)
         local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
         pixels = local[:, :2] / np.where(np.isnan(depth), 1.0, depth)[:, None] * [camera.fx, camera.fy]
-        size = np.array([camera.width, camera.height])
-        count += ~np.isnan(depth) & (np.abs(pixels + [camera.cx, camera.cy] - size / 2) < size / 4).all(1)
+        off = np.abs(pixels + np.array([camera.cx - camera.width / 2, camera.cy - camera.height / 2]))
+        count += ~np.isnan(depth) & (off < np.array([camera.width, camera.height]) / 4).all(1)
     return points[count >= len(evidence.views) / 2]
 
 

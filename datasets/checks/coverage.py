@@ -8,7 +8,7 @@ from datasets.structure import bounds
 
 APART_DEG, SPARSE_DEG = 25.0, 40.0
 """Least angle to the second nearest training view from which a view stands alone, and the same for the median of all."""
-TIMES = 2.5
+TIMES = 3.0
 """It must be this many times the usual angle."""
 
 

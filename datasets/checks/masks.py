@@ -18,6 +18,9 @@ VETOES = 0.13
 """Share of the views that may contradict a cell which stays."""
 LEAST_PX = 1.5
 """Shift or growth of a mask from which it is reported [px of the image that was searched]."""
+EXCESS = 0.1
+"""Weight of an outline inside the silhouette against one outside: a hull is larger than the object where no view cuts into it, so
+that the tight parts of the outline decide."""
 FEWEST = 60
 """Pixels of a mask's outline with which it is judged."""
 
@@ -122,8 +125,9 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
     design, target = np.concatenate([np.ones((len(rows), 1)), -outward], axis=1), within[rows, columns]
     solution, weight = np.zeros(3), np.ones(len(rows))
-    for width in (20.0, 8.0, 4.0, 4.0, 4.0):
+    for width in (20.0, 8.0, 4.0, 4.0, 4.0, 4.0):
         weighted = design * weight[:, None]
         solution = np.linalg.solve(design.T @ weighted + 1e-6 * np.eye(3), weighted.T @ target)
-        weight = 1 / (1 + ((target - design @ solution) / width) ** 2) ** 2
+        residual = target - design @ solution
+        weight = np.where(residual > 0, EXCESS, 1 - EXCESS) / (1 + (residual / width) ** 2) ** 2
     return Outline(float(solution[0]), (float(solution[1]), float(solution[2])))

@@ -11,7 +11,7 @@ from datasets.structure.triangulate import DOUBTFUL, explained
 
 LEAST_PX, EVERYWHERE_PX = 0.7, 2.0
 """Shift of the picture from which a pose is reported, for a view that stands out and for the median of all views."""
-LEAST_GAIN = 0.8
+LEAST_GAIN = 0.55
 """A better pose must reduce the median distance of right matches to this share of what it was."""
 FEWEST = 40
 USUAL = 0.6
