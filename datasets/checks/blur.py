@@ -16,7 +16,12 @@ FINE_PX, COARSE_PX, WINDOW_PX = 0.6, 2.4, 5.0
 """Scales of the contrast, and of the window around a point [px of the image that was searched]."""
 BLURS_PX = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 LEAST_PX = 0.8
+FEWEST_PAIRS = 3
+"""Neighbours with which a view is compared at least."""
+ZOOM = 1.35
+"""Pictures whose scales differ by more are not compared."""
 FEWEST = 12
+"""Points with which a pair of views is compared."""
 
 
 def find(evidence: Evidence) -> list[Finding]:
@@ -45,7 +50,10 @@ def sharpness(evidence: Evidence) -> tuple[NDArray[np.float64], NDArray[np.float
     points = [evidence.cloud.sightings[evidence.cloud.sightings[:, 1] == view, 0] for view in range(len(maps))]
     joined = {(i, j) for i, j, _ in evidence.matches.pairs} | {(i, i + 1) for i in range(len(maps) - 1)}
     pairs, differences, std = [], [], []
+    zoom = [1 / (evidence.depth(view) * evidence.matches.features[view].pixel) for view in range(len(maps))]
     for i, j in sorted(joined):
+        if max(zoom[i], zoom[j]) > ZOOM * min(zoom[i], zoom[j]):
+            continue  # a closer look shows finer detail
         shared = evidence.cloud.points[np.union1d(points[i], points[j])]
         seen = [_sampled(evidence, view, maps[view], shared) for view in (i, j)]
         both = np.isfinite(seen[0]) & np.isfinite(seen[1])
@@ -54,7 +62,9 @@ def sharpness(evidence: Evidence) -> tuple[NDArray[np.float64], NDArray[np.float
             pairs.append((i, j))
             differences.append(float(middle[0]))
             std.append(float(deviation[0]))
-    return values_of_views(len(maps), pairs, np.array(differences), np.array(std))
+    values, deviations = values_of_views(len(maps), pairs, np.array(differences), np.array(std))
+    compared = np.bincount(np.array(pairs, np.int64).reshape(-1), minlength=len(maps))
+    return np.where(compared >= FEWEST_PAIRS, values, np.nan), deviations
 
 
 def equivalent(evidence: Evidence, values: NDArray[np.float64]) -> NDArray[np.float64]:

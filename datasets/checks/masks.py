@@ -16,11 +16,13 @@ CELLS = 88
 """Cells of the grid along the box's longest side."""
 VETOES = 0.13
 """Share of the views that may contradict a cell which stays."""
-LEAST_PX = 1.5
+LEAST_PX = 2.5
 """Shift or growth of a mask from which it is reported [px of the image that was searched]."""
 EXCESS = 0.1
 """Weight of an outline inside the silhouette against one outside: a hull is larger than the object where no view cuts into it, so
 that the tight parts of the outline decide."""
+CUT = 0.05
+"""Share of the picture's border inside a mask from which its outline is not judged: the object goes on outside."""
 FEWEST = 60
 """Pixels of a mask's outline with which it is judged."""
 
@@ -117,7 +119,8 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
     edge = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)).astype(bool)
     edge[[0, 1, -1, -2]] = edge[:, [0, 1, -1, -2]] = False
     rows, columns = np.nonzero(edge)
-    if len(rows) < FEWEST or not silhouette.any() or silhouette.all():
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    if len(rows) < FEWEST or border.mean() > CUT or not silhouette.any() or silhouette.all():
         return None
     within = cv2.distanceTransform(silhouette, cv2.DIST_L2, 5) - cv2.distanceTransform(1 - silhouette, cv2.DIST_L2, 5)
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 3)

@@ -43,6 +43,11 @@ def check_matches(scene: Scene, *, views_used: int = VIEWS) -> list[Finding]:
         evidence = Evidence.gather(scene, count=views_used)
     except KoalaError:
         return []  # an unreadable image is a finding of its own
+    return check_evidence(evidence)
+
+
+def check_evidence(evidence: Evidence) -> list[Finding]:
+    """The same of evidence that is there already."""
     if evidence.matches.count < FEWEST:
         return masks.find(evidence)
     wrong_convention = _convention(evidence)
@@ -55,7 +60,7 @@ def check_matches(scene: Scene, *, views_used: int = VIEWS) -> list[Finding]:
         shares = f"{100 * agreement(evidence.matches, evidence.matrices):.0f}% of {evidence.matches.count} matches agree"
         remedy = "check poses, intrinsics and the order of images"
         what = "poses do not explain the pictures"
-        return [Finding("warning", what, scene.name, f"{shares} with the poses", remedy, "pose")]
+        return [Finding("warning", what, evidence.scene.name, f"{shares} with the poses", remedy, "pose")]
     found += [finding for check in CHECKS for finding in check.find(evidence)]
     return [*found, *masks.find(evidence)]
 

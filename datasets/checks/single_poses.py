@@ -13,7 +13,8 @@ LEAST_PX, EVERYWHERE_PX = 0.7, 2.0
 """Shift of the picture from which a pose is reported, for a view that stands out and for the median of all views."""
 LEAST_GAIN = 0.55
 """A better pose must reduce the median distance of right matches to this share of what it was."""
-FEWEST = 40
+FEWEST = 50
+"""Right matches with which a view is judged."""
 USUAL = 0.6
 """Median share of explained matches above which single views are judged by theirs."""
 REMEDY = "check its pose, drop it, or let training refine poses: --set poses.enabled=true"
@@ -25,6 +26,8 @@ def find(evidence: Evidence) -> list[Finding]:
     for view in range(len(evidence.views)):
         moved[view], before[view], after[view] = offset(evidence, view)
         share[view] = agreed(evidence, view)
+    if not np.isfinite(share).any():
+        return []
     lost = (share < DOUBTFUL) & (np.nanmedian(share) > USUAL)
     better = after < LEAST_GAIN * before
     found = []
@@ -64,8 +67,8 @@ def offset(evidence: Evidence, view: int) -> tuple[float, float, float]:
         turned[view] = matrices[view] @ pose.from_rotation_vector(change[:3], change[3:])
         return pairs.distances(turned)
 
-    fit = corrected(distances, [pixel] * 3 + [pixel * depth] * 3)
-    if fit.inliers < FEWEST // 2:
+    fit = corrected(distances, [pixel] * 3 + [pixel * depth] * 3, damping=0.01)
+    if fit.inliers < FEWEST:
         return np.nan, np.nan, np.nan
     rays = evidence.matches.features[view].directions * depth
     move = pose.from_rotation_vector(fit.change[:3], fit.change[3:])

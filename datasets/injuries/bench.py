@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from datasets.checks import coverage
-from datasets.checks.matches import check_matches
+from datasets.checks.evidence import Evidence
+from datasets.checks.matches import check_evidence
 from datasets.core.findings import Finding
 from datasets.core.progress import Step, ignore
 from datasets.imaging import images
@@ -16,7 +17,7 @@ from datasets.injuries.injure import INJURIES, Injury
 from datasets.injuries.studio import Studio, write
 from datasets.scene import Scene
 
-SIDE, VIEWS = 400, 32
+SIDE, VIEWS = 400, 24
 """Pictures are shrunk to this many pixels a side, and so many views are used, evenly spread."""
 LIGHTS = (0.15, 0.3, 0.6)
 """Shares of the light from lamps that do not stand still with the object."""
@@ -44,7 +45,8 @@ def trials(
     for original in scenes:
         with tempfile.TemporaryDirectory() as folder:
             scene = prepared(original, Path(folder))
-            untouched = found_in(scene)
+            known = Evidence.gather(scene, count=VIEWS)
+            untouched = found_in(scene, known)
             for finding in untouched:
                 yield Trial(scene.name, "none", 0.0, "", False, (f"{finding.cause}: {finding.what} ({finding.why})",))
             if not untouched:
@@ -52,7 +54,7 @@ def trials(
             done()
             for injury in (one for one in injuries if fits(one, scene)):
                 for strength in injury.strengths:
-                    yield _trial(scene, injury, strength, {finding.cause for finding in untouched})
+                    yield _trial(scene, known, injury, strength, untouched)
                     done()
     for frame in ("camera", "turntable") if lights else ():
         for directed in LIGHTS:
@@ -63,22 +65,33 @@ def trials(
             done()
 
 
-def _trial(scene: Scene, injury: Injury, strength: float, before: set[str]) -> Trial:
+def _trial(scene: Scene, known: Evidence, injury: Injury, strength: float, untouched: Sequence[Finding]) -> Trial:
     with tempfile.TemporaryDirectory() as folder:
         injured, hurt = injury.apply(scene, strength, Path(folder))
-        found = found_in(injured)
+        found = found_in(injured, known)
+    before = {(finding.what, finding.where) for finding in untouched}
+    causes = {finding.cause for finding in untouched}
     own = [finding for finding in found if finding.cause == injury.cause]
     views = {name for finding in own for name in finding.evidence.get("views", {})}
-    named = bool(own) and len(views & hurt) >= MOST_NAMED * len(hurt)
-    if injury.cause in before and not hurt:
-        named = False  # the same would have been said without the injury
-    others = tuple(sorted({finding.cause for finding in found} - {injury.cause} - before))
-    return Trial(scene.name, injury.name, strength, injury.unit, named, others)
+    named = len(views & hurt) >= MOST_NAMED * len(hurt) if hurt else any((one.what, one.where) not in before for one in own)
+    others = tuple(sorted({finding.cause for finding in found} - {injury.cause} - causes))
+    return Trial(scene.name, injury.name, strength, injury.unit, bool(own) and named, others)
 
 
-def found_in(scene: Scene) -> list[Finding]:
-    """Findings from coverage and pictures."""
-    return [*coverage.find(scene), *check_matches(scene)]
+def found_in(scene: Scene, known: Evidence | None = None) -> list[Finding]:
+    """Findings from coverage and pictures; `known` is evidence from the same pictures under other cameras."""
+    same = known is not None and [view.image for view in known.views] == [view.image for view in scene.views]
+    evidence = seen_again(known, scene) if known is not None and same else Evidence.gather(scene, count=VIEWS)
+    return [*coverage.find(scene), *check_evidence(evidence)]
+
+
+def seen_again(known: Evidence, scene: Scene) -> Evidence:
+    """The features and matches of the same pictures under other cameras and poses."""
+    rays = []
+    for before, after, features in zip(known.views, scene.views, known.matches.features, strict=True):
+        rays.append(after.camera.directions(before.camera.project(features.directions)))
+    matrices = np.stack([view.world_from_camera for view in scene.views])
+    return replace(known.with_cameras(rays, matrices), scene=scene, views=scene.views)
 
 
 def fits(injury: Injury, scene: Scene) -> bool:

@@ -1,7 +1,7 @@
 """Distances of matches from the epipolar planes of their cameras, and small corrections of cameras that reduce them.
 
-The distance of a match is how far the second ray passes from the plane through the first ray and both cameras [px]. It needs no
-depth. Robust Gauss-Newton with weights after Geman and McClure, whose width shrinks from round to round, as in graduated
+The distance of a match is that of its pixels from each other's epipolar lines, to first order (Sampson 1982) and as a distance
+along one picture [px]. It needs no depth. Robust Gauss-Newton with weights after Geman and McClure, whose width shrinks from round to round, as in graduated
 non-convexity (Yang et al. 2020), so that corrections of up to about the first width are found among wrong matches.
 """
 
@@ -56,9 +56,14 @@ class Pairs:
         one, other = world_from_camera[self.first], world_from_camera[self.second]
         a = np.einsum("nij,nj->ni", one[:, :3, :3], self.a)
         b = np.einsum("nij,nj->ni", other[:, :3, :3], self.b)
-        normal = np.cross(other[:, :3, 3] - one[:, :3, 3], a)
-        length = np.linalg.norm(normal, axis=1) * np.linalg.norm(b, axis=1)
-        return (normal * b).sum(1) / np.maximum(length, 1e-300) / self.pixel
+        baseline = other[:, :3, 3] - one[:, :3, 3]
+        normal = np.cross(baseline, a)
+        lines = (
+            np.einsum("nji,nj->ni", other[:, :3, :2], normal),  # epipolar line in the second picture, as its normal
+            np.einsum("nji,nj->ni", one[:, :3, :2], np.cross(b, baseline)),
+        )
+        slope = np.sqrt(sum((line**2).sum(1) for line in lines) / 2)
+        return (normal * b).sum(1) / np.maximum(slope, 1e-300) / self.pixel
 
 
 @dataclass(frozen=True, eq=False)
