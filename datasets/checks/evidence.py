@@ -80,13 +80,3 @@ def focus_of(scene: Scene, matrices: NDArray[np.float64]) -> NDArray[np.float64]
     """(3,) the point nearest to all optical axes; for parallel axes the middle of the box."""
     centre, spread = bounds.focus(matrices)
     return centre if spread > bounds.PARALLEL else scene.box.mean(0)
-
-
-def outstanding(values: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
-    """True for values above `least` that stand out from the others; NaN never does."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return np.zeros(len(values), bool)
-    middle = float(np.median(known))
-    spread = 1.4826 * float(np.median(np.abs(known - middle)))
-    return np.nan_to_num(values, nan=-np.inf) > max(least, middle + OUTSTANDING * spread)

@@ -1,49 +1,92 @@
 """The pose of each view against its neighbours' pictures."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets import pose
-from datasets.checks.evidence import Evidence, outstanding
+from datasets.checks.evidence import Evidence
 from datasets.core.findings import Finding
 from datasets.structure.epipolar import corrected
 from datasets.structure.triangulate import DOUBTFUL, explained
 
-LEAST_PX, EVERYWHERE_PX = 0.7, 2.0
-"""Shift of the picture from which a pose is reported, for a view that stands out and for the median of all views."""
+LEAST_PX = 0.7
+"""Shift of the picture from which a pose is reported [px of the image that was searched]."""
+EVERYWHERE = 0.34
+"""Share of wrong poses from which not single ones are wrong but all are inaccurate."""
 LEAST_GAIN = 0.55
 """A better pose must reduce the median distance of right matches to this share of what it was."""
 FEWEST = 50
 """Right matches with which a view is judged."""
+TIMES = 2.5
+"""A wrong pose moves its picture by this many times the median of the others."""
 USUAL = 0.6
 """Median share of explained matches above which single views are judged by theirs."""
 REMEDY = "check its pose, drop it, or let training refine poses: --set poses.enabled=true"
+WHAT = "pose does not fit the neighbours' pictures"
+
+
+@dataclass(frozen=True, eq=False)
+class Offset:
+    """The best pose of a view against its neighbours, and the one that was given."""
+
+    moved_px: float
+    """How far it moves the picture."""
+    before_px: float
+    after_px: float
+    """Median distance of its right matches from their epipolar lines, before and after."""
+    matrix: NDArray[np.float64]
+
+    @property
+    def better(self) -> bool:
+        """Whether it explains the matches clearly better."""
+        return self.after_px < LEAST_GAIN * self.before_px
 
 
 def find(evidence: Evidence) -> list[Finding]:
     """Views whose pose contradicts their matches, and poses that are wrong everywhere."""
-    moved, before, after, share = (np.full(len(evidence.views), np.nan) for _ in range(4))
-    for view in range(len(evidence.views)):
-        moved[view], before[view], after[view] = offset(evidence, view)
-        share[view] = agreed(evidence, view)
+    share = np.array([agreed(evidence, view) for view in range(len(evidence.views))])
     if not np.isfinite(share).any():
         return []
-    lost = (share < DOUBTFUL) & (np.nanmedian(share) > USUAL)
-    better = after < LEAST_GAIN * before
-    found = []
-    if np.isfinite(moved).any() and np.nanmedian(np.where(better, moved, 0.0)) > EVERYWHERE_PX:
-        why = f"moving each by {np.nanmedian(moved):.1f} px (median) makes it agree with its neighbours"
+    wrong, usual = wrong_poses(evidence)
+    lost = set(np.flatnonzero((share < DOUBTFUL) & (np.nanmedian(share) > USUAL)).tolist()) - wrong.keys()
+    if len(wrong) > EVERYWHERE * len(evidence.views):
+        moved = float(np.median([one.moved_px for one in wrong.values()]))
+        why = f"{len(wrong)} of {len(evidence.views)} agree better with their neighbours when moved, by {moved:.1f} px (median)"
         remedy = "let training refine poses: --set poses.enabled=true, or run structure from motion again"
-        return [Finding("warning", "poses are inaccurate", "all views", why, remedy, "pose", {"median_px": np.nanmedian(moved)})]
-    for view in np.flatnonzero(lost | (outstanding(moved, LEAST_PX) & better)):
-        name = evidence.views[view].name
+        return [Finding("warning", "poses are inaccurate", "all views", why, remedy, "pose", {"median_px": moved})]
+    found = []
+    for view in sorted(lost | wrong.keys()):
+        name, size = evidence.views[view].name, np.nan
         why = f"{100 * share[view]:.0f}% of its matches agree, usually {100 * np.nanmedian(share):.0f}%"
-        if not lost[view]:
-            why = f"a pose that moves its picture by {moved[view]:.1f} px reduces the distance of its matches from "
-            why += f"{before[view]:.2f} to {after[view]:.2f} px; others move by {np.nanmedian(moved):.1f} px"
-        what = "pose does not fit the neighbours' pictures"
-        found.append(Finding("warning", what, f"view {name}", why, REMEDY, "pose", {"views": {name: float(moved[view])}}))
+        if view in wrong:
+            one, size = wrong[view], wrong[view].moved_px
+            why = f"a pose that moves its picture by {size:.1f} px reduces the distance of its matches from "
+            why += f"{one.before_px:.2f} to {one.after_px:.2f} px; others move by {usual:.1f} px"
+        found.append(Finding("warning", WHAT, f"view {name}", why, REMEDY, "pose", {"views": {name: size}}))
     return found
+
+
+def wrong_poses(evidence: Evidence) -> tuple[dict[int, Offset], float]:
+    """Offsets of views that stand out, and the median shift of the others.
+
+    The worst is corrected before its neighbours are judged again, since it made them look wrong too.
+    """
+    matrices, wrong = evidence.matrices.copy(), {}
+    offsets = {view: offset(evidence, view, matrices) for view in range(len(evidence.views))}
+    while True:
+        rest = np.array([one.moved_px if one else np.nan for view, one in offsets.items() if view not in wrong])
+        usual = float(np.nanmedian(rest)) if np.isfinite(rest).any() else 0.0
+        known = {view: one for view, one in offsets.items() if one and view not in wrong}
+        wild = [view for view, one in known.items() if one.better and one.moved_px > max(LEAST_PX, TIMES * usual)]
+        if not wild or len(wrong) > len(evidence.views) / 2:
+            return wrong, usual
+        worst = max(wild, key=lambda view: known[view].before_px - known[view].after_px)
+        wrong[worst] = known[worst]
+        matrices[worst] = known[worst].matrix
+        for view in {i for pair in evidence.matches.pairs if worst in pair[:2] for i in pair[:2]} - wrong.keys():
+            offsets[view] = offset(evidence, view, matrices)
 
 
 def agreed(evidence: Evidence, view: int) -> float:
@@ -54,12 +97,11 @@ def agreed(evidence: Evidence, view: int) -> float:
     return good / count if count >= FEWEST else np.nan
 
 
-def offset(evidence: Evidence, view: int) -> tuple[float, float, float]:
-    """How far the best pose of a view moves its picture [px], and the median distance of its matches before and after; NaN where
-    matches are few."""
-    pairs, matrices = evidence.pairs.of_view(view), evidence.matrices
+def offset(evidence: Evidence, view: int, matrices: NDArray[np.float64]) -> Offset | None:
+    """The best pose of a view among (views, 4, 4) poses; None where right matches are few."""
+    pairs = evidence.pairs.of_view(view)
     if len(pairs.first) < FEWEST:
-        return np.nan, np.nan, np.nan
+        return None
     depth, pixel = evidence.depth(view), float(np.median(pairs.pixel))
 
     def distances(change: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -69,10 +111,12 @@ def offset(evidence: Evidence, view: int) -> tuple[float, float, float]:
 
     fit = corrected(distances, [pixel] * 3 + [pixel * depth] * 3, damping=0.01)
     if fit.inliers < FEWEST:
-        return np.nan, np.nan, np.nan
+        return None
     rays = evidence.matches.features[view].directions * depth
     move = pose.from_rotation_vector(fit.change[:3], fit.change[3:])
     there = (rays - move[:3, 3]) @ move[:3, :3]
     ahead = there[:, 2] > 0.1 * depth
+    if not ahead.any():
+        return None
     shift = np.linalg.norm(there[ahead, :2] / there[ahead, 2:] - rays[ahead, :2] / depth, axis=1)
-    return float(np.median(shift)) / pixel if len(shift) else np.nan, fit.before_px, fit.after_px
+    return Offset(float(np.median(shift)) / pixel, fit.before_px, fit.after_px, matrices[view] @ move)

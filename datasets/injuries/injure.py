@@ -142,7 +142,7 @@ def moving_thing(scene: Scene, strength: float, folder: Path) -> Hurt:
     """A patterned disc of `strength` percent of the picture's width that wanders from picture to picture."""
     random = np.random.default_rng(2)
     noise = sum(cv2.GaussianBlur(random.random((512, 512, 3)), (0, 0), s) * s for s in (1.5, 4.0, 9.0))
-    noise = ((noise - noise.min()) / np.ptp(noise)).astype(np.float32)
+    noise = np.clip(0.5 + (noise - noise.mean()) / (4 * noise.std()), 0, 1).astype(np.float32)
 
     def paint(picture: Picture, index: int) -> Picture:
         height, width = picture.shape[:2]

@@ -11,8 +11,9 @@ EARLY_S = 30.0
 """Seconds of training from which a verdict is given."""
 HOPELESS_DB, STANDSTILL_DB = 15.0, 0.3
 """PSNR below which, and gain over the second half of the log below which, a training does not converge."""
-OVERFIT_DB = 3.0
-"""Training rays this much better than unseen views are over-fitted."""
+OVERFIT_DB, FAR_DB, LOST_DB = 3.0, 6.0, 1.0
+"""Training rays are over-fitted where they are by the first better than unseen views which lost the last since their best, or by the
+second anyway."""
 FALL_DB = 2.0
 """PSNR lost since its best from which a training diverges."""
 FEWEST_LINES = 4
@@ -38,7 +39,7 @@ def find(log: Sequence[dict[str, Any]], *, until_s: float | None = None) -> list
     if len(unseen) >= FEWEST_LINES:
         behind = float(np.median(train[-3:]) - np.median(unseen[-3:]))
         falls = float(unseen.max() - np.median(unseen[-3:]))
-        if behind > OVERFIT_DB and falls > STANDSTILL_DB:
+        if behind > FAR_DB or (behind > OVERFIT_DB and falls > LOST_DB):
             why = f"unseen views are {behind:.1f} dB behind training rays and lost {falls:.1f} dB since their best"
             remedy = "take more views, or look for exposure and poses that differ between views"
             return [_finding("training over-fits", where, why, remedy, {**figures, "behind_db": behind})]
