@@ -14,7 +14,8 @@ from datasets.core.console import progress
 from datasets.core.findings import Finding
 from datasets.reports.html import Number, ReportPage
 from datasets.scene import View
-from reconstruct.diagnosis import causes, convergence
+from reconstruct import convergence
+from reconstruct.diagnosis import causes
 from reconstruct.diagnosis.residuals import Residual, residual
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.rays import over, read_scaled
