@@ -9,6 +9,7 @@ import typer
 from datasets.core import console, options
 from datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
 from datasets.edit import commands
+from datasets.process import command
 
 app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
@@ -218,7 +219,29 @@ def bench_check(
     console.report({"trials": [vars(trial) for trial in found]}, as_json=as_json, text=table(found))
 
 
+@app.command("bench-reading")
+def bench_reading(
+    count: Annotated[int, typer.Option(help="Number of photographs of 16 megapixels.", min=1)] = 57,
+    scale: Annotated[float, typer.Option(help="Share of their size at which they are read.", min=0.001, max=1.0)] = 0.1,
+    as_json: Json = False,
+) -> None:
+    """Measure how long it takes to read photographs at a smaller size, as training does, and compare it with OpenCV."""
+    from datasets.imaging.bench import read_photographs
+
+    found = read_photographs(count, scale=scale)
+    found["ratio"] = found["seconds"] / found["opencv_seconds"]
+    text = (
+        "{images:.0f} photographs of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read at {small_width:.0f}x"
+        "{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time), {ratio:.2f} times OpenCV's "
+        "{opencv_seconds:.2f} s ({opencv_cpu_seconds:.2f}); from their copies in {again_seconds:.2f} s "
+        "({again_cpu_seconds:.2f}); differences from decoding all pixels: {largest_difference:.2f} of 255 at most, "
+        "{mean_difference:.2f} on average"
+    )
+    console.report(found, as_json=as_json, text=text.format(**found))
+
+
 commands.add_to(app)
+command.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -172,8 +172,8 @@ class TrainConfig(Schema):
         "float32", "Factors of the networks' products while training; sums and everything else are float32."
     )
     accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
-    per_image: Literal["none", "exposure", "colour"] = setting(
-        "none", "Learned per training image: nothing, a gain, or a gain per colour."
+    per_image: Literal["auto", "none", "exposure", "colour"] = setting(
+        "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )
     patience: float = setting(
         0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1
@@ -185,7 +185,9 @@ class TrainConfig(Schema):
 class PoseConfig(Schema):
     """Refinement of the training views' poses; docs/poses.md has its results."""
 
-    enabled: bool = setting(False, "Learn a small correction of each training view's pose.")
+    enabled: Literal["auto"] | bool = setting(
+        "auto", "Learn a small correction of each training view's pose; auto: where matched points miss one another."
+    )
     sigma_m: float = setting(
         5e-4, "Standard deviation of a camera's position as it was calibrated [world unit: metres in captures].", gt=0
     )
@@ -206,6 +208,9 @@ class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has the costs."""
 
     surroundings: bool = setting(True, "Contraction and background, where pictures carry an alpha.")
+    contraction: bool = setting(
+        True, "The contraction, where all cameras look the same way: the frustum that they see takes its place."
+    )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
     fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
     table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")

@@ -16,13 +16,12 @@ from datasets.core.findings import Finding
 from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import bytes_of
+from datasets.page.ruler import Ruler
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
-THUMBNAIL = 96
-"""Width of the images on the cameras [px]."""
-MOST_POINTS = 200_000
-"""Largest number of points shown; larger clouds are thinned."""
+THUMBNAIL = 96  # width of the images on the cameras [px]
+MOST_POINTS = 200_000  # largest number of points shown; larger clouds are thinned
 
 
 class _Stopped(Exception):
@@ -44,6 +43,7 @@ class SceneView:
         self._look()
         self._overview()
         self.panel = PicturePanel(page, "Picture", "click a camera, or choose a view above")
+        self.ruler = Ruler(page, scene, 0.02 * self.reach) if scene.points is not None and len(scene.points) else None
         self._findings = page.gui.add_markdown("")
         self._draw()
 
@@ -190,9 +190,7 @@ def show(page: Page, path: str | Path, scene: Scene, *, quick: bool = False, **o
     """Show a scene on a page; thumbnails and findings follow in the background.
 
     Args:
-        page: to draw on.
         path: of the scene, for the check.
-        scene: as loaded from there.
         quick: do not match features between views.
         **options: of `load_scene`.
     """

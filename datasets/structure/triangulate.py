@@ -4,11 +4,13 @@ A track is one point of the world seen by several views. Its position is the poi
 more than two pixels are dropped, and so are points seen by fewer than three views.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from datasets.scene import View
 from datasets.structure.matching import Matches
 
 Indices = NDArray[np.int64]
@@ -60,6 +62,20 @@ def triangulate(matches: Matches, world_from_camera: NDArray[np.float64]) -> Clo
     sightings = np.stack([new_index[rows[sighting][good]], view[sighting][good]], axis=1)
     features = sighting[good] - offsets[view[sighting[good]]]
     return Cloud(points[enough], sightings, features, errors[good])
+
+
+def meeting_point(sightings: Sequence[tuple[View, ArrayLike]]) -> NDArray[np.float64] | None:
+    """(3,) the point nearest to the rays of some views through one (2,) pixel each; None where the rays are parallel."""
+    matrices = np.stack([view.world_from_camera for view, _ in sightings])
+    local = np.stack([view.camera.directions(pixel) for view, pixel in sightings])
+    rays = np.einsum("nij,nj->ni", matrices[:, :3, :3], local)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    normal, origins = across.sum(0), matrices[:, :3, 3]
+    if np.linalg.eigvalsh(normal)[0] < LEAST_SPREAD * len(rays):
+        return None
+    middle = origins.mean(0)
+    return np.asarray(middle + np.linalg.solve(normal, np.einsum("nij,nj->i", across, origins - middle)), np.float64)
 
 
 def explained(

@@ -34,14 +34,12 @@ from reconstruct.training.pause import PauseRequests
 if TYPE_CHECKING:
     import trimesh
 
-SLICE = 2048
-"""Rays per call of the renderer, after which a picture can be cancelled; one compiled program serves all sizes."""
+SLICE = 2048  # rays per call of the renderer, after which a picture can be cancelled; one compiled program serves all sizes
 WIDTH = 640  # smallest width of the pictures that are sent; coarse ones are enlarged [px]
 POLL_S = 1.0  # seconds between checks for a new checkpoint
 MESH_RESOLUTION = 128
 PATH = "path.yaml"  # file of the path editor in the run's folder
-DEPTHS = (0.01, 50.0)
-"""Camera distances [world unit] whose depths the browser resolves; its depth goes to 167 in steps of 1e-5."""
+DEPTHS = (0.01, 50.0)  # camera distances [world unit] whose depths the browser resolves; its depth goes to 167 in steps of 1e-5
 NOTHING = "nothing"  # channel that shows only cameras and mesh
 logger = logging.getLogger(__name__)
 
@@ -280,7 +278,6 @@ def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunPage:
     """Show a run on a page; the model appears once it is loaded.
 
     Args:
-        page: to draw on.
         run: finished, or trained by another process.
         mesh: file of a mesh in world coordinates to overlay.
     """

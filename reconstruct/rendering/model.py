@@ -49,8 +49,14 @@ class Model(eqx.Module):
         start = Start(config.field.towards or facts.towards, config.field.half_box or facts.half_box)
         field = Field.create(field_key, config.encoding, config.field, volume=facts.table_volume(config), start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
-        gains = {"none": None, "exposure": jnp.zeros((views, 1)), "colour": jnp.zeros((views, 3))}[config.train.per_image]
-        return cls(field, sampler, gains, jnp.zeros((views, 6)) if config.poses.enabled else None)
+        gains = first_gains(config, facts, views)
+        return cls(field, sampler, gains, jnp.zeros((views, 6)) if config.poses.enabled is True else None)
+
+    @property
+    def log_gains(self) -> Float[Array, "views gains"]:
+        """`per_image` counted from its mean: what the views' light is multiplied by."""
+        assert self.per_image is not None
+        return self.per_image - jnp.mean(self.per_image, 0)
 
     def blurred(self, blur: Float[Array, ""]) -> "Model":
         """The same with every sample as wide as `blur` [scene unit]."""
@@ -63,6 +69,17 @@ class Model(eqx.Module):
             return eqx.is_inexact_array(leaf) and not any(getattr(part, "name", "") in HELD for part in path)
 
         return eqx.partition(self, jax.tree.map_with_path(is_learned, self))
+
+
+def first_gains(config: Config, facts: SceneFacts, views: int) -> Float[Array, "views gains"] | None:
+    """Log gains of training views before the first step: as measured, else none at all. None where no gains are learned."""
+    count = {"exposure": 1, "colour": 3}.get(config.train.per_image)
+    if count is None:
+        return None
+    if facts.log_gains is None:
+        return jnp.zeros((views, count))
+    measured = jnp.asarray(facts.log_gains, jnp.float32)
+    return measured if count == 3 else jnp.mean(measured, -1, keepdims=True)
 
 
 class Rendered(eqx.Module):

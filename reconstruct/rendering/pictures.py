@@ -180,7 +180,7 @@ class Renderer:
         samples = found.samples
         if furthest is not None:  # an interval of no length absorbs nothing
             samples = eqx.tree_at(lambda s: s.length, samples, jnp.where(samples.t > furthest, 0.0, samples.length))
-        cloud = cloud_of(rays, samples, bounded=self.normalisation.bounded, footprint=found.footprint)
+        cloud = cloud_of(rays, samples, space=self.normalisation.space, footprint=found.footprint)
         rendered, _ = render(model.field, rays, samples, cloud)
         normals = jnp.zeros_like(rendered.normals_pred)
         if with_normals:

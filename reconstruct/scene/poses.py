@@ -123,7 +123,7 @@ def summary(run: Path) -> str:
 
 def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, float]:
     """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given."""
-    if not config.enabled:
+    if config.enabled is not True:
         return 0.0, 0.0
     _, _, position, angle, _, _ = config.sigma(normalisation.scale)
     return FURTHEST * position, FURTHEST * angle

@@ -12,6 +12,7 @@ from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud, points_on_rays
 from reconstruct.field.field import Field
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import Space
 from reconstruct.surface import regularisers
 from reconstruct.surface.ball import ball_samples
 from reconstruct.surface.first_surface import HALF_WIDTH, Surface
@@ -21,20 +22,20 @@ PerPoint = dict[str, Float[Array, " n"]]
 
 @dataclass(frozen=True)
 class Place:
-    """How surface points become places in the field: in a bounded scene or not, as points or as Gaussians."""
+    """How surface points become places in the field: in their space, as points or as Gaussians."""
 
-    bounded: bool
+    space: Space
     extended: bool = False
     """Whether each stands for an isotropic Gaussian as wide as its pixel's cone, which looks the same from all sides."""
 
     def of(self, rays: Rays, surface: Surface, offsets: Float[Array, "n around 3"] | None = None) -> Cloud:
         """The surface points, or `offsets` [scene unit] around each of them, point after point."""
-        points = points_on_rays(rays, surface.ray, surface.t, self.bounded).points
+        points = points_on_rays(rays, surface.ray, surface.t, self.space).points
         scale = surface.radius / HALF_WIDTH if self.extended else None
         if offsets is not None:
             points = (points.T[:, None] + offsets).reshape(-1, 3).T
             scale = None if scale is None else jnp.repeat(scale, offsets.shape[1])
-        return Cloud(points, scale, self.bounded)
+        return Cloud(points, scale, self.space)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
+from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
@@ -170,8 +171,14 @@ def painted(ball: TrainedModel) -> TrainedModel:
     return replace(ball, model=replace(ball.model, field=solid))
 
 
+@pytest.fixture(scope="session")
+def renderer(ball_scene: tuple[Scene, Path]) -> Renderer:
+    """One for all models of the ball, which is compiled once."""
+    return Renderer(Normalisation.of(ball_scene[0]))
+
+
 @pytest.fixture
-def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> TrainedModel:
+def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer: Renderer) -> TrainedModel:
     """The ball in place of a trained model, its occupancy grid holding the cells near the surface."""
     run = make_run(checkpointed=False)
     model = Model.create(jax.random.key(0), run.config, run.facts)
@@ -180,10 +187,10 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
     distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
     radius = RADIUS * run.normalisation.scale
     occupancy = Occupancy.create(
-        jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
+        jax.random.key(0), grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid
     )
     field = model.field
     solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
-    assert run.normalisation.bounded
-    return TrainedModel(run, ball_scene[0], model, 0, Renderer(run.normalisation))
+    assert run.normalisation.bounded and run.normalisation == renderer.normalisation
+    return TrainedModel(run, ball_scene[0], model, 0, renderer)

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
 from datasets import pose
+from datasets.camera_model import Camera
 from datasets.checks import coverage, motion
 from datasets.checks.evidence import Evidence
 from datasets.checks.matches import check_evidence

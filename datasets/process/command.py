@@ -1,0 +1,156 @@
+"""The commands `datasets process` and `datasets align`; `datasets.cli` registers them."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from datasets.core import console, options
+from datasets.core.options import DataRoot, Json, OutFolder
+
+if TYPE_CHECKING:
+    from datasets.process.process import Processed
+    from datasets.process.world.alignment import Aligned, Wishes
+
+POINT = "PICTURE:X,Y+PICTURE:X,Y"
+
+MarkerSide = Annotated[
+    float | None,
+    typer.Option("--marker-mm", metavar="MM", help="Printed side of the ArUco, AprilTag or ChArUco markers in view."),
+]
+Length = Annotated[
+    tuple[str, str, float] | None,
+    typer.Option(
+        "--known-length", metavar="A B METRES", help=f"A known distance between two points A and B, each written {POINT}."
+    ),
+]
+Positions = Annotated[
+    Path | None, typer.Option("--positions", metavar="FILE", help="Lines NAME X Y Z: where camera or flange were, in metres.")
+]
+Up = Annotated[
+    str, typer.Option("--up", help="What tells the z axis: marker, plane, cameras, none; auto tries them in this order.")
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands."""
+    for command in (process, align):
+        app.command()(command)
+
+
+def process(
+    source: Annotated[Path, typer.Argument(metavar="PHOTOS|VIDEO", help="Folder of photographs, or a video.")],
+    out: OutFolder,
+    frames: Annotated[int, typer.Option(metavar="N", min=3, help="Most frames to take from a video.")] = 100,
+    match: Annotated[
+        str,
+        typer.Option(help="Pairs to match: all, neighbours (in order of names), alike, or auto, which depends on their number."),
+    ] = "auto",
+    vocabulary: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="COLMAP's vocabulary tree, to choose the pairs.")
+    ] = None,
+    cameras: Annotated[
+        str, typer.Option(help="Pictures that share a lens: auto (size, maker, model and focal length), size, or each.")
+    ] = "auto",
+    marker_mm: MarkerSide = None,
+    known_length: Length = None,
+    positions: Positions = None,
+    up: Up = "auto",
+    as_json: Json = False,
+) -> None:
+    """Make a posed scene from photographs or a video.
+
+    If it is interrupted, the same command continues where it stopped."""
+    from datasets.process.pictures import photographs
+    from datasets.process.poses import pairs
+    from datasets.process.process import Request
+    from datasets.process.process import process as process_pictures
+
+    _one_of("--match", match, pairs.KINDS)
+    _one_of("--cameras", cameras, photographs.SHARING)
+    wishes = _wishes(marker_mm, known_length, positions, up)
+    found = process_pictures(source, out, Request(frames, match, vocabulary, cameras), wishes)
+    console.report({"scene": str(out), **_facts(found)}, as_json=as_json, text=f"{_text(found)}\nwritten to {out}")
+
+
+def align(
+    scene: options.Scene,
+    out: OutFolder,
+    marker_mm: MarkerSide = None,
+    known_length: Length = None,
+    positions: Positions = None,
+    up: Up = "auto",
+    data_root: DataRoot = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene of arbitrary unit and direction in metres, with z up. Ground truth is left out."""
+    from datasets.core.files import refuse_existing
+    from datasets.formats import koala, load_scene
+    from datasets.process.pictures import features
+    from datasets.process.world import alignment
+
+    wishes = _wishes(marker_mm, known_length, positions, up)
+    refuse_existing(out)
+    loaded = load_scene(scene, data_root=data_root)
+    seen = {}
+    with console.progress("markers", len(loaded.views), "views") as shown:
+        for view in loaded.views:
+            seen[view.name] = features.markers_of(view.image)
+            shown.advance()
+    found = alignment.align(loaded, seen, wishes)
+    koala.save(found.scene, out)
+    result = {"scene": str(out), "metric": found.scene.metric, "scale_from": found.scale_from, "up_from": found.up_from}
+    lines = [*_evidence(found), f"written to {out}"]
+    console.report({**result, "hint": found.hint}, as_json=as_json, text="\n".join(lines))
+
+
+def _one_of(option: str, word: str, valid: tuple[str, ...]) -> None:
+    """Raise UsageError where the value of an option is none of the valid ones."""
+    from datasets.core.errors import UsageError, nearest
+
+    if word not in valid:
+        raise UsageError(f"cannot be {word!r}", where=option, remedy=nearest(word, valid))
+
+
+def _wishes(marker_mm: float | None, known_length: tuple[str, str, float] | None, positions: Path | None, up: str) -> "Wishes":
+    from datasets.process.world import up as upward
+    from datasets.process.world.alignment import Wishes
+    from datasets.process.world.scale import KnownLength
+
+    _one_of("--up", up, upward.KINDS)
+    known = KnownLength.parse(*known_length) if known_length is not None else None
+    return Wishes(None if marker_mm is None else marker_mm / 1000, known, positions, up)
+
+
+def _facts(found: "Processed") -> dict[str, Any]:
+    scene = found.aligned.scene
+    return {
+        "pictures": found.given,
+        "placed": len(scene.views),
+        "left_out": found.left_out,
+        "groups": list(found.groups),
+        "cameras": len({view.camera for view in scene.views}),
+        "points": 0 if scene.points is None else len(scene.points),
+        "error_px": found.error_px,
+        "metric": scene.metric,
+        "scale_from": found.aligned.scale_from,
+        "up_from": found.aligned.up_from,
+        "bounds_from": scene.bounds_from,
+        "hint": found.aligned.hint,
+        "resumed": found.resumed,
+    }
+
+
+def _text(found: "Processed") -> str:
+    """The result for a person."""
+    facts, scene = _facts(found), found.aligned.scene
+    lenses = "one camera" if facts["cameras"] == 1 else f"{facts['cameras']} cameras"
+    placed = f"{facts['placed']} of {found.given} pictures, {lenses}, {facts['points']} points"
+    notes = [f"note    {note}" for note in scene.notes]
+    return "\n".join([f"poses   {placed}, median error {found.error_px:.2f} px", *notes, *_evidence(found.aligned)])
+
+
+def _evidence(found: "Aligned") -> list[str]:
+    """Lines on unit and direction."""
+    unit = found.scale_from or ("as before, metres" if found.scene.metric else "unknown: lengths are in units")
+    return [f"scale   {unit}", f"up      {found.up_from or 'as it came'}", *([f"hint    {found.hint}"] if found.hint else [])]

@@ -1,0 +1,1 @@
+"""From a folder or a video to pictures whose features are known."""

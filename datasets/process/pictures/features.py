@@ -1,0 +1,116 @@
+"""Features of one picture: places that can be found again in other pictures, their descriptors and their colours.
+
+SIFT in a picture of at most `SIDE` pixels. Descriptors are normalised as COLMAP's, so that its matcher takes them: the root of
+the histogram divided by its sum (Arandjelović and Zisserman 2012), times 512.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import conventions
+from datasets.core import arrays, files
+from datasets.core.errors import DatasetError
+from datasets.imaging import images
+from datasets.process.pictures import markers
+from datasets.process.pictures.markers import Marker
+
+SIDE = 1200
+"""Longest side of the pictures that are searched [px]."""
+COUNT = 4000
+"""Features per picture; those of the highest contrast are kept."""
+PEAK = 0.02
+"""Least contrast of a feature, times the number of layers per octave."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Features of one picture, in the pixels of the smaller picture that was searched."""
+
+    width: int
+    height: int
+    pixels: NDArray[np.float32]
+    """(n, 2) in the upright picture, those of the highest contrast first."""
+    descriptors: NDArray[np.uint8]
+    """(n, 128)."""
+    colours: NDArray[np.uint8]
+    """(n, 3) sRGB."""
+    markers: tuple[Marker, ...]
+    """Printed markers that the picture may show."""
+
+    def save(self, path: Path) -> None:
+        """Write to a file, atomically."""
+        content = {"size": np.array([self.width, self.height]), "pixels": self.pixels, "descriptors": self.descriptors}
+        content |= {"colours": self.colours, "kinds": np.array([marker.kind for marker in self.markers], np.str_)}
+        content |= {"corners": np.array([marker.corners for marker in self.markers], np.float64).reshape(-1, 4, 2)}
+        with files.atomic_path(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **content)
+
+    @classmethod
+    def load(cls, path: Path) -> "Features":
+        """Read `save`'s file. Raises DatasetError where it is damaged."""
+        stored = arrays.read_npz(path)
+        try:
+            kinds = [str(kind) for kind in stored["kinds"]]
+            found = tuple(Marker(kind, corners) for kind, corners in zip(kinds, stored["corners"], strict=True))
+            width, height = map(int, stored["size"])
+            return cls(width, height, stored["pixels"], stored["descriptors"], stored["colours"], found)
+        except (KeyError, ValueError) as error:
+            raise DatasetError("features are not complete", where=path, why=str(error), remedy="remove it") from None
+
+
+def detect(path: Path) -> Features:
+    """Features and markers of an image file; where it has an alpha, only where that is opaque. Raises as `images.read` does."""
+    import cv2
+
+    picture, mask = _searched(path)
+    height, width = picture.shape[:2]
+    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
+    sift = cv2.SIFT.create(COUNT, 3, PEAK, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
+    keypoints, descriptors = sift.detectAndCompute(grey, mask)
+    seen = tuple(markers.detect(grey))
+    if descriptors is None:
+        nothing = np.zeros((0, 128), np.uint8)
+        return Features(width, height, np.zeros((0, 2), np.float32), nothing, nothing[:, :3], seen)
+    order = np.argsort([-point.response for point in keypoints], kind="stable")
+    places, descriptors = np.array([point.pt for point in keypoints])[order], descriptors[order]
+    column, row = np.rint(places).astype(int).clip(0, [width - 1, height - 1]).T
+    root = 512 * np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
+    pixels = conventions.pixels_from_opencv(places).astype(np.float32)
+    return Features(width, height, pixels, np.rint(root).clip(0, 255).astype(np.uint8), picture[row, column], seen)
+
+
+def markers_of(path: Path) -> tuple[Marker, ...]:
+    """Printed markers in an image file, in its own pixels. Raises as `images.read` does."""
+    import cv2
+
+    picture, _ = _searched(path)
+    width, height = images.size(path)
+    ratio = np.array([width / picture.shape[1], height / picture.shape[0]])
+    seen = markers.detect(np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8))
+    return tuple(Marker(marker.kind, marker.corners * ratio) for marker in seen)
+
+
+def _searched(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """(height, width, 3) sRGB bytes of at most `SIDE` pixels, and the mask of an alpha."""
+    import cv2
+
+    stored = _bytes(images.read_stored(path))
+    height, width = stored.shape[:2]
+    shrink = max(1.0, max(height, width) / SIDE)
+    size = max(round(width / shrink), 1), max(round(height / shrink), 1)
+    small: Any = stored if shrink == 1 else cv2.resize(stored, size, interpolation=cv2.INTER_AREA)
+    small = small.reshape(size[1], size[0], -1)
+    mask = np.where(small[..., -1] > 127, 255, 0).astype(np.uint8) if small.shape[-1] in (2, 4) else None
+    colours = np.repeat(small[..., :1], 3, axis=-1) if small.shape[-1] < 3 else small[..., :3]
+    return np.ascontiguousarray(colours), mask
+
+
+def _bytes(stored: NDArray[Any]) -> NDArray[np.uint8]:
+    """A picture as bytes, from bytes, 16 bits or floats in 0..1."""
+    if stored.dtype == np.uint8:
+        return stored
+    return (stored >> 8).astype(np.uint8) if stored.dtype == np.uint16 else images.to_uint8(np.nan_to_num(stored))

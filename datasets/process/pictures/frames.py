@@ -1,0 +1,162 @@
+"""Frames of a video that are worth reconstructing from: sharp ones, evenly spaced by how far the picture has moved.
+
+One pass looks at every frame in a small version, a second writes the chosen ones. Movement is what optical flow (Lucas and Kanade
+1981) sees between neighbours, so a camera that rests adds no frames, and one that hurries is not left with gaps.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.core.errors import DatasetError, UsageError
+from datasets.core.files import atomic_folder
+from datasets.core.progress import Count, ignore
+from datasets.imaging import images
+
+SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp"})
+SIDE = 480
+"""Longest side of the frames that are compared [px]."""
+SHORTEST = 0.01
+"""Least movement between two chosen frames, as a share of the picture's diagonal: less has no parallax to speak of."""
+CORNERS = 200
+"""Places that are followed from one frame to the next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What is known of every frame of a video."""
+
+    sharpness: NDArray[np.float64]
+    """(n,) variance of the Laplacian."""
+    moved: NDArray[np.float64]
+    """(n,) sum of the movements up to each frame, in picture diagonals; of one between two frames, the median place's."""
+
+
+def is_video(path: Path) -> bool:
+    """True for a file with the suffix of a video."""
+    return path.is_file() and path.suffix.lower() in SUFFIXES
+
+
+def extract(video: Path, count: int, folder: Path, *, done: Count = ignore) -> list[str]:
+    """Write the best `count` frames of a video as JPEG files to a new folder, all or nothing; fewer where it moves too little.
+
+    Returns:
+        Names of the files: the number of the frame in the video. `done` is called with the frames handled and to handle.
+
+    Raises:
+        UsageError: it is no video, or nothing moves in it.
+    """
+    shown = _length(video)
+    motion = observe(video, done=lambda k: done(k, max(2 * shown, k)))
+    total = len(motion.moved)
+    wanted = {int(index) for index in choose(motion, count)}
+    if len(wanted) < 3:
+        why = f"{total} frames, in which the picture moves by {100 * motion.moved[-1]:.0f}% of its diagonal"
+        raise UsageError("video shows too little movement", where=video, why=why, remedy="walk around the object")
+    names = []
+    with atomic_folder(folder) as temporary:
+        for index, frame in enumerate(_decoded(video)):
+            if index in wanted:
+                names.append(f"frame_{index:06d}.jpg")
+                images.write(temporary / names[-1], upright(frame))
+            done(total + index + 1, 2 * total)
+            if len(names) == len(wanted):
+                break
+    return names
+
+
+def observe(video: Path, *, done: Any = ignore) -> Motion:
+    """Sharpness and movement of all frames. `done` is called with the number of frames seen."""
+    import cv2
+
+    sharpness, moved, before = [], [0.0], None
+    for index, frame in enumerate(_decoded(video)):
+        shrink = max(frame.width, frame.height) / SIDE
+        size = {} if shrink <= 1 else {"width": round(frame.width / shrink), "height": round(frame.height / shrink)}
+        grey = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray())
+        sharpness.append(float(cv2.Laplacian(grey, cv2.CV_32F).var()))
+        if before is not None:
+            moved.append(moved[-1] + movement(before, grey))
+        before = grey
+        done(index + 1)
+    if not sharpness:
+        raise DatasetError("video holds no frames", where=video, remedy="copy it again")
+    return Motion(np.array(sharpness), np.array(moved))
+
+
+def movement(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> float:
+    """How far the median place moves between two grey pictures, as a share of the diagonal; 0 where nothing can be followed."""
+    import cv2
+
+    places = cv2.goodFeaturesToTrack(before, CORNERS, 0.01, 5)
+    if places is None:
+        return 0.0
+    found, good, _ = cv2.calcOpticalFlowPyrLK(before, after, places, np.zeros_like(places))
+    shifts = np.linalg.norm((found - places).reshape(-1, 2), axis=1)[good.ravel() == 1]
+    return float(np.median(shifts)) / float(np.hypot(*before.shape)) if len(shifts) else 0.0
+
+
+def choose(motion: Motion, count: int) -> NDArray[np.int64]:
+    """Indices of at most `count` frames: the sharpest of each of as many windows of equal movement.
+
+    Windows are no shorter than `SHORTEST`. Of each, only the middle half is used, so that neighbours keep their distance.
+    """
+    total = float(motion.moved[-1])
+    windows = int(min(count, max(total // SHORTEST, 1)))
+    place = motion.moved / max(total, 1e-12) * windows
+    chosen = []
+    for window in range(windows):
+        inside = np.flatnonzero(np.abs(place - (window + 0.5)) <= 0.25)
+        if not len(inside):  # the camera hurries: the frame nearest to the middle
+            inside = np.array([np.abs(place - (window + 0.5)).argmin()])
+        chosen.append(int(inside[motion.sharpness[inside].argmax()]))
+    return np.unique(chosen)
+
+
+def upright(frame: Any) -> NDArray[np.uint8]:
+    """(height, width, 3) sRGB of a frame, turned as the video says."""
+    return np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90) % 4))
+
+
+def _length(video: Path) -> int:
+    """Number of frames by the header; 0 where it does not say."""
+    import av
+
+    with _opened(video) as container:
+        stream = container.streams.video[0]
+        if stream.frames:
+            return int(stream.frames)
+        rate = stream.average_rate or 30
+        return int(container.duration / av.time_base * rate) if container.duration else 0
+
+
+def _decoded(video: Path) -> Iterator[Any]:
+    """Frames one by one; a file that is cut off ends early."""
+    import av
+
+    with _opened(video) as container:
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        try:
+            yield from container.decode(stream)
+        except av.error.FFmpegError:
+            return
+
+
+def _opened(video: Path) -> Any:
+    import av
+
+    try:
+        container = av.open(str(video))
+    except av.error.FFmpegError as error:
+        raise DatasetError(
+            "video cannot be read", where=video, why=str(error.strerror or error), remedy="copy it again"
+        ) from None
+    if not container.streams.video:
+        container.close()
+        raise UsageError("holds no moving pictures", where=video, remedy="give a video or a folder of photographs")
+    return container

@@ -1,0 +1,119 @@
+"""From matches to poses, lenses and points: pycolmap's incremental mapping and a last adjustment with all lens parameters.
+
+Mapping can find several groups of pictures that no points connect. The largest becomes the model; the others are only counted.
+"""
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.core import files
+from datasets.core.progress import Step, ignore
+
+if TYPE_CHECKING:
+    import pycolmap
+
+SMALLEST = 3
+"""Smallest number of pictures of a group."""
+FEW = 8
+"""A camera with fewer pictures keeps one focal length and one distortion coefficient."""
+LARGEST_PX = 2.0
+"""Observations further than this from their projected point are dropped at the end [px of the picture that was searched]."""
+LEAST_ANGLE_DEG = 1.5
+"""Points whose rays meet at smaller angles are dropped."""
+GROUPS = "groups.json"
+"""File beside a model: the names of the pictures of each group, the largest first."""
+
+Groups = list[list[str]]
+
+
+def build(database: Path, pictures: Path, out: Path, colours: Mapping[str, NDArray[np.uint8]], *, done: Step = ignore) -> Groups:
+    """Write the largest model of the pictures in `database` to the new folder `out`, all or nothing.
+
+    Args:
+        database: with matches.
+        pictures: folder of the pictures, which are not read.
+        out: folder of the model, and of `GROUPS`.
+        colours: (n, 3) of each picture's features, by its file.
+        done: called after each picture that is placed.
+
+    Returns:
+        The files of each group of pictures, the largest first; nothing where no two pictures overlap enough.
+    """
+    import pycolmap
+
+    pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)  # errors come back as exceptions or empty results
+    with files.atomic_folder(out) as folder, tempfile.TemporaryDirectory(dir=out.parent) as temporary:
+        found = pycolmap.incremental_mapping(
+            database, pictures, temporary, _options(), initial_image_pair_callback=done, next_image_callback=done
+        )
+        models = sorted(found.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+        groups = [sorted(model.images[number].name for number in model.reg_image_ids()) for model in models]
+        if models:
+            refine(models[0])
+            _paint(models[0], colours)
+            models[0].write_binary(folder)
+        files.write_json(folder / GROUPS, groups)
+    return groups
+
+
+def read_groups(out: Path) -> Groups | None:
+    """The groups that `build` wrote; None where it has not."""
+    path = out / GROUPS
+    return [[str(name) for name in group] for group in files.read_json(path)] if path.is_file() else None
+
+
+def refine(model: "pycolmap.Reconstruction") -> None:
+    """Adjust everything once more, with OPENCV's lens and the principal point where a camera has enough pictures.
+
+    Mapping has few parameters and can start from a guess; this starts close to the truth. Observations that stay wrong are dropped.
+    """
+    import pycolmap
+
+    few = set()
+    for number, camera in model.cameras.items():
+        if sum(image.camera_id == number for image in model.images.values()) < FEW:
+            few.add(number)
+            continue
+        focal, cx, cy, k1 = camera.params
+        camera.model, camera.params = pycolmap.CameraModelId.OPENCV, [focal, focal, cx, cy, k1, 0.0, 0.0, 0.0]
+    _adjust(model, set(), principal_point=False)
+    if len(few) < len(model.cameras):
+        _adjust(model, few, principal_point=True)
+    pycolmap.ObservationManager(model).filter_all_points3D(LARGEST_PX, LEAST_ANGLE_DEG)
+    _adjust(model, few, principal_point=len(few) < len(model.cameras))
+    model.update_point_3d_errors()
+
+
+def _adjust(model: "pycolmap.Reconstruction", constant: set[int], *, principal_point: bool) -> None:
+    """One bundle adjustment of all pictures; the cameras `constant` keep their lens."""
+    import pycolmap
+
+    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=principal_point, print_summary=False)
+    config = pycolmap.BundleAdjustmentConfig()
+    for number in model.reg_image_ids():
+        config.add_image(number)
+    for number in constant:
+        config.set_constant_cam_intrinsics(number)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+
+
+def _paint(model: "pycolmap.Reconstruction", colours: Mapping[str, NDArray[np.uint8]]) -> None:
+    """Give each point the mean colour of its features."""
+    names = {number: image.name for number, image in model.images.items()}
+    for point in model.points3D.values():
+        point.color = np.mean([colours[names[e.image_id]][e.point2D_idx] for e in point.track.elements], axis=0).astype(np.uint8)
+
+
+def _options() -> "pycolmap.IncrementalPipelineOptions":
+    """Settings of mapping, with fixed seeds."""
+    import pycolmap
+
+    options = pycolmap.IncrementalPipelineOptions(min_model_size=SMALLEST, extract_colors=False, random_seed=0)
+    options.mapper.random_seed = options.triangulation.random_seed = 0
+    return options

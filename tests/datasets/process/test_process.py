@@ -1,0 +1,191 @@
+"""From rendered photographs to a scene: accuracy, resuming, what is left out, and clear refusals."""
+
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import pose
+from datasets.checks.check import check
+from datasets.core.errors import DatasetError, UsageError
+from datasets.formats import load_scene
+from datasets.imaging import images
+from datasets.process.pictures import features
+from datasets.process.poses import database, mapping
+from datasets.process.process import Processed, Request, process
+from datasets.process.work import Work
+from datasets.process.world import similarity
+from datasets.process.world.alignment import Wishes
+from datasets.process.world.scale import KnownLength
+from datasets.scene import Scene
+
+pytest.importorskip("pycolmap")
+
+SIDE_M = 0.24
+
+
+def off(scene: Scene, truth: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of position, in shares of the distance to the origin, and of direction [deg] after alignment by a similarity."""
+    found = similarity.between([v.world_from_camera[:3, 3] for v in scene.views], [truth[v.name][:3, 3] for v in scene.views])
+    views = [found.view(view) for view in scene.views]
+    by_pose = [pose.difference(view.world_from_camera, truth[view.name]) for view in views]
+    distance, angle = np.array(by_pose).T
+    return distance / [np.linalg.norm(truth[view.name][:3, 3]) for view in views], np.rad2deg(angle)
+
+
+@pytest.fixture(scope="module")
+def finished(shots, tmp_path_factory: pytest.TempPathFactory) -> tuple[Processed, Path]:
+    """The scene of the ten photographs by its marker; three more are damaged, without texture, and of another place."""
+    folder = tmp_path_factory.mktemp("scene")
+    photos = folder / "photos"
+    shutil.copytree(shots.folder, photos)
+    whole = (photos / "my photo 0.png").read_bytes()
+    (photos / "cut off.png").write_bytes(whole[: len(whole) // 2])
+    images.write(photos / "grey.png", np.full((300, 400, 3), 128, np.uint8))
+    noise = np.random.default_rng(1).integers(0, 255, (75, 100, 3), dtype=np.uint8)
+    images.write(photos / "elsewhere.png", np.kron(noise, np.ones((4, 4, 1), np.uint8)))
+    (photos / "notes.txt").write_text("no picture")
+    return process(photos, folder / "table", Request(), Wishes(marker_m=SIDE_M)), folder / "table"
+
+
+def test_poses_are_those_of_the_cameras(finished, shots) -> None:
+    scene = load_scene(finished[1])
+    assert {view.name for view in scene.views} == set(shots.poses)
+    distance, angle = off(scene, shots.poses)
+    assert distance.max() < 0.005 and angle.max() < 0.3  # what is asked of real photographs
+    assert finished[0].error_px < 0.5
+
+
+def test_the_marker_gives_metres_and_up(finished, shots) -> None:
+    scene = load_scene(finished[1])
+    assert scene.metric and "4X4_1000 7" in finished[0].aligned.scale_from
+    places = {view.name: view.world_from_camera[:3, 3] for view in scene.views}
+    first, *_, last = shots.poses
+    true = np.linalg.norm(shots.poses[first][:3, 3] - shots.poses[last][:3, 3])
+    assert np.linalg.norm(places[first] - places[last]) == pytest.approx(
+        true, rel=0.02
+    )  # corners of a marker of 60 px, to 0.5 px
+    heights = np.array([places[name][2] - matrix[2, 3] for name, matrix in shots.poses.items()])
+    assert np.ptp(heights) < 0.05 and abs(heights).max() < 0.05  # z is up and 0 on the table
+
+
+def test_the_scene_has_points_bounds_and_a_test_split(finished) -> None:
+    scene = load_scene(finished[1])
+    assert scene.points is not None and scene.sightings is not None and len(scene.sightings.colours) == len(scene.points)
+    assert len(scene.points) > 300 and abs(np.median(scene.points[:, 2])) < 0.1
+    assert scene.bounds_from == f"{len(scene.points)} points of the model" and 0.5 < scene.near < 2.0
+    assert [view.split for view in scene.views] == ["test" if k % 8 == 0 else "train" for k in range(10)]
+    assert not [finding.line for finding in check(finished[1]) if finding.level == "error"]
+
+
+def test_what_is_left_out_is_named_with_the_reason(finished) -> None:
+    result, out = finished
+    assert result.given == 13 and set(result.left_out) == {"cut off.png", "grey.png", "elsewhere.png"}
+    assert "cannot be read" in result.left_out["cut off.png"]
+    assert "too few features" in result.left_out["grey.png"]
+    assert "too few matches" in result.left_out["elsewhere.png"]
+    assert "3 of 13 pictures are left out" in load_scene(out).notes[0]
+    assert load_scene(out).notes[1:] == ("1 files are of no kind that is read: notes.txt",)
+    assert not out.with_name("table.work").exists()
+
+
+class Stop(Exception):
+    """What ends a step halfway."""
+
+
+def test_an_interrupted_call_continues(shots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is ended in each of its steps in turn; what was finished before is not done again."""
+    out, work = tmp_path / "scene", Work(tmp_path / "scene")
+    detected = []
+    whole = features.detect
+
+    def counted(path: Path) -> features.Features:
+        if len(detected) == 4:
+            raise Stop
+        detected.append(path.name)
+        return whole(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(features, "detect", counted)
+        with pytest.raises(Stop):
+            process(shots.folder, out, Request(), Wishes())
+    assert len(list(work.features.glob("*.npz"))) == 4 and not out.exists()
+
+    whole_match = database.match
+
+    def ended(path: Path, pictures: list, pairs: list, **_: object) -> None:
+        whole_match(path, pictures, pairs[:10])
+        raise Stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(database, "match", ended)
+        patch.setattr(features, "detect", lambda path: detected.append(path.name) or whole(path))
+        with pytest.raises(Stop):
+            process(shots.folder, out, Request(), Wishes())
+    assert sorted(detected) == sorted(path.name for path in shots.folder.iterdir())
+    assert 0 < len(database.links(work.database)) <= 10
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mapping, "refine", lambda model: (_ for _ in ()).throw(Stop))
+        patch.setattr(features, "detect", None)
+        with pytest.raises(Stop):
+            process(shots.folder, out, Request(), Wishes())
+    assert not work.model.exists() and not out.exists()
+
+    with pytest.raises(UsageError, match="no picture called 'x' was placed"):
+        process(shots.folder, out, Request(), Wishes(known=_length("x:1,1+y:2,2")))
+    assert work.model.is_dir()
+    with monkeypatch.context() as patch:
+        patch.setattr(mapping, "build", None)
+        assert process(shots.folder, out, Request(), Wishes()).resumed
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene"]
+
+
+def test_a_killed_process_leaves_what_the_next_one_needs(shots, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out, work = tmp_path / "scene", Work(tmp_path / "scene")
+    command = [sys.executable, "-m", "datasets.cli", "process", str(shots.folder), "--out", str(out)]
+    running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 3:
+        time.sleep(0.02)
+    running.kill()
+    running.wait()
+    kept = list(work.features.glob("0*.npz"))
+    assert len(kept) >= 3 and not out.exists()
+    detected = []
+    whole = features.detect
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(features, "detect", lambda path: detected.append(path) or whole(path))
+        found = process(shots.folder, out, Request(), Wishes())
+    assert found.resumed and len(found.aligned.scene.views) == 10 and len(detected) == 10 - len(kept)
+    assert f"continuing in {work.folder}" in capfd.readouterr().err
+
+
+def test_other_choices_keep_the_features_and_other_pictures_do_not(tmp_path: Path) -> None:
+    work = Work(tmp_path / "scene")
+    assert not work.start(["a"], ["all"])
+    work.features.mkdir()
+    work.model.mkdir(parents=True)
+    work.database.write_bytes(b"")
+    assert work.start(["a"], ["all"]) and work.model.exists()
+    assert not work.start(["a"], ["alike"])
+    assert work.features.exists() and not work.model.exists() and not work.database.exists()
+    assert not work.start(["b"], ["alike"]) and not work.features.exists()
+
+
+def test_pictures_of_different_places_do_not_overlap(tmp_path: Path) -> None:
+    """The refusal comes again the second time, from what is known already."""
+    random = np.random.default_rng(0)
+    for k in range(4):
+        picture = random.integers(0, 255, (75, 100, 3), dtype=np.uint8)
+        images.write(tmp_path / "photos" / f"{k}.png", np.kron(picture, np.ones((4, 4, 1), np.uint8)))
+    for _ in range(2):
+        with pytest.raises(DatasetError, match="do not overlap enough for poses"):
+            process(tmp_path / "photos", tmp_path / "scene", Request(), Wishes())
+
+
+def _length(end: str) -> KnownLength:
+    return KnownLength.parse(end, end, 1.0)
