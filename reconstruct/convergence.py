@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.core.console import hint
 from datasets.core.findings import Finding
 
 EARLY_S = 30.0
@@ -51,6 +52,20 @@ def _finding(what: str, where: str, why: str, remedy: str, figures: dict[str, fl
 
 
 def early_warning(log: Sequence[dict[str, Any]]) -> str | None:
-    """One line for the person who waits for a training, once its first seconds are over; None where all is well."""
-    found = find(log, until_s=2 * EARLY_S) if log and log[-1]["seconds"] >= EARLY_S else []
+    """One line for the person who waits, when the last line is the first after `EARLY_S` seconds; None where all is well."""
+    if not log or not (log[-1]["seconds"] >= EARLY_S > max((line["seconds"] for line in log[:-1]), default=0.0)):
+        return None
+    found = find(log)
     return found[0].line if found else None
+
+
+def warn_early(log: Sequence[dict[str, Any]]) -> None:
+    """Show the early warning, if there is one."""
+    if words := early_warning(log):
+        hint(words)
+
+
+def figures_of(line: dict[str, Any]) -> str:
+    """The figures of a line of the log that are shown beside the progress."""
+    known = {"PSNR": "psnr_train", "unseen": "psnr_unseen"}
+    return ", ".join(f"{name} {line[key]:.1f} dB" for name, key in known.items() if key in line)

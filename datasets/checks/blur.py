@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from datasets.checks.evidence import OUTSTANDING, Evidence
 from datasets.core.findings import Finding
+from datasets.structure import matching
 from datasets.structure.relative import robust_median, values_of_views
 
 FINE_PX, COARSE_PX, WINDOW_PX = 0.6, 2.4, 5.0
@@ -48,10 +49,9 @@ def sharpness(evidence: Evidence) -> tuple[NDArray[np.float64], NDArray[np.float
     """(views,) log of fine against coarse contrast relative to the median view, and its standard deviation."""
     maps = [contrast(grey(picture)) for picture in evidence.pictures]
     points = [evidence.cloud.sightings[evidence.cloud.sightings[:, 1] == view, 0] for view in range(len(maps))]
-    joined = {(i, j) for i, j, _ in evidence.matches.pairs} | {(i, i + 1) for i in range(len(maps) - 1)}
     pairs, differences, std = [], [], []
     zoom = [1 / (evidence.depth(view) * evidence.matches.features[view].pixel) for view in range(len(maps))]
-    for i, j in sorted(joined):
+    for i, j in matching.pairs_of(evidence.matrices, evidence.focus):  # also where blur leaves no matches
         if max(zoom[i], zoom[j]) > ZOOM * min(zoom[i], zoom[j]):
             continue  # a closer look shows finer detail
         shared = evidence.cloud.points[np.union1d(points[i], points[j])]
@@ -73,7 +73,10 @@ def equivalent(evidence: Evidence, values: NDArray[np.float64]) -> NDArray[np.fl
     curve = np.zeros(len(BLURS_PX))
     for view in sharp:
         picture = grey(evidence.pictures[view])
-        levels = [float(np.median(contrast(_blurred(picture, blur)))) for blur in BLURS_PX]
+        shown = evidence.pictures[view][..., -1] > 0.5 if evidence.pictures[view].shape[-1] == 4 else np.ones(picture.shape, bool)
+        if not shown.any():
+            continue
+        levels = [float(np.median(contrast(_blurred(picture, blur))[shown])) for blur in BLURS_PX]
         curve += (np.array(levels) - levels[0]) / len(sharp)
     return np.interp(-np.nan_to_num(values), -np.minimum.accumulate(curve), BLURS_PX)
 

@@ -7,8 +7,8 @@ from datasets.scene import Scene
 from datasets.structure import bounds
 
 APART_DEG, SPARSE_DEG = 25.0, 40.0
-"""Least angle to the second nearest training view from which a view stands alone, and the same for the median of all."""
-TIMES = 3.0
+"""Least angle to the nearest other training view from which a view stands alone, and the same for the median of all."""
+TIMES = 2.2
 """It must be this many times the usual angle."""
 
 
@@ -25,17 +25,17 @@ def find(scene: Scene) -> list[Finding]:
     trained = np.array([view.split == "train" for view in scene.views])
     apart = np.rad2deg(np.arccos(np.clip(outward @ outward.T, -1, 1)))
     np.fill_diagonal(apart, np.inf)
-    second = np.sort(apart[:, trained], axis=1)[:, 1]
-    usual = float(np.median(second))
+    nearest = apart[:, trained].min(1)
+    usual = float(np.median(nearest))
     remedy = "take more pictures from there: neighbours should be 10 to 20 degrees apart"
     if usual > SPARSE_DEG:
-        why = f"the second nearest training view is {usual:.0f} degrees away (median)"
+        why = f"the nearest training view is {usual:.0f} degrees away (median)"
         return [Finding("warning", "views are too far apart", "all views", why, remedy, "coverage", {"median_deg": usual})]
-    alone = np.flatnonzero(second > max(APART_DEG, TIMES * usual))
+    alone = np.flatnonzero(nearest > max(APART_DEG, TIMES * usual))
     if not len(alone):
         return []
-    worst = alone[np.argsort(-second[alone])]
-    listed = ", ".join(f"{scene.views[i].name}: {second[i]:.0f}" for i in worst[:5])
-    why = f"degrees to the second nearest training view: {listed}; usually {usual:.0f}"
-    figures = {"views": {scene.views[i].name: float(second[i]) for i in worst}}
+    worst = alone[np.argsort(-nearest[alone])]
+    listed = ", ".join(f"{scene.views[i].name}: {nearest[i]:.0f}" for i in worst[:5])
+    why = f"degrees to the nearest training view: {listed}; usually {usual:.0f}"
+    figures = {"views": {scene.views[i].name: float(nearest[i]) for i in worst}}
     return [Finding("warning", "too few views of a region", f"{len(alone)} views", why, remedy, "coverage", figures)]

@@ -15,7 +15,7 @@ LEAST_COLOUR = np.log(1.08)
 def find(evidence: Evidence) -> list[Finding]:
     """One finding on exposure and one on white balance, each with the views that differ and all gains."""
     found = exposure_gains(evidence.matches, evidence.matrices)
-    if np.isfinite(found.log_gains).all(1).sum() < len(evidence.views) / 2:
+    if np.isfinite(found.log_gains).all(1).sum() < max(4, len(evidence.views) / 3):
         return []
     return [*_exposure(found), *_white_balance(found)]
 

@@ -16,13 +16,16 @@ CELLS = 88
 """Cells of the grid along the box's longest side."""
 VETOES = 0.13
 """Share of the views that may contradict a cell which stays."""
-LEAST_PX = 2.5
-"""Shift or growth of a mask from which it is reported [px of the image that was searched]."""
+LEAST_PX, LEAST_CELLS = 2.5, 0.9
+"""Shift or growth of a mask from which it is reported [px of the image that was searched], and the same in cells of the hull."""
 EXCESS = 0.1
 """Weight of an outline inside the silhouette against one outside: a hull is larger than the object where no view cuts into it, so
 that the tight parts of the outline decide."""
-CUT = 0.05
-"""Share of the picture's border inside a mask from which its outline is not judged: the object goes on outside."""
+CUT, MARGIN = 0.05, 6
+"""Share of the picture's border inside a mask from which it is not judged, and distance from the border within which its outline
+does not count: the object goes on outside."""
+ALL_AROUND = 0.12
+"""Least mean square of the outline's normals along any direction: else a shift along the outline would not be seen."""
 FEWEST = 60
 """Pixels of a mask's outline with which it is judged."""
 
@@ -35,6 +38,8 @@ class Outline:
     """How far the outline lies inside the silhouette: positive for an eroded mask."""
     shift_px: tuple[float, float]
     """How far the mask is shifted, right and down."""
+    cell_px: float
+    """Side of the hull's cells in this view: what is much smaller cannot be seen."""
 
 
 def find(evidence: Evidence) -> list[Finding]:
@@ -54,7 +59,8 @@ def find(evidence: Evidence) -> list[Finding]:
     grown -= np.nanmedian(grown)
     moved -= np.nanmedian(moved, axis=0)
     length = np.linalg.norm(moved, axis=1)
-    eroded, shifted = (_outstanding(size) for size in (np.abs(grown), length))
+    least = np.array([np.inf if one is None else max(LEAST_PX, LEAST_CELLS * one.cell_px) for one in outlines])
+    eroded, shifted = (_outstanding(size, least) for size in (np.abs(grown), length))
     found = []
     for view in np.flatnonzero(eroded | shifted):
         name = evidence.views[view].name
@@ -67,9 +73,9 @@ def find(evidence: Evidence) -> list[Finding]:
     return found
 
 
-def _outstanding(size: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _outstanding(size: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:
     known = size[np.isfinite(size)]
-    return np.nan_to_num(size) > max(LEAST_PX, OUTSTANDING * 1.4826 * float(np.median(known)))
+    return np.nan_to_num(size) > np.maximum(least, OUTSTANDING * 1.4826 * float(np.median(known)))
 
 
 def hull(evidence: Evidence) -> tuple[NDArray[np.float64], float]:
@@ -114,10 +120,11 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
     silhouette[row[inside], column[inside]] = 1
     depth = np.median((cells - evidence.matrices[view, :3, 3]) @ evidence.matrices[view, :3, 2])
     camera = evidence.views[view].camera
-    reach = int(np.ceil(radius / max(depth, 1e-9) * camera.fx * mask.shape[1] / camera.width)) + 1
+    radius_px = float(radius / max(depth, 1e-9) * camera.fx * mask.shape[1] / camera.width)
+    reach = int(np.ceil(radius_px)) + 1
     silhouette = cv2.morphologyEx(silhouette, cv2.MORPH_CLOSE, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
     edge = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)).astype(bool)
-    edge[[0, 1, -1, -2]] = edge[:, [0, 1, -1, -2]] = False
+    edge[:MARGIN] = edge[-MARGIN:] = edge[:, :MARGIN] = edge[:, -MARGIN:] = False
     rows, columns = np.nonzero(edge)
     border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
     if len(rows) < FEWEST or border.mean() > CUT or not silhouette.any() or silhouette.all():
@@ -126,6 +133,8 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 3)
     outward = -np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)[rows, columns]
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
+    if np.linalg.eigvalsh(outward.T @ outward / len(outward))[0] < ALL_AROUND:
+        return None
     design, target = np.concatenate([np.ones((len(rows), 1)), -outward], axis=1), within[rows, columns]
     solution, weight = np.zeros(3), np.ones(len(rows))
     for width in (20.0, 8.0, 4.0, 4.0, 4.0, 4.0):
@@ -133,4 +142,4 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
         solution = np.linalg.solve(design.T @ weighted + 1e-6 * np.eye(3), weighted.T @ target)
         residual = target - design @ solution
         weight = np.where(residual > 0, EXCESS, 1 - EXCESS) / (1 + (residual / width) ** 2) ** 2
-    return Outline(float(solution[0]), (float(solution[1]), float(solution[2])))
+    return Outline(float(solution[0]), (float(solution[1]), float(solution[2])), 2 * radius_px)

@@ -11,13 +11,13 @@ from datasets.core.findings import Finding
 from datasets.structure.epipolar import corrected
 from datasets.structure.triangulate import DOUBTFUL, explained
 
-LEAST_PX = 0.7
+LEAST_PX = 0.65
 """Shift of the picture from which a pose is reported [px of the image that was searched]."""
 EVERYWHERE = 0.34
 """Share of wrong poses from which not single ones are wrong but all are inaccurate."""
-LEAST_GAIN = 0.55
+LEAST_GAIN = 0.5
 """A better pose must reduce the median distance of right matches to this share of what it was."""
-FEWEST = 50
+FEWEST = 30
 """Right matches with which a view is judged."""
 TIMES = 2.5
 """A wrong pose moves its picture by this many times the median of the others."""
