@@ -21,11 +21,9 @@ from calib.targets import screening
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
-MIN_CORNERS_GIVEN = 20
-"""Fewest corners of a session whose camera is known: one tag in five views."""
+MIN_CORNERS_GIVEN = 20  # fewest corners of a session whose camera is known: one tag in five views
 MAX_DISTANCE_M = 1e7
-STATED = Accuracy()
-"""Accuracy that is assumed of a UR5e."""
+STATED = Accuracy()  # accuracy that is assumed of a UR5e
 
 
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
@@ -80,8 +78,7 @@ class First:
     camera: Camera
     free: tuple[str, ...]
     known: Known | None
-    sigma_px: float
-    """Standard deviation of a corner per axis."""
+    sigma_px: float  # standard deviation of a corner per axis
     left_out: dict[str, str]
 
 
@@ -90,11 +87,9 @@ class Solution:
     """All stages of a hand-eye calibration."""
 
     first: First
-    boards: Array
-    """(views, 4, 4) camera_from_board of the views of `first`."""
+    boards: Array  # (views, 4, 4) camera_from_board of the views of `first`
     closed: closed_forms.HandEye
-    keep: Mask
-    """(views,) which views of `first` the closed form agrees with."""
+    keep: Mask  # (views,) which views of `first` the closed form agrees with
     fit: outliers.Fit
 
     @property

@@ -21,43 +21,32 @@ from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.scene import Scene, View
 
-ENOUGH_PX = 0.5
-"""Median error of held-out points below which the arm's poses explain the pictures: features are no better [px]."""
-MIN_GAIN = 0.02
-"""Share by which the error of held-out points must fall for the refined poses to be used."""
+ENOUGH_PX = 0.5  # median error of held-out points below which the arm's poses explain the pictures: features are no better [px]
+MIN_GAIN = 0.02  # share by which the error of held-out points must fall for the refined poses to be used
 MIN_POINTS = 50
-MIN_SEEN = 40
-"""A view with fewer points keeps the arm's pose: they would not determine its orientation."""
-LIMIT_PX = 10.0
-"""A feature further than this from its projected point is a wrong match."""
+MIN_SEEN = 40  # a view with fewer points keeps the arm's pose: they would not determine its orientation
+LIMIT_PX = 10.0  # a feature further than this from its projected point is a wrong match
 
 
 @dataclass(frozen=True)
 class Tracks:
     """n observations of points 0..m-1 in views."""
 
-    point: Indices
-    """(n,) ascending."""
-    view: Indices
-    """(n,) index in the scene."""
-    pixels: Array
-    """(n, 2) [px]."""
+    point: Indices  # (n,) ascending
+    view: Indices  # (n,) index in the scene
+    pixels: Array  # (n, 2) [px]
 
 
 @dataclass(frozen=True)
 class Refinement:
     """Result of bundle adjustment."""
 
-    scene: Scene
-    """With the poses to use, refined or unchanged."""
+    scene: Scene  # with the poses to use, refined or unchanged
     used: bool
     reason: str
-    before_px: float
-    """Median error of the held-out points with the arm's poses [px]."""
-    after_px: float | None
-    """The same with the refined poses; None if none were computed."""
-    moved_mm: float | None
-    """Rms change of the positions [mm]."""
+    before_px: float  # median error of the held-out points with the arm's poses [px]
+    after_px: float | None  # the same with the refined poses; None if none were computed
+    moved_mm: float | None  # rms change of the positions [mm]
     moved_deg: float | None
     points: int
 

@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from capture import viewing
 from capture.options import RigName, Settings, TimeScale, TrajectoryName
@@ -33,15 +33,13 @@ def list_command(as_json: console.Json = False) -> None:
 @app.command()
 def run(
     trajectory: TrajectoryName,
-    out: Annotated[Path, typer.Option(metavar="RECORDING", help="New folder to write, or with --resume an existing one.")],
+    out: Annotated[Path, Option(metavar="RECORDING", help="New folder to write, or with --resume an existing one.")],
     rig: RigName = "sim",
-    scene: Annotated[
-        str, typer.Option(help="Simulation only: a scene of 'capture list'. Default: one that fits the trajectory.")
-    ] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
+    scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'. Default: one that fits the trajectory.")] = "",
+    seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
     time_scale: TimeScale = 20.0,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted recording.")] = False,
-    view: Annotated[bool, typer.Option("--view", help="Show the session in the browser, with a stop button.")] = False,
+    resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
+    view: Annotated[bool, Option("--view", help="Show the session in the browser, with a stop button.")] = False,
     port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
@@ -89,8 +87,8 @@ def run(
 def plan_command(
     trajectory: TrajectoryName,
     rig: RigName = "sim",
-    plot: Annotated[Path | None, typer.Option(metavar="PLAN.png", help="Draw views, paths and joint angles.")] = None,
-    page: Annotated[Path | None, typer.Option(metavar="PLAN.html", help="Write a page with the plan in 3D.")] = None,
+    plot: Annotated[Path | None, Option(metavar="PLAN.png", help="Draw views, paths and joint angles.")] = None,
+    page: Annotated[Path | None, Option(metavar="PLAN.html", help="Write a page with the plan in 3D.")] = None,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:

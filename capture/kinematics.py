@@ -15,12 +15,9 @@ from datasets.kinematics import link_frames as link_frames
 
 Joints = NDArray[np.float64]
 
-JOINT_LIMIT = 2 * np.pi
-"""Range of each joint to either side [rad]."""
-MAX_JOINT_SPEED = np.pi
-"""Of every joint [rad/s]."""
-REACH = 0.85
-"""From the base axis to the wrist, nominal [m]."""
+JOINT_LIMIT = 2 * np.pi  # range of each joint to either side [rad]
+MAX_JOINT_SPEED = np.pi  # of every joint [rad/s]
+REACH = 0.85  # from the base axis to the wrist, nominal [m]
 
 
 def inverse(base_from_flange: ArrayLike) -> Joints:

@@ -5,37 +5,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Pixels = NDArray[np.uint8 | np.uint16]
-"""A picture, (height, width, 3)."""
+Pixels = NDArray[np.uint8 | np.uint16]  # a picture, (height, width, 3)
 
 
 @dataclass(frozen=True)
 class RobotState:
     """Where the arm is, at one time stamp of its controller."""
 
-    base_from_flange: NDArray[np.float64]
-    """(4, 4) flange pose [m]; the active tool centre point has been removed."""
-    joints: NDArray[np.float64]
-    """(6,) measured angles [rad]."""
-    joint_speeds: NDArray[np.float64]
-    """(6,) measured [rad/s]."""
-    robot_time_s: float
-    """The controller's time stamp [s]."""
-    host_time_ns: int
-    """Monotonic host clock on arrival [ns]."""
+    base_from_flange: NDArray[np.float64]  # (4, 4) flange pose [m]; the active tool centre point has been removed
+    joints: NDArray[np.float64]  # (6,) measured angles [rad]
+    joint_speeds: NDArray[np.float64]  # (6,) measured [rad/s]
+    robot_time_s: float  # the controller's time stamp [s]
+    host_time_ns: int  # monotonic host clock on arrival [ns]
 
 
 @dataclass(frozen=True)
 class Image:
     """One exposure as the camera delivered it."""
 
-    pixels: Pixels
-    """sRGB."""
-    exposure_us: float
-    """As read back from the camera."""
-    gain_db: float
-    """As read back from the camera."""
-    device_ticks: int
-    """The camera's own time stamp at exposure."""
-    host_time_ns: int
-    """Monotonic host clock when the exposure was triggered [ns]."""
+    pixels: Pixels  # sRGB
+    exposure_us: float  # as read back from the camera
+    gain_db: float  # as read back from the camera
+    device_ticks: int  # the camera's own time stamp at exposure
+    host_time_ns: int  # monotonic host clock when the exposure was triggered [ns]

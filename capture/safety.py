@@ -20,8 +20,7 @@ class Limits:
     def check(self, joints: ArrayLike, speed: float, acceleration: float) -> NDArray[np.float64]:
         """Check a motion to `joints` [rad]; returns them as a (6,) array.
 
-        Raises:
-            SafetyError: names the limit, its value, and the requested value. Nothing has moved.
+        Raises SafetyError: names the limit, its value, and the requested value. Nothing has moved.
         """
         target = np.asarray(joints, np.float64)
         if target.shape != (6,) or not np.isfinite(target).all():

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from capture.options import Recorded, RigName, Settings
 from datasets.core import console
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def view(
     path: Annotated[
-        Path, typer.Argument(metavar="TRAJECTORY|RECORDING", help="Name or file of a trajectory, or folder of a recording.")
+        Path, Argument(metavar="TRAJECTORY|RECORDING", help="Name or file of a trajectory, or folder of a recording.")
     ],
     rig: RigName = "sim",
     port: console.Port = 8080,
@@ -41,7 +41,7 @@ def view(
 
 def report(
     recording: Recorded,
-    out: Annotated[Path, typer.Option(metavar="PAGE.html", help="New page to write.")],
+    out: Annotated[Path, Option(metavar="PAGE.html", help="New page to write.")],
     as_json: console.Json = False,
 ) -> None:
     """Write an HTML report of a recording: findings, exposure, sharpness and joints over time, every picture."""

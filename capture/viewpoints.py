@@ -24,16 +24,11 @@ SixAngles = tuple[float, float, float, float, float, float]
 class Viewpoint:
     """One desired view."""
 
-    base_from_camera: NDArray[np.float64] | None = None
-    """(4, 4) desired camera pose [m]; None if joint angles are given instead."""
-    rolls: tuple[float, ...] = (0.0,)
-    """Equally good turns about the optical axis [rad]; the planner chooses one."""
-    joints: NDArray[np.float64] | None = None
-    """(6,) angles [rad] of a view that is given by these."""
-    name: str = ""
-    """Names sort in the order of the trajectory."""
-    split: str = ""
-    """"train", "test" or "calibration"."""
+    base_from_camera: NDArray[np.float64] | None = None  # (4, 4) desired camera pose [m]; None if joint angles are given instead
+    rolls: tuple[float, ...] = (0.0,)  # equally good turns about the optical axis [rad]; the planner chooses one
+    joints: NDArray[np.float64] | None = None  # (6,) angles [rad] of a view that is given by these
+    name: str = ""  # names sort in the order of the trajectory
+    split: str = ""  # "train", "test" or "calibration"
 
     def camera_pose(self, flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
         """(4, 4) desired camera pose [m], before any roll; that of given joint angles follows from the nominal mount."""

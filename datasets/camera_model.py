@@ -79,6 +79,8 @@ class Camera:
 
     def distort(self, normalised: ArrayLike) -> Points:
         """(..., 2) ideal normalised coordinates to (..., 2) distorted ones."""
+        if self.is_pinhole:
+            return np.asarray(normalised, np.float64)
         x, y = np.moveaxis(np.asarray(normalised, np.float64), -1, 0)
         r2 = x * x + y * y
         radial, _ = self.radial(r2)

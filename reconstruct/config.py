@@ -172,8 +172,8 @@ class TrainConfig(Schema):
         "float32", "Factors of the networks' products while training; sums and everything else are float32."
     )
     accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
-    per_image: Literal["none", "exposure", "colour"] = setting(
-        "none", "Learned per training image: nothing, a gain, or a gain per colour."
+    per_image: Literal["auto", "none", "exposure", "colour"] = setting(
+        "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )
     patience: float = setting(
         0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1
@@ -185,7 +185,9 @@ class TrainConfig(Schema):
 class PoseConfig(Schema):
     """Refinement of the training views' poses; docs/poses.md has its results."""
 
-    enabled: bool = setting(False, "Learn a small correction of each training view's pose.")
+    enabled: Literal["auto"] | bool = setting(
+        "auto", "Learn a small correction of each training view's pose; auto: where matched points miss one another."
+    )
     sigma_m: float = setting(
         5e-4, "Standard deviation of a camera's position as it was calibrated [world unit: metres in captures].", gt=0
     )
@@ -202,10 +204,29 @@ class PoseConfig(Schema):
         return (self.sigma_m * scale,) * 3 + (self.sigma_rad,) * 3
 
 
+class LightConfig(Schema):
+    """Where lamps stand still, for models that reflect; docs/photographs.md has an example."""
+
+    frame: Literal["auto", "world", "camera", "turntable"] = setting(
+        "auto",
+        "Lamps stand still about the object, ride on the camera, or stand still with the camera before an object that turns; "
+        "auto: as the pictures say.",
+    )
+    axis: tuple[float, float, float] | None = setting(
+        None, "Turntable: the axis of rotation, in the scene's axes; none: measured from the cameras."
+    )
+
+
 class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has the costs."""
 
     surroundings: bool = setting(True, "Contraction and background, where pictures carry an alpha.")
+    contraction: bool = setting(
+        True, "The contraction, where all cameras look the same way: the frustum that they see takes its place."
+    )
+    regularisers: bool = setting(
+        False, "Regularisers of shape and normals, where neither masks nor the scene's box say what the object is."
+    )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
     fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
     table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")
@@ -230,6 +251,7 @@ class Config(Schema):
     train: TrainConfig = TrainConfig()
     skip: SkipConfig = SkipConfig()
     poses: PoseConfig = PoseConfig()
+    light: LightConfig = LightConfig()
 
     def with_surroundings(self) -> "Config":
         """The configuration for a scene that is more than its object's box."""

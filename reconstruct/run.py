@@ -6,6 +6,7 @@ RUN/log.jsonl       one line per look at the training: step, seconds, PSNR, ever
 RUN/events.out.*    the same for TensorBoard, where that was wanted
 RUN/checkpoints/    training states
 RUN/poses.json      where poses were refined: those of the training views
+RUN/../.koala-pictures/   large pictures at the scale of the training, for all runs in this folder
 """
 
 import json
@@ -18,6 +19,7 @@ import numpy as np
 
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
+from datasets.imaging.copies import Copies
 from datasets.scene import Scene
 from reconstruct.config import Config
 from reconstruct.scene.facts import SceneFacts
@@ -25,6 +27,13 @@ from reconstruct.scene.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
 RUN, LOG, FAULTS, CHECKPOINTS, SKIPS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints", "skips.json"
+PICTURES = ".koala-pictures"
+"""Folder beside a run; everything in it may be deleted."""
+
+
+def copies_beside(run: Path) -> Copies:
+    """Where the pictures of a run are kept, which need not exist yet."""
+    return Copies(Path(run).absolute().parent / PICTURES)
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,11 @@ class Run:
     def normalisation(self) -> Normalisation:
         """Of the scene."""
         return self.facts.normalisation
+
+    @property
+    def copies(self) -> Copies:
+        """Of the scene's pictures."""
+        return copies_beside(self.path)
 
     @classmethod
     def create(cls, path: Path, config: Config, scene_path: Path, facts: SceneFacts, about: dict[str, Any]) -> "Run":

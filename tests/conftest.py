@@ -1,15 +1,19 @@
 """Shared by the tests of every package: real data where it exists, small synthetic scenes, and browser windows."""
 
 import importlib.util
+import io
 import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -30,6 +34,8 @@ CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "
 """Cache of this suite only: compiled programs are shared between tests and workers."""
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+os.environ["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
+"""Programs of tests run for milliseconds and take seconds to compile: they are not optimised."""
 
 _NUMERICS = (
     "numerics",
@@ -49,9 +55,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells start background
 
 LONG = (
     "tests/test_pipeline.py",
-    "tests/reconstruct/training/test_loop.py",
-    "tests/reconstruct/training/test_step.py",
+    "tests/reconstruct/training/test_every_model.py",
     "tests/faults/test_faults.py",
+    "tests/reconstruct/training/test_step.py",
+    "tests/view/test_pages.py",
+    "tests/docs/test_references.py",
+    "tests/calib/test_stress.py",
+    "tests/reconstruct/training/test_loop.py",
 )
 """The slowest files run first, so that no worker is left with one at the end."""
 
@@ -81,6 +91,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             name = item.nodeid.replace(parameters["client"], "")
             if parameters["client"] != CLIENTS[zlib.crc32(name.encode()) % len(CLIENTS)]:
                 item.add_marker("slow")
+
+
+@pytest.fixture(scope="session")
+def run_inside() -> Callable[..., "subprocess.CompletedProcess[str]"]:
+    """Runs a command by its `main`, name and arguments inside this process; returns what `subprocess.run` does."""
+
+    def run(main: Callable[[], None], *words: object) -> "subprocess.CompletedProcess[str]":
+        argv, out, err = [*map(str, words)], io.StringIO(), io.StringIO()
+        with mock.patch.object(sys, "argv", argv), redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as left:
+            main()
+        return subprocess.CompletedProcess(argv, int(left.value.code or 0), out.getvalue(), err.getvalue())
+
+    return run
 
 
 @pytest.fixture

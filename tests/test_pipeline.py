@@ -16,10 +16,10 @@ version: 1
 name: board
 views:
   - {kind: tilted, target: [0.40, 0.0, 0.0], distance: [0.30, 0.46], tilt_deg: [5, 40], turn_deg: [-180, 180],
-     shift: [0.08, 0.06], roll_deg: [0, 90, 180, 270], count: 14}
+     shift: [0.08, 0.06], roll_deg: [0, 90, 180, 270], count: 12}
 target: {kind: charuco, squares_x: 9, squares_y: 7, square_length_m: 0.03, marker_length_m: 0.022, dictionary: DICT_5X5_100}
 board: {position: [0.265, 0.105, 0.003], rotation_deg: [180, 0, 0]}
-camera: {exposure_us: 10000, gain_db: 0, binning: 2, width: 960, height: 540}
+camera: {exposure_us: 10000, gain_db: 0, binning: 3, width: 640, height: 360}
 """
 OBJECT = """\
 format: koala-trajectory
@@ -43,6 +43,7 @@ def run(package: str, *arguments: object) -> dict[str, Any]:
     code = f"from {package}.cli import main; main()"
     command = [sys.executable, "-c", code, *map(str, arguments), "--json"]
     environment = {**os.environ, "KOALA_RENDERER": "scalar_rgb"}
+    del environment["XLA_FLAGS"]  # as a person's command: optimised
     done = subprocess.run(command, capture_output=True, text=True, timeout=280, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -54,7 +55,7 @@ def test_from_trajectory_to_measured_surface(tmp_path: Path) -> None:
     (tmp_path / "board.yaml").write_text(BOARD)
     (tmp_path / "object.yaml").write_text(OBJECT)
     board, recording, calibration = tmp_path / "board", tmp_path / "recording", tmp_path / "calibration.json"
-    assert run("capture", "run", tmp_path / "board.yaml", "--scene", "charuco_board", "--out", board)["frames"] == 14
+    assert run("capture", "run", tmp_path / "board.yaml", "--scene", "charuco_board", "--out", board)["frames"] == 12
     run("calib", "handeye", board, "--out", calibration)
     error = run("datasets", "truth", board, "--calibration", calibration)
     assert error["hand_eye_mm"] < 0.5 and error["hand_eye_deg"] < 0.05
@@ -63,12 +64,11 @@ def test_from_trajectory_to_measured_surface(tmp_path: Path) -> None:
     assert run("datasets", "build", recording, "--calibration", calibration, "--out", scene)["views"]["test"] == 2
     out = tmp_path / "run"
     settings = [word for setting in SMALL for word in ("--set", setting)]
-    assert run("reconstruct", "train", scene, *settings, "--out", out)["steps"] == 600
+    trained = run("reconstruct", "train", scene, *settings, "--out", out)
+    assert trained["steps"] == 600
+    assert trained["psnr_train"] > 20, "six views of a mirror say little about others, but the training must have learned its own"
     found = run("reconstruct", "eval", out)
     assert found["views"] == 2 and 0 < found["mean"]["psnr"] < 60 and 0 < found["mean"]["normal_mae_deg"] < 180
-    learned = run("reconstruct", "eval", out, "--split", "train")["mean"]["psnr"]
-    assert learned > 20, "six views of a mirror say little about others, but the training must have learned its own"
-    assert run("reconstruct", "render", out, "--out", tmp_path / "renders")["views"] == 2
     mesh = run("reconstruct", "mesh", out, "--out", tmp_path / "mesh.ply", "--resolution", 32, "--level", 0.01)
     surface = trimesh.load_mesh(tmp_path / "mesh.ply")
     assert len(surface.faces) == mesh["faces"] > 0

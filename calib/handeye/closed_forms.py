@@ -23,8 +23,7 @@ from datasets.core.errors import KoalaError, nearest
 _RELATIVE = {n: getattr(cv2, f"CALIB_HAND_EYE_{n.upper()}") for n in ("tsai", "park", "horaud", "andreff", "daniilidis")}
 _ABSOLUTE = {n: getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{n.upper()}") for n in ("shah", "li")}
 METHODS = (*_RELATIVE, *_ABSOLUTE)
-SUBSETS = 40
-"""Groups of views tried for a start: with two fifths of the views wrong, one group of five in thirteen is right."""
+SUBSETS = 40  # groups of views tried for a start: with two fifths of the views wrong, one group of five in thirteen is right
 
 
 @dataclass(frozen=True)
@@ -32,14 +31,10 @@ class HandEye:
     """A closed-form solution and how well the views agree with it."""
 
     method: str
-    mount_from_camera: Array
-    """(4, 4)."""
-    stand_from_board: Array
-    """(4, 4)."""
-    translation_residual_m: Array
-    """(views,) distance between the board's place by each view and by all [m]."""
-    rotation_residual_rad: Array
-    """(views,) the same for its orientation [rad]."""
+    mount_from_camera: Array  # (4, 4)
+    stand_from_board: Array  # (4, 4)
+    translation_residual_m: Array  # (views,) distance between the board's place by each view and by all [m]
+    rotation_residual_rad: Array  # (views,) the same for its orientation [rad]
 
     @property
     def distance(self) -> Array:

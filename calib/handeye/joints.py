@@ -21,8 +21,7 @@ from datasets.calibration import JointOffsets
 
 MAX_BUILT_M, MAX_BUILT_RAD = 0.05, float(np.deg2rad(3))
 """Largest credible distance of the flange from the nominal kinematics; beyond it, it is another arm or another pose."""
-SHOWN = 0.7
-"""The views do not determine an offset whose standard deviation is more than this share of its prior."""
+SHOWN = 0.7  # the views do not determine an offset whose standard deviation is more than this share of its prior
 
 
 def check(session: TargetSession, accuracy: Accuracy) -> None:

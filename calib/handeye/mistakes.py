@@ -13,12 +13,9 @@ from calib.handeye import closed_forms
 from datasets import pose
 from datasets.core.errors import KoalaError
 
-BETTER = 5.0
-"""Factor by which undoing a mistake must improve the agreement of the views."""
-POOR = 0.02
-"""No mistake is suspected if the median disagreement of the views, in units of the distance they cover, is below this."""
-FITS = 0.05
-"""A mistake explains the disagreement if it falls below this when undone: some arms scatter by a fiftieth."""
+BETTER = 5.0  # factor by which undoing a mistake must improve the agreement of the views
+POOR = 0.02  # no mistake is suspected if the median disagreement of the views, in units of the distance they cover, is below this
+FITS = 0.05  # a mistake explains the disagreement if it falls below this when undone: some arms scatter by a fiftieth
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 

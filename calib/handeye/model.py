@@ -42,8 +42,7 @@ class Accuracy:
 
     translation_m: float = 5e-5
     rotation_rad: float = float(np.deg2rad(0.01))
-    joint_rad: float = 0.0
-    """Of each joint's offset, which is the same in all views; 0: the joints have no offsets."""
+    joint_rad: float = 0.0  # of each joint's offset, which is the same in all views; 0: the joints have no offsets
 
 
 @dataclass(frozen=True)
@@ -51,10 +50,8 @@ class Known:
     """Intrinsics as measured elsewhere."""
 
     names: tuple[str, ...]
-    values: Array
-    """(k,) in the order of `names`."""
-    covariance: Array
-    """(k, k)."""
+    values: Array  # (k,) in the order of `names`
+    covariance: Array  # (k, k)
 
     def off(self, intrinsics: Array) -> Array:
         """(k,) deviations of (12,) intrinsics from what is known, whitened: independent and of unit variance."""
@@ -72,24 +69,16 @@ class Known:
 class Session:
     """What was measured: corners of all views in one list, and the arm's report for each view."""
 
-    base_from_flange: Array
-    """(views, 4, 4) as reported."""
-    view: Indices
-    """(n,) view of each corner, ascending."""
-    pixels: Array
-    """(n, 2) [px]."""
-    points: Array
-    """(n, 3) on the board [m]."""
+    base_from_flange: Array  # (views, 4, 4) as reported
+    view: Indices  # (n,) view of each corner, ascending
+    pixels: Array  # (n, 2) [px]
+    points: Array  # (n, 3) on the board [m]
     free: tuple[str, ...] = ("fx", "fy", "cx", "cy")
-    known: Known | None = None
-    """Of `free` intrinsics, from elsewhere."""
-    accuracy: Accuracy = Accuracy()
-    """The arm's, as stated."""
+    known: Known | None = None  # of `free` intrinsics, from elsewhere
+    accuracy: Accuracy = Accuracy()  # the arm's, as stated
     fisheye: bool = False
-    eye_to_hand: bool = False
-    """Whether the camera stands beside the arm and the board is on the flange."""
-    joints: Array | None = None
-    """(views, 6) joint angles as reported [rad], where they are known."""
+    eye_to_hand: bool = False  # whether the camera stands beside the arm and the board is on the flange
+    joints: Array | None = None  # (views, 6) joint angles as reported [rad], where they are known
 
     @property
     def turning(self) -> list[int]:
@@ -123,16 +112,11 @@ def measured(
 class State:
     """The unknowns. Order of the global ones: free intrinsics, joint offsets, mount_from_camera (6), stand_from_board (6)."""
 
-    intrinsics: Array
-    """(12,) in the order of `projection.NAMES`."""
-    mount_from_camera: Array
-    """(4, 4); perturbed from the left, translation first."""
-    stand_from_board: Array
-    """(4, 4); perturbed from the left, translation first."""
-    corrections: Array
-    """(views, 6): translation [m] and rotation vector [rad] of C[i]."""
-    offsets: Array = field(default_factory=lambda: np.zeros(6))
-    """(6,) of the joints: true angle minus reported angle [rad]."""
+    intrinsics: Array  # (12,) in the order of `projection.NAMES`
+    mount_from_camera: Array  # (4, 4); perturbed from the left, translation first
+    stand_from_board: Array  # (4, 4); perturbed from the left, translation first
+    corrections: Array  # (views, 6): translation [m] and rotation vector [rad] of C[i]
+    offsets: Array = field(default_factory=lambda: np.zeros(6))  # (6,) of the joints: true angle minus reported angle [rad]
 
     def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
         """The state after a step of the global parameters and the (views, 6) corrections; `columns` are the free intrinsics."""
@@ -182,10 +166,8 @@ class _Chain:
     on_stand: Array
     on_mount: Array
     in_camera: Array
-    mount_from_stand: Array
-    """(views, 3, 3)."""
-    camera_from_mount: Array
-    """(3, 3)."""
+    mount_from_stand: Array  # (views, 3, 3)
+    camera_from_mount: Array  # (3, 3)
 
 
 def _chain(session: Session, state: State) -> _Chain:

@@ -15,12 +15,9 @@ from calib.handeye.refine import Refined
 from calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
 from calib.sessions.session import TargetSession
 
-LIMIT = 6.0
-"""A view is left out if its correction is this many times the usual one; chance does that once in ten million views."""
-MAX_SHARE = 0.4
-"""At most this share of the views is left out. If more disagree, the arm is less accurate than stated."""
-MEDIAN_LENGTH = 1.538
-"""Median length of a Gaussian vector in three dimensions, in standard deviations."""
+LIMIT = 6.0  # a view is left out if its correction is this many times the usual one; chance does that once in ten million views
+MAX_SHARE = 0.4  # largest share of views that is left out: if more disagree, the arm is less accurate than stated
+MEDIAN_LENGTH = 1.538  # median length of a Gaussian vector in three dimensions, in standard deviations
 
 
 @dataclass(frozen=True)

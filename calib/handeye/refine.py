@@ -22,17 +22,12 @@ from calib.handeye.model import Session, State, perturbed, predict
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.levenberg_marquardt import Limits, minimise
 
-HUBER = 3.0
-"""Width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times."""
-CHANCE = 0.01
-"""Share of sessions without outliers that are taken to have some, because their largest residual is rare."""
-OUTLIER = 6.0
-"""Corners with larger residuals are left out [sigmas]."""
-MIN_SIGMA_PX = 1e-4
-"""Lower limit of a corner's standard deviation: smaller residuals are rounding errors."""
+HUBER = 3.0  # width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times
+CHANCE = 0.01  # share of sessions without outliers that are taken to have some, because their largest residual is rare
+OUTLIER = 6.0  # corners with larger residuals are left out [sigmas]
+MIN_SIGMA_PX = 1e-4  # lower limit of a corner's standard deviation: smaller residuals are rounding errors
 LIMITS = Limits(max_steps=50, tolerance=1e-9, least_cost=1.0, min_damping=1e-12)
-PRIOR_VIEWS = 4.0
-"""The stated accuracy of the arm counts as much as this number of views."""
+PRIOR_VIEWS = 4.0  # the stated accuracy of the arm counts as much as this number of views
 
 
 @dataclass(frozen=True)
@@ -42,8 +37,7 @@ class Sigmas:
     pixel: float
     translation_m: float
     rotation_rad: float
-    width: float = np.inf
-    """Width of Huber's loss [sigmas]; infinite: all residuals look Gaussian."""
+    width: float = np.inf  # width of Huber's loss [sigmas]; infinite: all residuals look Gaussian
 
     @property
     def correction(self) -> Array:
@@ -56,17 +50,12 @@ class Refined:
     """The solution and whether it converged."""
 
     state: State
-    sigmas: Sigmas
-    """As estimated."""
-    information: Array
-    """(p, p) of the global parameters, the corrections eliminated: its inverse is their covariance."""
-    residuals: Array
-    """(n, 2) seen minus predicted, outliers too [px]."""
-    inliers: Mask
-    """(n,) corners that were used."""
+    sigmas: Sigmas  # as estimated
+    information: Array  # (p, p) of the global parameters, the corrections eliminated: its inverse is their covariance
+    residuals: Array  # (n, 2) seen minus predicted, outliers too [px]
+    inliers: Mask  # (n,) corners that were used
     steps: int
-    settled: bool
-    """Whether sigmas and outliers stopped changing; if not, the solution may still move."""
+    settled: bool  # whether sigmas and outliers stopped changing; if not, the solution may still move
 
     @property
     def rms_px(self) -> float:

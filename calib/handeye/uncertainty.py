@@ -16,10 +16,8 @@ from calib.intrinsics import estimate, projection
 from datasets import pose
 from datasets.calibration import UncertainPose
 
-MIN_TURN_RAD = float(np.deg2rad(3))
-"""Rms angle about an axis below which the flange counts as not having turned about it."""
-MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
-"""A pose less certain than this is useless for a reconstruction and refused."""
+MIN_TURN_RAD = float(np.deg2rad(3))  # rms angle about an axis below which the flange counts as not having turned about it
+MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))  # a pose less certain than this is useless for a reconstruction and refused
 
 
 def check_motion(base_from_flange: Array) -> None:

@@ -18,25 +18,19 @@ from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 from datasets.splits import folds
 
-FOLDS = 5
-"""Parts into which a session is divided; each is predicted from the rest."""
+FOLDS = 5  # parts into which a session is divided; each is predicted from the rest
 
 
 @dataclass(frozen=True)
 class Verification:
     """Errors of a calibration on a session, with arm poses as reported. Only the pose of the board is fitted."""
 
-    rms_px: float
-    """Between seen and predicted corner [px]."""
-    rms_mm: float
-    """The same at the board, across the line of sight [mm]."""
-    view_rms_px: dict[str, float]
-    """By name of the view [px]."""
+    rms_px: float  # between seen and predicted corner [px]
+    rms_mm: float  # the same at the board, across the line of sight [mm]
+    view_rms_px: dict[str, float]  # by name of the view [px]
     corners: int
-    stand: str
-    """What carries the board: "base" or "flange"."""
-    stand_from_board: Array
-    """(4, 4) as fitted."""
+    stand: str  # what carries the board: "base" or "flange"
+    stand_from_board: Array  # (4, 4) as fitted
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary."""

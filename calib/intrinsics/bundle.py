@@ -22,14 +22,10 @@ from datasets import pose
 class Bundle:
     """The solution."""
 
-    intrinsics: Array
-    """(12,) in the order of `projection.NAMES`."""
-    camera_from_board: Array
-    """(views, 4, 4)."""
-    residuals: Array
-    """(n, 2) seen minus predicted [px]."""
-    information: Array
-    """(p, p) of the free intrinsics for corners of unit deviation, poses eliminated [1 / px^2]."""
+    intrinsics: Array  # (12,) in the order of `projection.NAMES`
+    camera_from_board: Array  # (views, 4, 4)
+    residuals: Array  # (n, 2) seen minus predicted [px]
+    information: Array  # (p, p) of the free intrinsics for corners of unit deviation, poses eliminated [1 / px^2]
 
 
 LIMITS = Limits(max_steps=30, tolerance=1e-10, least_cost=1e-8, rounding=1e-12, max_damping=2e7)
@@ -38,12 +34,9 @@ LIMITS = Limits(max_steps=30, tolerance=1e-10, least_cost=1e-8, rounding=1e-12, 
 class Corners(NamedTuple):
     """The corners of all views in one list."""
 
-    view: Indices
-    """(n,) ascending."""
-    pixels: Array
-    """(n, 2) where they are seen [px]."""
-    points: Array
-    """(n, 3) on the board [m]."""
+    view: Indices  # (n,) ascending
+    pixels: Array  # (n, 2) where they are seen [px]
+    points: Array  # (n, 3) on the board [m]
 
 
 def fit(

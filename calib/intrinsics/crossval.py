@@ -21,12 +21,9 @@ from datasets.camera_model import Camera
 class Difference:
     """A map of how far two cameras put the same direction apart."""
 
-    columns: Array
-    """(w,) where in the image [px]."""
-    rows: Array
-    """(h,) where in the image [px]."""
-    distance_px: Array
-    """(h, w) [px]."""
+    columns: Array  # (w,) where in the image [px]
+    rows: Array  # (h,) where in the image [px]
+    distance_px: Array  # (h, w) [px]
 
     @property
     def rms_px(self) -> float:

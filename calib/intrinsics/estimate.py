@@ -23,14 +23,11 @@ from datasets.splits import folds
 
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
-GAIN = 0.002
-"""Share by which another lens must lower the held-out error to be chosen: less may be chance."""
-MAX_FOCAL_STD = 0.03
-"""Relative standard deviation above which the focal length counts as not observable."""
+GAIN = 0.002  # share by which another lens must lower the held-out error to be chosen: less may be chance
+MAX_FOCAL_STD = 0.03  # relative standard deviation above which the focal length counts as not observable
 MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
-OUTLIER = 6.0
-"""Corners with larger residuals are left out [robust standard deviations]."""
+OUTLIER = 6.0  # corners with larger residuals are left out [robust standard deviations]
 _DIRECTIONS = "record views from more directions"
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
@@ -63,18 +60,12 @@ class Intrinsics:
 
     camera: Camera
     lens: Lens
-    covariance: Array
-    """(k, k) of the estimated values, in the order of `lens.free`."""
-    rms_px: float
-    """Root mean square distance between seen and predicted corner [px]."""
-    held_out_px: float
-    """The same for views that the fit had not seen [px]."""
-    view_rms_px: dict[str, float]
-    """By name of the view [px]."""
-    coverage: float
-    """Share of the image, in cells of an 8 x 8 grid, in which a corner was seen."""
-    camera_from_board: Array
-    """(views, 4, 4), in the order of `observations`."""
+    covariance: Array  # (k, k) of the estimated values, in the order of `lens.free`
+    rms_px: float  # root mean square distance between seen and predicted corner [px]
+    held_out_px: float  # the same for views that the fit had not seen [px]
+    view_rms_px: dict[str, float]  # by name of the view [px]
+    coverage: float  # share of the image, in cells of an 8 x 8 grid, in which a corner was seen
+    camera_from_board: Array  # (views, 4, 4), in the order of `observations`
     observations: tuple[Observation, ...]
     left_out: dict[str, str] = field(default_factory=dict)
 

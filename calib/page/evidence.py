@@ -28,12 +28,9 @@ class Sighting:
     image: Path | None
     by_arm: Array
     """(4, 4) pose of the camera (of the board, where the camera stands beside the arm) in the base, by the arm's report [m]."""
-    by_picture: Array
-    """(4, 4) the same by what the picture shows [m]."""
-    pixels: Array
-    """(n, 2) corners that were found [px]."""
-    residuals: dict[str, Array]
-    """(n, 2) seen minus predicted [px], by kind; none for a view that was left out."""
+    by_picture: Array  # (4, 4) the same by what the picture shows [m]
+    pixels: Array  # (n, 2) corners that were found [px]
+    residuals: dict[str, Array]  # (n, 2) seen minus predicted [px], by kind; none for a view that was left out
     left_out: str = ""
 
     def rms(self, kind: str) -> float:
@@ -46,20 +43,13 @@ class Evidence:
     """A stored calibration and a recording, corner by corner: n corners of the views that the calibration was made from."""
 
     calibration: Calibration
-    everything: TargetSession
-    """All views that show the target."""
-    boards: Array
-    """(all views, 4, 4) camera_from_board as seen."""
-    session: TargetSession
-    """The views that took part in the calibration."""
-    view: Indices
-    """(n,) index of each corner's view in `session`."""
-    pixels: Array
-    """(n, 2) where the corners are seen [px]."""
-    residuals: dict[str, Array]
-    """(n, 2) seen minus predicted [px], by kind; the most important kind first."""
-    inliers: Mask
-    """(n,) corners that agree with the calibration."""
+    everything: TargetSession  # all views that show the target
+    boards: Array  # (all views, 4, 4) camera_from_board as seen
+    session: TargetSession  # the views that took part in the calibration
+    view: Indices  # (n,) index of each corner's view in `session`
+    pixels: Array  # (n, 2) where the corners are seen [px]
+    residuals: dict[str, Array]  # (n, 2) seen minus predicted [px], by kind; the most important kind first
+    inliers: Mask  # (n,) corners that agree with the calibration
     corrections: Array | None
     """(views, 6) of the arm's reports: translation [m], rotation vector [rad]; None for a calibration of the camera alone."""
 

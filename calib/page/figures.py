@@ -16,8 +16,7 @@ from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.camera_model import Camera
 
-CHI2_95 = 5.991
-"""95 % point of chi-square with two degrees of freedom: the truth lies in the ellipse in 95 of 100 sessions."""
+CHI2_95 = 5.991  # 95 % point of chi-square with two degrees of freedom: the truth lies in the ellipse in 95 of 100 sessions
 
 
 def _figure(width: float, height: float) -> Figure:

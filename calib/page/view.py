@@ -26,14 +26,10 @@ from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import WIDTH, bytes_of
 
-THUMBNAIL = 96
-"""Width of the pictures on the cameras [px]."""
-ARROW = 0.03
-"""Length of the arrow of a large residual, as a share of the picture's width."""
-WORST_PX = 0.5
-"""Residual that is drawn fully red [px]."""
-ENLARGED = 100.0
-"""Factor by which differences between arm and picture are drawn longer than they are."""
+THUMBNAIL = 96  # width of the pictures on the cameras [px]
+ARROW = 0.03  # length of the arrow of a large residual, as a share of the picture's width
+WORST_PX = 0.5  # residual that is drawn fully red [px]
+ENLARGED = 100.0  # factor by which differences between arm and picture are drawn longer than they are
 
 
 class CalibrationView:
@@ -240,8 +236,6 @@ def show(
     """Put a calibration on a page; what its recording holds follows in the background.
 
     Args:
-        page: to draw on.
-        calibration: as loaded.
         recording: where its recording is now, if not where it was.
         description: how to read it, if it is a folder to import.
     """

@@ -25,22 +25,16 @@ class TargetSession:
     """Views in which the target was found, and the names of those in which it was not."""
 
     board: Board
-    width: int
-    """Of every image [px]."""
+    width: int  # of every image [px]
     height: int
     observations: tuple[Observation, ...]
-    base_from_flange: Array
-    """(views, 4, 4), in the order of `observations`."""
+    base_from_flange: Array  # (views, 4, 4), in the order of `observations`
     unseen: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
-    eye_to_hand: bool = False
-    """Whether the camera stands beside the arm and the target is on the flange."""
-    joints: Array | None = None
-    """(views, 6) joint angles as reported [rad], where the session holds them."""
-    region: Region | None = None
-    """Of the sensor that every image shows, where the recording states it."""
-    images: dict[str, Path] = field(default_factory=dict)
-    """By name of the view, where there are any."""
+    eye_to_hand: bool = False  # whether the camera stands beside the arm and the target is on the flange
+    joints: Array | None = None  # (views, 6) joint angles as reported [rad], where the session holds them
+    region: Region | None = None  # of the sensor that every image shows, where the recording states it
+    images: dict[str, Path] = field(default_factory=dict)  # by name of the view, where there are any
 
     @property
     def stand_from_mount(self) -> Array:

@@ -22,16 +22,11 @@ from calib.arrays import Array, Indices
 class Eliminated:
     """The problem after every view's unknowns are expressed by the global ones; p global unknowns."""
 
-    root: Array
-    """(p, p) upper triangular; root.T @ root is the information on the global unknowns."""
-    side: Array
-    """(p,) the least-squares step solves root @ step = side."""
-    own: Array
-    """(views, 6, 6) upper triangular A."""
-    coupling: Array
-    """(views, 6, p) B."""
-    own_side: Array
-    """(views, 6) a."""
+    root: Array  # (p, p) upper triangular; root.T @ root is the information on the global unknowns
+    side: Array  # (p,) the least-squares step solves root @ step = side
+    own: Array  # (views, 6, 6) upper triangular A
+    coupling: Array  # (views, 6, p) B
+    own_side: Array  # (views, 6) a
 
     @property
     def information(self) -> Array:

@@ -7,8 +7,7 @@ import numpy as np
 
 from calib.errors import CalibrationError
 
-START = 1e-6
-"""Damping of the first step."""
+START = 1e-6  # damping of the first step
 
 
 class Point(Protocol):
@@ -32,12 +31,9 @@ class Limits:
     """When to stop."""
 
     max_steps: int
-    tolerance: float
-    """A step that lowers the cost by less than this share of it is the last one."""
-    least_cost: float
-    """The tolerance of smaller costs is a share of this cost."""
-    rounding: float = 0.0
-    """A step that raises the cost by less than this share of it shows rounding errors only: the search ends."""
+    tolerance: float  # a step that lowers the cost by less than this share of it is the last one
+    least_cost: float  # the tolerance of smaller costs is a share of this cost
+    rounding: float = 0.0  # a step that raises the cost by less than this share of it shows rounding errors only: the search ends
     min_damping: float = 0.0
     max_damping: float = 1e10
 

@@ -29,11 +29,9 @@ from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
 
-RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))
-"""The Koala rig with a board of 30 corners, seen whole."""
+RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))  # the Koala rig with a board of 30 corners, seen whole
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
-FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))
-"""Stated accuracy of an arm without error."""
+FLOOR = Accuracy(1e-6, float(np.deg2rad(1e-4)))  # stated accuracy of an arm without error
 ESTIMATED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
 
@@ -45,8 +43,7 @@ class Point:
     arm_mm: float
     arm_deg: float
     views: int
-    free: tuple[str, ...] = ()
-    """Intrinsics that are estimated; for the closed forms from the pictures alone."""
+    free: tuple[str, ...] = ()  # intrinsics that are estimated; for the closed forms from the pictures alone
 
     @property
     def arm(self) -> Accuracy:
@@ -98,10 +95,8 @@ class Result:
     """One point measured."""
 
     point: Point
-    methods: dict[str, Errors]
-    """By name: closed forms, `REFINED`, `DRAWN`."""
-    bound: tuple[float, float]
-    """Smallest rms error of an unbiased method (translation [mm], rotation [deg])."""
+    methods: dict[str, Errors]  # by name: closed forms, `REFINED`, `DRAWN`
+    bound: tuple[float, float]  # smallest rms error of an unbiased method (translation [mm], rotation [deg])
 
     @property
     def best(self) -> tuple[str, str]:
@@ -156,11 +151,9 @@ class Result:
         return one(0), one(1)
 
 
-CLOSE_CALL = 0.99
-"""Ratio to the best closed form from which on a point gets `MORE` times as many trials."""
+CLOSE_CALL = 0.99  # ratio to the best closed form from which on a point gets `MORE` times as many trials
 MORE = 5
-EXACT = (1e-4, 1e-5)
-"""Errors (translation [mm], rotation [deg]) below which an answer counts as exact: a tenth of a micrometre."""
+EXACT = (1e-4, 1e-5)  # errors (translation [mm], rotation [deg]) below which an answer counts as exact: a tenth of a micrometre
 
 
 def full_grid() -> list[Point]:

@@ -15,12 +15,9 @@ from calib.study.bench import BOUND, EXACT, REFINED, Errors, Point, Result
 from calib.study.ratios import Ratio
 from datasets.core import files
 
-TIE = 1.005
-"""A thousand trials cannot distinguish methods whose errors differ by less than 0.5 %."""
-ROUNDING = 1e-4
-"""An arm without error is stated as accurate to 1 um and 1e-4 degrees, which causes differences of this size."""
-CLOSE = 1.10
-"""Wanted ratio of the refinement's error to the bound."""
+TIE = 1.005  # a thousand trials cannot distinguish methods whose errors differ by less than 0.5 %
+ROUNDING = 1e-4  # an arm without error is stated as accurate to 1 um and 1e-4 degrees, which causes differences of this size
+CLOSE = 1.10  # wanted ratio of the refinement's error to the bound
 COLUMNS = "sigma_px arm_mm arm_deg views intrinsics trials method rms_mm rms_deg median_mm median_deg time_ms failures".split()
 
 

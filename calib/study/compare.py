@@ -29,10 +29,8 @@ class Judged:
     """One method."""
 
     name: str
-    camera_pose: Array | None
-    """(4, 4) from all views; None if the method failed."""
-    residual_mm: float
-    """Rms disagreement of the board's place by view [mm]; the figure that is usually published."""
+    camera_pose: Array | None  # (4, 4) from all views; None if the method failed
+    residual_mm: float  # rms disagreement of the board's place by view [mm]; the figure that is usually published
     residual_deg: float
     held_out_px: float
     held_out_mm: float

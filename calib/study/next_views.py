@@ -24,24 +24,19 @@ from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.core import files
 
-LEVER_M = 0.4
-"""Rotation errors are weighed by the motion they cause at this distance, that of the object from the camera."""
+LEVER_M = 0.4  # rotation errors are weighed by the motion they cause at this distance, that of the object from the camera
 CANDIDATES = 400
 MAX_TILT_DEG = 50.0
-MIN_SHARE = 0.7
-"""Smallest share of the board's corners in a view."""
+MIN_SHARE = 0.7  # smallest share of the board's corners in a view
 
 
 @dataclass(frozen=True)
 class NextViews:
     """Views to take next, the most useful first."""
 
-    base_from_camera: Array
-    """(n, 4, 4)."""
-    before: tuple[float, float]
-    """Standard deviation of the hand-eye pose now (translation [mm], rotation [deg]), over all axes."""
-    after: tuple[tuple[float, float], ...]
-    """The same after each view, expected."""
+    base_from_camera: Array  # (n, 4, 4)
+    before: tuple[float, float]  # standard deviation of the hand-eye pose now (translation [mm], rotation [deg]), over all axes
+    after: tuple[tuple[float, float], ...]  # the same after each view, expected
 
 
 def plan(solution: Solution, count: int, *, reach: Array | None = None, grow_m: float = 0.05, seed: int = 0) -> NextViews:

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from calib.arrays import Array, Indices
 
 DRAWS = 1000
-LEVEL = (2.5, 97.5)
-"""Percentiles of an interval that holds the truth in 95 of 100 cases."""
+LEVEL = (2.5, 97.5)  # percentiles of an interval that holds the truth in 95 of 100 cases
 
 
 @dataclass(frozen=True)

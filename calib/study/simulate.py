@@ -26,24 +26,18 @@ class Rig:
 
     camera: Camera
     board: Board
-    flange_from_camera: Array
-    """(4, 4)."""
-    base_from_board: Array
-    """(4, 4)."""
+    flange_from_camera: Array  # (4, 4)
+    base_from_board: Array  # (4, 4)
 
 
 @dataclass(frozen=True)
 class Pattern:
     """How views lie around the board: each quantity is drawn evenly from its range."""
 
-    tilt_deg: tuple[float, float] = (0.0, 35.0)
-    """Between the optical axis and the board's normal; even over the sphere's surface."""
-    distance_m: tuple[float, float] = (0.4, 0.6)
-    """From the camera to the point that it looks at."""
-    roll_deg: tuple[float, float] = (-180.0, 180.0)
-    """About the optical axis."""
-    shift_m: float = 0.03
-    """The point looked at lies up to this far beside the board's middle, along x and along y."""
+    tilt_deg: tuple[float, float] = (0.0, 35.0)  # between the optical axis and the board's normal; even over the sphere's surface
+    distance_m: tuple[float, float] = (0.4, 0.6)  # from the camera to the point that it looks at
+    roll_deg: tuple[float, float] = (-180.0, 180.0)  # about the optical axis
+    shift_m: float = 0.03  # the point looked at lies up to this far beside the board's middle, along x and along y
 
 
 KOALA = Rig(
@@ -60,11 +54,9 @@ class Simulated:
     """A session and the truth behind it."""
 
     rig: Rig
-    base_from_camera: Array
-    """(views, 4, 4) where the camera truly was."""
+    base_from_camera: Array  # (views, 4, 4) where the camera truly was
     session: Session
-    truth: State
-    """The truth, corrections included, so that noise-free corners are predicted exactly."""
+    truth: State  # the truth, corrections included, so that noise-free corners are predicted exactly
 
     @property
     def camera_from_board(self) -> Array:

@@ -21,11 +21,9 @@ from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewp
 from datasets.board import Board
 
 SIGMA_PX = 0.1
-ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
-"""Per axis: what a UR5e repeats to."""
+ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))  # per axis: what a UR5e repeats to
 USUAL = Pattern()
-AIM = (0.05, 0.012)
-"""Median error wanted (translation [mm], rotation [deg])."""
+AIM = (0.05, 0.012)  # median error wanted (translation [mm], rotation [deg])
 
 
 @dataclass(frozen=True)
@@ -36,10 +34,8 @@ class Variant:
     rig: Rig
     pattern: Pattern = USUAL
     views: int = 25
-    separate: int = 0
-    """Views of a separate session for the intrinsics, taken without the arm; 0: estimated with the rest."""
-    planned: int = 0
-    """Number of views, among all, that `calib plan` chooses after the others."""
+    separate: int = 0  # views of a separate session for the intrinsics, taken without the arm; 0: estimated with the rest
+    planned: int = 0  # number of views, among all, that `calib plan` chooses after the others
 
 
 @dataclass(frozen=True)
@@ -49,8 +45,7 @@ class Outcome:
     variant: Variant
     refined: Array
     park: Array
-    stated: Array
-    """As the calibration states them: root of the sum of the variances."""
+    stated: Array  # as the calibration states them: root of the sum of the variances
     failures: int
 
     def medians(self) -> tuple[Array, Array, Array]:
@@ -65,8 +60,7 @@ def _with_board(x: int, y: int, square_m: float) -> Rig:
 A3, DENSE = _with_board(12, 9, 0.03), _with_board(18, 13, 0.02)
 TILTED = Pattern(tilt_deg=(25.0, 50.0))
 FAR = Pattern((25.0, 50.0), (0.3, 0.6))
-NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
-"""As configs/trajectories/calibration.yaml has it."""
+NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)  # as configs/trajectories/calibration.yaml has it
 VARIANTS = (
     Variant("board of 9x7 squares of 30 mm, tilts to 35 degrees", KOALA),
     Variant("the same, intrinsics from 60 views of their own", KOALA, separate=60),

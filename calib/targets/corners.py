@@ -16,12 +16,9 @@ from scipy.special import erf
 
 from calib.arrays import Array
 
-MAX_RADIUS_PX = 9
-"""Pixels further from the corner are left out: there the lens bends the edges."""
-MIN_PIXELS = 24
-"""A corner with fewer pixels in its disc keeps its place."""
-MAX_SHIFT_PX = 1.5
-"""A fit that ends further from its start is wrong."""
+MAX_RADIUS_PX = 9  # pixels further from the corner are left out: there the lens bends the edges
+MIN_PIXELS = 24  # a corner with fewer pixels in its disc keeps its place
+MAX_SHIFT_PX = 1.5  # a fit that ends further from its start is wrong
 _STEPS = 15
 
 

@@ -15,8 +15,7 @@ from datasets.board import Board
 from datasets.core.errors import UsageError, nearest
 from datasets.core.schema import validate
 
-MIN_CORNERS = 8
-"""A view of a checkered target with fewer corners is left out; of tags, one whole tag will do."""
+MIN_CORNERS = 8  # a view of a checkered target with fewer corners is left out; of tags, one whole tag will do
 _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 Found = tuple[Indices, NDArray[np.float32]] | None
 """(n,) corner numbers and (n, 2) places in OpenCV's pixel coordinates; None: no target."""
@@ -27,12 +26,9 @@ class Observation:
     """Corners of a target in one view."""
 
     name: str
-    ids: Indices
-    """(n,) corner numbers."""
-    pixels: Array
-    """(n, 2) where they are seen, first pixel's centre at (0.5, 0.5) [px]."""
-    points: Array
-    """(n, 3) where they are on the board, board frame [m]."""
+    ids: Indices  # (n,) corner numbers
+    pixels: Array  # (n, 2) where they are seen, first pixel's centre at (0.5, 0.5) [px]
+    points: Array  # (n, 3) where they are on the board, board frame [m]
 
 
 def read_board(content: Any, *, where: object) -> Board:
@@ -73,9 +69,7 @@ def detect(board: Board, grey: NDArray[np.float32], name: str) -> Observation | 
     """Find the target in a picture.
 
     Args:
-        board: the target.
         grey: (height, width) brightness, sRGB 0..1.
-        name: of the view.
 
     Returns:
         The corners, or None where fewer than `MIN_CORNERS` are seen or all of them lie on one line.

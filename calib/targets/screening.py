@@ -9,12 +9,9 @@ import numpy as np
 from calib.arrays import Mask
 from calib.targets.detection import MIN_CORNERS, Observation
 
-TOLERANCE = 1.0
-"""Largest distance from a homography that a lens may cause, in units of the distance between neighbouring corners."""
-BENT_SHARE = 0.1
-"""If more than half of the views would lose more than this share of their corners, the lens is the reason."""
-MIN_SHARE = 0.5
-"""A view is left out if a smaller share of its corners agrees with a homography."""
+TOLERANCE = 1.0  # largest distance from a homography that a lens may cause, in units of the distance between neighbouring corners
+BENT_SHARE = 0.1  # if more than half of the views would lose more than this share of their corners, the lens is the reason
+MIN_SHARE = 0.5  # a view is left out if a smaller share of its corners agrees with a homography
 
 
 def some(observation: Observation, chosen: Mask) -> Observation:

@@ -14,12 +14,9 @@ from capture.measurements import Image
 from capture.trajectory import CameraSettings
 from datasets.imaging.region import Region
 
-TRIES = 4
-"""Attempts to get an undamaged image before the grab fails."""
-READY_MS = 2000
-"""Longest time until the camera accepts a trigger [ms]."""
-TRANSFER_MS = 3000
-"""Longest time for an image after its exposure [ms]."""
+TRIES = 4  # attempts to get an undamaged image before the grab fails
+READY_MS = 2000  # longest time until the camera accepts a trigger [ms]
+TRANSFER_MS = 3000  # longest time for an image after its exposure [ms]
 BUFFERS = 2
 """Image buffers: only one exposure is in flight. With the default of ten, the first use of each would cost milliseconds."""
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
@@ -27,8 +24,7 @@ AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 SRGB = (("BslColorSpace", "sRgb"), ("BslColorSpaceMode", "sRGB"), ("GammaSelector", "sRGB"))
 """Settings, by model, that make a camera encode its colours as sRGB."""
 
-EMULATED_SENSOR = {"Width": 1920, "Height": 1080}
-"""Sensor of the simulated rig [px]: that of an acA1920-25uc."""
+EMULATED_SENSOR = {"Width": 1920, "Height": 1080}  # sensor of the simulated rig [px]: that of an acA1920-25uc
 CHANGE = "change the camera settings of the trajectory"
 
 

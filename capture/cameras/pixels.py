@@ -9,10 +9,8 @@ from capture.errors import CaptureError
 from capture.measurements import Pixels
 from datasets.imaging.images import srgb_from_linear
 
-RGB8 = ("RGB8", "RGB8Packed")
-"""Eight-bit colour: the name in USB cameras, and the name in GigE cameras and the emulation."""
-PATTERNS = ("RG", "GB", "BG", "GR")
-"""Colours of the first two pixels of the mosaic's first row."""
+RGB8 = ("RGB8", "RGB8Packed")  # eight-bit colour in USB cameras, and in GigE cameras and the emulation
+PATTERNS = ("RG", "GB", "BG", "GR")  # colours of the first two pixels of the mosaic's first row
 CANDIDATES = {"rgb8": RGB8} | {f"bayer{bits}": tuple(f"Bayer{pattern}{bits}" for pattern in PATTERNS) for bits in (8, 12)}
 """GenICam names for each value of `camera.pixel_format`. A colour sensor offers only one of the patterns."""
 
@@ -20,8 +18,7 @@ CANDIDATES = {"rgb8": RGB8} | {f"bayer{bits}": tuple(f"Bayer{pattern}{bits}" for
 def choose_format(wanted: str, offered: Collection[str], *, where: str) -> str:
     """The GenICam name for `wanted` that a camera offers.
 
-    Raises:
-        CaptureError: it offers none; the message lists what it offers.
+    Raises CaptureError: it offers none; the message lists what it offers.
     """
     found = next((name for name in CANDIDATES[wanted] if name in offered), None)
     if found is None:

@@ -14,12 +14,9 @@ from datasets.imaging import images
 from datasets.page.panel import WIDTH, bytes_of
 from datasets.recording import MANIFEST, Frame, Recording
 
-POLL_S = 0.5
-"""Period of the checks of the folder."""
-BINS, TALL = 128, 160
-"""Bars of the histogram, and its height [px]."""
-CLIPPED = 250
-"""A pixel counts as clipped from this value of 255."""
+POLL_S = 0.5  # period of the checks of the folder
+BINS, TALL = 128, 160  # bars of the histogram, and its height [px]
+CLIPPED = 250  # a pixel counts as clipped from this value of 255
 
 
 class LiveView:

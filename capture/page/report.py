@@ -16,8 +16,7 @@ from datasets.imaging import images
 from datasets.recording import Frame, Recording
 from datasets.reports.html import Number, ReportPage
 
-THUMBNAIL = 190
-"""Width of the small pictures [px]."""
+THUMBNAIL = 190  # width of the small pictures [px]
 
 
 @dataclass(frozen=True)
@@ -25,13 +24,10 @@ class Measured:
     """Measurements on one picture."""
 
     frame: Frame
-    thumbnail: NDArray[np.uint8] | None
-    """(h, w, 3) sRGB bytes; None if the picture cannot be read."""
+    thumbnail: NDArray[np.uint8] | None  # (h, w, 3) sRGB bytes; None if the picture cannot be read
     sharpness: float | None = None
-    white: float | None = None
-    """Share of white pixels."""
-    bright: float | None = None
-    """99th percentile of the luminance, as a share of white."""
+    white: float | None = None  # share of white pixels
+    bright: float | None = None  # 99th percentile of the luminance, as a share of white
 
 
 def write(
@@ -40,13 +36,9 @@ def write(
     """Write the report of a recording to the new file `out`; returns the findings.
 
     Args:
-        path: the recording.
-        out: the HTML file.
-        made_by: the command that made the report.
         done: called with the number of pictures read and the total; each picture is read twice.
 
-    Raises:
-        UsageError: `out` exists, or `path` is not a recording.
+    Raises UsageError: `out` exists, or `path` is not a recording.
     """
     files.refuse_existing(out)
     recording = Recording.open(path)

@@ -23,14 +23,10 @@ from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import bytes_of
 
-ARM, CAMERA, TABLE, SAFETY = (170, 178, 190), (50, 50, 60), (205, 185, 160), (60, 160, 90)
-"""Colours of what is drawn, sRGB."""
-FRUSTUM_M, THUMBNAIL = 0.05, 96
-"""Length of the pyramids [m], and width of the pictures on them [px]."""
-HALF_FIELD = 0.35
-"""Tangent of half the field of view of the drawn pyramids: trajectory and recording do not know the lens."""
-TICK_S = 0.05
-"""Period of the playback."""
+ARM, CAMERA, TABLE, SAFETY = (170, 178, 190), (50, 50, 60), (205, 185, 160), (60, 160, 90)  # colours of what is drawn, sRGB
+FRUSTUM_M, THUMBNAIL = 0.05, 96  # length of the pyramids [m], and width of the pictures on them [px]
+HALF_FIELD = 0.35  # tangent of half the field of view of the drawn pyramids: trajectory and recording do not know the lens
+TICK_S = 0.05  # period of the playback
 TABLE_M = 1.6
 
 

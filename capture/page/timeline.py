@@ -12,8 +12,7 @@ from capture.planning import PlannedView, arrivals, blocked, duration, move_dura
 from capture.trajectory import Trajectory, recorded_trajectory
 from datasets.recording import Recording
 
-WAIT_S = 1.0
-"""Longest pause of the arm in the playback of a recording, in addition to settling."""
+WAIT_S = 1.0  # longest pause of the arm in the playback of a recording, in addition to settling
 
 
 @dataclass(frozen=True)
@@ -22,26 +21,19 @@ class Stop:
 
     name: str
     split: str
-    base_from_camera: NDArray[np.float64]
-    """(4, 4) by the nominal camera mount [m]."""
-    seconds: float | None
-    """Time from the start of the session; None if the arm cannot take it."""
-    reason: str = ""
-    """Why the arm cannot take it."""
-    image: Path | None = None
-    """The picture, in a recording."""
-    measured: str = ""
-    """Exposure and settling, in a recording."""
+    base_from_camera: NDArray[np.float64]  # (4, 4) by the nominal camera mount [m]
+    seconds: float | None  # time from the start of the session; None if the arm cannot take it
+    reason: str = ""  # why the arm cannot take it
+    image: Path | None = None  # the picture, in a recording
+    measured: str = ""  # exposure and settling, in a recording
 
 
 @dataclass(frozen=True)
 class Timeline:
     """Joint angles over time, linear between the knots."""
 
-    seconds: NDArray[np.float64]
-    """(n,) non-decreasing, from 0; empty if the arm can take no view."""
-    joints: NDArray[np.float64]
-    """(n, 6) [rad]."""
+    seconds: NDArray[np.float64]  # (n,) non-decreasing, from 0; empty if the arm can take no view
+    joints: NDArray[np.float64]  # (n, 6) [rad]
     stops: tuple[Stop, ...]
     notes: tuple[str, ...] = ()
 
@@ -63,8 +55,7 @@ class Timeline:
 def of_trajectory(trajectory: Trajectory, flange_from_camera: NDArray[np.float64]) -> Timeline:
     """The plan of a trajectory. Views that the arm cannot take are included with the reason.
 
-    Raises:
-        PlanningError: no path between two views was found.
+    Raises PlanningError: no path between two views was found.
     """
     reasons: dict[str, str] = {}
     try:

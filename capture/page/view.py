@@ -27,7 +27,6 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
     """Show a trajectory or a recording on a page; returns a summary for the command.
 
     Args:
-        page: the page to draw on.
         path: folder of a recording, or file or name of a trajectory.
         description: rig whose camera mount a trajectory is planned with. A recording has its own.
         overrides: changes to the trajectory, such as "camera.binning=4".

@@ -26,14 +26,10 @@ class Part:
     radius: float
     start: str
     end: str
-    avoids: tuple[str, ...] = ()
-    """Names of the parts that it could collide with."""
-    checks_table: bool = True
-    """Whether it could reach the table or the ceiling."""
-    checks_object: bool = True
-    """Whether it could reach the object."""
-    can_hide: bool = True
-    """Whether it could be between the camera and the object."""
+    avoids: tuple[str, ...] = ()  # names of the parts that it could collide with
+    checks_table: bool = True  # whether it could reach the table or the ceiling
+    checks_object: bool = True  # whether it could reach the object
+    can_hide: bool = True  # whether it could be between the camera and the object
 
 
 _LOWER = ("base", "shoulder", "upper arm", "elbow", "forearm")
@@ -49,8 +45,7 @@ PARTS = (
     Part("bracket", 0.025, "flange", "camera", _LOWER, can_hide=False),
     Part("camera", 0.035, "camera back", "lens", _LOWER, can_hide=False),
 )
-INDEX = {part.name: index for index, part in enumerate(PARTS)}
-"""Place of each part in `PARTS`, by name."""
+INDEX = {part.name: index for index, part in enumerate(PARTS)}  # place of each part in `PARTS`, by name
 RADII = np.array([part.radius for part in PARTS])
 
 

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
 
 COLOURS = {"train": "#1f77b4", "test": "#d62728", "calibration": "#2ca02c"}
 """Colour of the views of each split."""
-FRUSTUM_M = 0.05
-"""Length of the pyramid that represents a camera."""
-STEPS = 24
-"""Points on the path of the camera from each view to the next."""
+FRUSTUM_M = 0.05  # length of the pyramid that represents a camera
+STEPS = 24  # points on the path of the camera from each view to the next
 
 
 def _cameras(planned: list[PlannedView], flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:

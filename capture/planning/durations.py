@@ -5,8 +5,7 @@ import numpy as np
 from capture.planning.plan import PlannedView
 from capture.trajectory import Motion, Trajectory
 
-READOUT_S = 0.1
-"""Time from the end of an exposure to the start of the next motion."""
+READOUT_S = 0.1  # time from the end of an exposure to the start of the next motion
 
 
 def move_duration(motion: Motion, travel: float) -> float:

@@ -31,8 +31,7 @@ class Obstacles:
     object_corners: Array | None = None
     workspace_corners: Array | None = None
     ceiling_z: float | None = None
-    up: int = 1
-    """1 where the base's z axis points up, -1 where the arm hangs."""
+    up: int = 1  # 1 where the base's z axis points up, -1 where the arm hangs
 
     @classmethod
     def of(cls, trajectory: Trajectory, flange_from_camera: Array) -> "Obstacles":

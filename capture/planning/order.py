@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-TURN_M = 0.4
-"""A turn of the view axis by one radian costs as much as a path of this length [m]."""
+TURN_M = 0.4  # a turn of the view axis by one radian costs as much as a path of this length [m]
 
 
 def short_order(base_from_camera: NDArray[np.float64]) -> list[int]:

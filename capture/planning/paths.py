@@ -13,10 +13,8 @@ from capture.planning.obstacles import Obstacles
 
 Joints = NDArray[np.float64]
 
-STEP = 0.05
-"""Largest distance of two checked configurations on a path, in the fastest joint [rad]."""
-STRIDE = 0.4
-"""Length of one branch of a tree, in the fastest joint [rad]."""
+STEP = 0.05  # largest distance of two checked configurations on a path, in the fastest joint [rad]
+STRIDE = 0.4  # length of one branch of a tree, in the fastest joint [rad]
 
 
 def between(start: Joints, goal: Joints) -> Joints:

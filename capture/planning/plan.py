@@ -15,18 +15,15 @@ from capture.planning.solutions import Joints, Solutions, solve
 from capture.trajectory import Trajectory
 from capture.viewpoints import Viewpoint
 
-SHOWN = 5
-"""Views that an error lists with their reasons."""
+SHOWN = 5  # views that an error lists with their reasons
 
 
 @dataclass(frozen=True)
 class PlannedView:
     """A view, the joint angles that take it, and the path to them."""
 
-    viewpoint: Viewpoint
-    """With the camera pose of the chosen roll."""
-    joints: Joints
-    """(6,) [rad] by the nominal kinematics and the nominal camera mount."""
+    viewpoint: Viewpoint  # with the camera pose of the chosen roll
+    joints: Joints  # (6,) [rad] by the nominal kinematics and the nominal camera mount
     path: list[Joints]
     """Joint angles to pass through from the previous view, the last being `joints`; only `joints` for the first view."""
 
@@ -38,7 +35,6 @@ def plan(trajectory: Trajectory, flange_from_camera: NDArray[np.float64], *, wit
     only on the arguments, so that a session can be repeated and resumed.
 
     Args:
-        trajectory: what to capture.
         flange_from_camera: (4, 4) nominal camera mount [m].
         without: names of views to leave out.
 
@@ -80,8 +76,7 @@ def _with_paths(solved: list[Solutions], chosen: list[int], obstacles: Obstacles
 def connect(start: Joints, goal: Joints, obstacles: Obstacles, *, where: str = "") -> list[Joints]:
     """Joint angles to pass through after `start`, the last being `goal`, clear of all obstacles.
 
-    Raises:
-        PlanningError: no path was found.
+    Raises PlanningError: no path was found.
     """
     path = find_path(np.asarray(start, np.float64), np.asarray(goal, np.float64), obstacles)
     if path is None:

@@ -11,8 +11,7 @@ from capture.planning.solutions import HOME
 
 Joints = NDArray[np.float64]
 
-DETOUR = 4.0
-"""Cost of a path that is not straight, in radians of the fastest joint."""
+DETOUR = 4.0  # cost of a path that is not straight, in radians of the fastest joint
 COST_DIGITS = 9
 """Costs are rounded: mirror-symmetric sequences tie and the first is taken, whatever the last digits of the joint angles."""
 

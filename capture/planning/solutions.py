@@ -14,8 +14,7 @@ Joints = NDArray[np.float64]
 
 HOME = np.array([0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0])
 """The arm stretched upwards; each joint stays within one turn of it [rad]."""
-MIN_SINGULARITY = 0.03
-"""Configurations closer to a singularity are not used; see `kinematics.singularity`."""
+MIN_SINGULARITY = 0.03  # configurations closer to a singularity are not used; see `kinematics.singularity`
 
 
 @dataclass(frozen=True)
@@ -23,12 +22,9 @@ class Solutions:
     """The configurations that take one view."""
 
     viewpoint: Viewpoint
-    joints: Joints
-    """(n, 6) [rad]."""
-    rolls: NDArray[np.int64]
-    """(n,) index of the roll of the view that each of them takes."""
-    reason: str = ""
-    """Why none of them can be used; empty if all can."""
+    joints: Joints  # (n, 6) [rad]
+    rolls: NDArray[np.int64]  # (n,) index of the roll of the view that each of them takes
+    reason: str = ""  # why none of them can be used; empty if all can
 
     def taken_by(self, index: int, flange_from_camera: NDArray[np.float64]) -> Viewpoint:
         """The view with the camera pose that one of the configurations reaches."""

@@ -30,8 +30,7 @@ from datasets.recording import Frame
 
 DELAYS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5)
 """Waits between the end of a motion and the exposure."""
-PATIENT = Deadlines(stale_s=1.0, watchdog_hz=1.0)
-"""Long deadlines: a busy computer must not count as a fault of the rig."""
+PATIENT = Deadlines(stale_s=1.0, watchdog_hz=1.0)  # long deadlines: a busy computer must not count as a fault of the rig
 Advance = Callable[[str], None]
 
 
@@ -39,12 +38,9 @@ Advance = Callable[[str], None]
 class SettlePoint:
     """Mean result of one waiting time after a motion, over several motions."""
 
-    delay_s: float
-    """From the end of the motion to the exposure, as measured."""
-    sharpness: float
-    """Of the picture, relative to a picture of the arm at rest."""
-    off_mm: float
-    """Distance of the camera from its resting place."""
+    delay_s: float  # from the end of the motion to the exposure, as measured
+    sharpness: float  # of the picture, relative to a picture of the arm at rest
+    off_mm: float  # distance of the camera from its resting place
 
 
 def state_rate(seconds: float = 2.0, *, frequency: float = 500.0) -> float:

@@ -19,8 +19,7 @@ from datasets.recording import FRAMES, Frame, Recording
 OVER_SHARE, UNDER_LIGHT = 0.15, 0.03
 """A picture is over-exposed when more than this share of its pixels is white, and under-exposed when 99 % of them are below this
 share of white."""
-BLURRED = 0.8
-"""A picture is blurred below this share of the median sharpness of the recording."""
+BLURRED = 0.8  # a picture is blurred below this share of the median sharpness of the recording
 GAP, GAP_S = 10.0, 60.0
 """A gap between two frames is reported when it exceeds both this multiple of the median and this time: light and
 temperature drift."""
@@ -31,13 +30,10 @@ class Finding:
     """One thing that is wrong with a recording."""
 
     what: str
-    frame: str = ""
-    """Name of the view; empty: the whole recording."""
+    frame: str = ""  # name of the view; empty: the whole recording
     why: str = ""
-    again: bool = True
-    """Whether retaking the view fixes it."""
-    note: bool = False
-    """Information, not an error: where a session was interrupted."""
+    again: bool = True  # whether retaking the view fixes it
+    note: bool = False  # information, not an error: where a session was interrupted
 
     @property
     def line(self) -> str:
@@ -52,8 +48,7 @@ def check(path: Path, *, done: Callable[[int, int], None] = lambda count, total:
 
     Every image is read. `done` is called with the number of checked frames and the total.
 
-    Raises:
-        KoalaError: `path` is not a recording, or its files cannot be read.
+    Raises KoalaError: `path` is not a recording, or its files cannot be read.
     """
     recording = Recording.open(path)
     trajectory = recorded_trajectory(recording)

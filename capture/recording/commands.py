@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from capture.options import Recorded, RigName, TimeScale
 from datasets.core import console
@@ -11,7 +12,7 @@ from datasets.core import console
 
 def check(
     recording: Recorded,
-    discard: Annotated[bool, typer.Option("--discard", help="Remove bad views; 'capture run --resume' retakes them.")] = False,
+    discard: Annotated[bool, Option("--discard", help="Remove bad views; 'capture run --resume' retakes them.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
@@ -44,12 +45,10 @@ def replay(
     rig: RigName = "sim",
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0, help="Simulation only: seed of the positioning errors. Default: the recording's plus one: a new day."
-        ),
+        Option(min=0, help="Simulation only: seed of the positioning errors. Default: the recording's plus one: a new day."),
     ] = None,
     time_scale: TimeScale = 20.0,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
     as_json: console.Json = False,
 ) -> None:
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
@@ -77,9 +76,9 @@ def replay(
 
 
 def bench(
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for bench.json and settling.png.")],
-    frames: Annotated[int, typer.Option(min=3, help="Number of frames to measure the overhead of the loop with.")] = 12,
-    exposure_us: Annotated[float, typer.Option(min=100, help="Exposure time to measure the sharpness with [us].")] = 20_000.0,
+    out: Annotated[Path, Option(metavar="FOLDER", help="New folder for bench.json and settling.png.")],
+    frames: Annotated[int, Option(min=3, help="Number of frames to measure the overhead of the loop with.")] = 12,
+    exposure_us: Annotated[float, Option(min=100, help="Exposure time to measure the sharpness with [us].")] = 20_000.0,
     as_json: console.Json = False,
 ) -> None:
     """Benchmark the simulated rig: sharpness against settling time, overhead of the capture loop, rate of robot states."""

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from datasets.imaging.images import linear_from_srgb
 
-COARSE_PX = 1.5
-"""Standard deviation of the blur that removes the fine structure [px]."""
+COARSE_PX = 1.5  # standard deviation of the blur that removes the fine structure [px]
 
 
 def luminance(pixels: NDArray[Any]) -> NDArray[np.float32]:

@@ -18,10 +18,8 @@ from datasets.core.errors import UsageError
 from datasets.core.space import require_room
 from datasets.recording import IMAGES, MANIFEST, TRUTH, Frame, Recording
 
-FRAME_BYTES = 16_384
-"""Room for the line of a frame, and for what a file takes beyond its pixels."""
-TRUTH_BYTES = 4 * 11
-"""Room per pixel for the maps of a simulated test view: normals, depth, opacity, two parts of the light."""
+FRAME_BYTES = 16_384  # room for the line of a frame, and for what a file takes beyond its pixels
+TRUTH_BYTES = 4 * 11  # room per pixel for the maps of a simulated test view: normals, depth, opacity, two parts of the light
 
 
 def record(
@@ -39,11 +37,8 @@ def record(
     written. A kill at any moment loses only the frames in flight; a fault of the rig loses no exposed frame.
 
     Args:
-        trajectory: what to take.
-        rig: a connected rig.
         out: the recording. New or empty, unless `resume`.
         resume: continue the recording in `out`, which must have the same trajectory and rig.
-        planned: the plan, if it exists already.
         advance: called from any thread with the name of each finished frame, including those of an earlier run.
 
     Raises:
@@ -108,8 +103,7 @@ def _expose(
 def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
     """The first picture that equals the previous one: nothing moves, whatever the encoders report.
 
-    Raises:
-        MotionError: the pictures still differ after the settling timeout.
+    Raises MotionError: the pictures still differ after the settling timeout.
     """
     deadline = time.monotonic() + motion.settle_timeout_s
     while True:

@@ -22,14 +22,10 @@ class Deviation:
     """Deviation of the arm from the recorded state of one frame."""
 
     frame: str
-    joints_deg: float
-    """Largest difference of the measured joint angles."""
-    translation_mm: float
-    """Of the flange position that the controller reports."""
-    rotation_deg: float
-    """Of the flange orientation that the controller reports."""
-    true_mm: float | None = None
-    """Simulation only: of the true flange position. Only this shows the repeatability of the arm."""
+    joints_deg: float  # largest difference of the measured joint angles
+    translation_mm: float  # of the flange position that the controller reports
+    rotation_deg: float  # of the flange orientation that the controller reports
+    true_mm: float | None = None  # of the true flange position, in a simulation; only this shows the repeatability of the arm
 
     @property
     def line(self) -> str:
@@ -49,12 +45,9 @@ def replay(
 
     Args:
         recording: of any rig. Its trajectory defines speed, settling and obstacles.
-        robot: a connected arm.
         truth: simulation only: returns the true flange pose, (4, 4) [m].
-        advance: called with each deviation.
 
-    Raises:
-        CaptureError: the recording has no frames, or the arm failed and stands still.
+    Raises CaptureError: the recording has no frames, or the arm failed and stands still.
     """
     if not recording.frames:
         raise CaptureError("the recording has no frames", where=recording.path, remedy="record something first")

@@ -13,8 +13,7 @@ from datasets.imaging import images
 from datasets.recording import Frame, Recording
 
 Advance = Callable[[str], None]
-WAITING = 2
-"""Frames that may be queued for the disk. If the disk is slower than the arm, the arm waits."""
+WAITING = 2  # frames that may be queued for the disk; if it is slower than the arm, the arm waits
 
 
 class Writer:

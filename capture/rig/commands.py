@@ -4,21 +4,19 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from capture.errors import SimulationError
 from datasets.core import console
 
 
 def sim(
-    scene: Annotated[str, typer.Option(help="Scene in front of the simulated camera, for the rig file.")] = "gold_head",
-    out: Annotated[
-        Path | None, typer.Option(metavar="RIG.yaml", help="Write a rig file, for 'capture run --rig RIG.yaml'.")
-    ] = None,
-    host: Annotated[str, typer.Option(help="Loopback address to listen on.")] = "127.0.0.1",
-    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
-    time_scale: Annotated[float, typer.Option(min=0.1, max=1000, help="Speed of the arm relative to real time.")] = 1.0,
-    hangs: Annotated[bool, typer.Option("--hangs", help="Start as a hanging arm, for trajectories with 'up: -z'.")] = False,
+    scene: Annotated[str, Option(help="Scene in front of the simulated camera, for the rig file.")] = "gold_head",
+    out: Annotated[Path | None, Option(metavar="RIG.yaml", help="Write a rig file, for 'capture run --rig RIG.yaml'.")] = None,
+    host: Annotated[str, Option(help="Loopback address to listen on.")] = "127.0.0.1",
+    seed: Annotated[int, Option(min=0, help="Random seed.")] = 0,
+    time_scale: Annotated[float, Option(min=0.1, max=1000, help="Speed of the arm relative to real time.")] = 1.0,
+    hangs: Annotated[bool, Option("--hangs", help="Start as a hanging arm, for trajectories with 'up: -z'.")] = False,
     as_json: console.Json = False,
 ) -> None:
     """Start only a simulated UR5e controller, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""

@@ -18,8 +18,7 @@ from datasets.core.errors import UsageError
 if TYPE_CHECKING:
     from capture.sim.controller.handle import ControllerHandle
 
-SIMULATED = "sim"
-"""Name of the simulated rig."""
+SIMULATED = "sim"  # name of the simulated rig
 
 
 @dataclass(frozen=True)
@@ -29,12 +28,9 @@ class Rig:
     robot: Robot
     camera: Camera
     description: RigDescription
-    name: str
-    """"sim", or the name or path of the rig file."""
-    ground_truth: GroundTruth | None = None
-    """Only in a simulation."""
-    extra: dict[str, Any] = field(default_factory=dict)
-    """More entries for the manifest: the scene and seed of a simulation."""
+    name: str  # "sim", or the name or path of the rig file
+    ground_truth: GroundTruth | None = None  # only in a simulation
+    extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
 
     @property
     def flange_from_camera(self) -> NDArray[np.float64]:
@@ -59,7 +55,6 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
 
     Args:
         name: "sim", or the name or path of a rig file.
-        trajectory: camera settings and motion.
         scene: what the simulated camera looks at.
         seed: of everything random in a simulation that is started here. A running simulation has its own seed.
         time_scale: speed of a simulated arm that is started here, relative to real time.
@@ -147,8 +142,7 @@ def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, 
 def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
     """The simulated scene for a trajectory: the named one, or else one that fits the trajectory; "" for a real rig.
 
-    Raises:
-        UsageError: there is no such scene, the trajectory does not fit it, or the rig is real.
+    Raises UsageError: there is no such scene, the trajectory does not fit it, or the rig is real.
     """
     simulation = None if rig == SIMULATED else describe(rig).simulation
     if rig != SIMULATED and simulation is None:

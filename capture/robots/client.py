@@ -20,10 +20,8 @@ class ClientChoice(StrEnum):
 class StartFailure(StrEnum):
     """Why a client did not start."""
 
-    IN_USE = "in use"
-    """Another program controls the robot."""
-    MISSING = "missing"
-    """The client is not installed."""
+    IN_USE = "in use"  # another program controls the robot
+    MISSING = "missing"  # the client is not installed
     OTHER = "other"
 
 
@@ -45,10 +43,8 @@ class State(TypedDict):
     speed_fraction: float
     safety_bits: int
     connected: bool
-    running: bool
-    """Whether the control program runs and is not paused."""
-    operation: int
-    """Number of the latest motion, 0 to 127."""
+    running: bool  # whether the control program runs and is not paused
+    operation: int  # number of the latest motion, 0 to 127
     moving: bool
     host_time_ns: int
 
@@ -56,8 +52,7 @@ class State(TypedDict):
 class Client(Protocol):
     """A connection to the controller with the control program running. One thread uses it."""
 
-    name: str
-    """Name and version."""
+    name: str  # name and version
 
     def state(self) -> State:
         """The newest sample."""

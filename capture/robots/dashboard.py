@@ -18,11 +18,7 @@ class Dashboard:
 
     @classmethod
     def connect(cls, host: str) -> Self:
-        """Open the connection and read the greeting.
-
-        Raises:
-            RigConnectionError: no UR controller answers there.
-        """
+        """Open the connection and read the greeting. Raises RigConnectionError: no UR controller answers there."""
         try:
             link = socket.create_connection((host, PORT), TIMEOUT_S)
         except OSError as error:
@@ -42,11 +38,7 @@ class Dashboard:
         return dashboard
 
     def ask(self, command: str) -> str:
-        """Reply to one command.
-
-        Raises:
-            RigConnectionError: no reply within a second.
-        """
+        """Reply to one command. Raises RigConnectionError: no reply within a second."""
         try:
             self.link.sendall(f"{command}\n".encode())
         except OSError as error:

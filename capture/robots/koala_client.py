@@ -14,10 +14,8 @@ from capture.robots.rtde.program import FIRST, Command
 from capture.robots.rtde.stream import RegistersInUse, RtdeStream
 
 SCRIPT_PORT = 30003
-CONNECT_S, START_S, ANSWER_S = 2.0, 5.0, 1.0
-"""Until the script port accepts, the program runs, and a command is carried out [s]."""
-RUNNING = 2
-"""Runtime state of a program that runs and is not paused."""
+CONNECT_S, START_S, ANSWER_S = 2.0, 5.0, 1.0  # until the script port accepts, the program runs, and a command is carried out [s]
+RUNNING = 2  # runtime state of a program that runs and is not paused
 STATE_REGISTER, PROGRESS_REGISTER = f"output_int_register_{FIRST}", f"output_int_register_{FIRST + 2}"
 RESULT_REGISTERS = [f"output_double_register_{FIRST + index}" for index in range(6)]
 OUTPUTS = "timestamp actual_q actual_qd actual_TCP_pose safety_status_bits runtime_state target_speed_fraction".split()

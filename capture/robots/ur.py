@@ -42,10 +42,6 @@ class UR5e:
     the connection is closed: enter again. One owner; only `stop` may be called from another thread.
 
     Args:
-        host: address of the controller.
-        limits: of speeds, accelerations and angles.
-        settling: when the arm counts as still.
-        deadlines: how long to wait for each answer.
         tolerance: largest difference between measured and target angles at the end of a motion [rad].
         frequency: requested sample rate of the controller [Hz].
         client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed.

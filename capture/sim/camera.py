@@ -24,16 +24,12 @@ from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.imaging import images
 
-MOMENTS = 16
-"""Number of moments of an exposure at which the pose of the arm is sampled."""
-SHARP_PX = 0.05
-"""Smaller motion during an exposure is not rendered [px]."""
-NEAR_M = 0.3
-"""Distance of the closest things, which move fastest through the picture [m]."""
+MOMENTS = 16  # number of moments of an exposure at which the pose of the arm is sampled
+SHARP_PX = 0.05  # smaller motion during an exposure is not rendered [px]
+NEAR_M = 0.3  # distance of the closest things, which move fastest through the picture [m]
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
 LIGHT = ("diffuse", "specular")
-RAW_BITS = {"rgb8": 0, "bayer8": 8, "bayer12": 12}
-"""Bits of a raw value, by `camera.pixel_format`; 0: the camera sends colours."""
+RAW_BITS = {"rgb8": 0, "bayer8": 8, "bayer12": 12}  # bits of a raw value, by `camera.pixel_format`; 0: the camera sends colours
 
 
 class TrueArm(Protocol):

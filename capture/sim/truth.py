@@ -13,12 +13,9 @@ from datasets import pose
 from datasets.camera_model import Camera
 
 SENSOR_WIDTH, SENSOR_HEIGHT = 1920, 1080
-FOCAL_PX = 2.8e-3 / 2.2e-6
-"""A 2.8 mm lens over pixels of 2.2 um (Basler acA1920-25uc)."""
-HAND_EYE_SHIFT_M = 3e-3
-"""Length of the bracket's error."""
-HAND_EYE_TURN_RAD = np.deg2rad(1.0)
-"""Angle of the bracket's error."""
+FOCAL_PX = 2.8e-3 / 2.2e-6  # a 2.8 mm lens over pixels of 2.2 um (Basler acA1920-25uc)
+HAND_EYE_SHIFT_M = 3e-3  # length of the bracket's error
+HAND_EYE_TURN_RAD = np.deg2rad(1.0)  # angle of the bracket's error
 
 
 @dataclass(frozen=True)

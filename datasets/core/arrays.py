@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from datasets.core import files
 from datasets.core.errors import DatasetError
 
-MAX_BYTES = 2**28
-"""Larger archives, by unpacked size, are refused: ours hold poses and points, not images."""
+MAX_BYTES = 2**28  # larger archives, by unpacked size, are refused: ours hold poses and points, not images
 _DAMAGE = (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError, TypeError, ValueError)
 _BROKEN = (*_DAMAGE, EOFError, tokenize.TokenError, zipfile.BadZipFile, zlib.error)
 """What numpy and zipfile raise for damaged files."""

@@ -10,8 +10,7 @@ from datasets.core.errors import UsageError
 def budget(name: str, default: int) -> int:
     """The positive number in the environment variable `name`; `default` where it is not set.
 
-    Raises:
-        UsageError: the variable holds something else.
+    Raises UsageError: the variable holds something else.
     """
     text = os.environ.get(name, "")
     if text and not (text.isdecimal() and int(text) > 0):

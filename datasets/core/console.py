@@ -22,8 +22,7 @@ from datasets.core.extras import not_installed
 from datasets.core.options import Json as Json
 from datasets.core.options import Port as Port
 
-_INTERRUPTED = 130
-"""What newer versions of typer return where Ctrl-C stopped a command."""
+_INTERRUPTED = 130  # what newer versions of typer return where Ctrl-C stopped a command
 _ClickException: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 """Base of typer's errors about arguments: from click, or from the copy of click in newer versions of typer."""
 _state = {"debug": False, "json": False}

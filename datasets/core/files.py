@@ -20,12 +20,9 @@ import numpy as np
 
 from datasets.core.errors import DatasetError, UsageError, nearest
 
-MAX_JSON_BYTES = 2**26
-"""Larger JSON files are refused; one of ten thousand frames has a fifth of this size."""
-LONGEST_NAME = 255
-"""Longest file name that file systems allow [bytes]."""
-MOST_LISTED = 12
-"""Largest number of names that advice lists."""
+MAX_JSON_BYTES = 2**26  # larger JSON files are refused; one of ten thousand frames has a fifth of this size
+LONGEST_NAME = 255  # longest file name that file systems allow [bytes]
+MOST_LISTED = 12  # largest number of names that advice lists
 
 
 @contextmanager
@@ -54,8 +51,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield an empty temporary folder beside `path`; on success flush everything in it and rename it to `path`, else remove it.
 
-    Raises:
-        UsageError: `path` exists and is not an empty folder: nothing is ever overwritten.
+    Raises UsageError: `path` exists and is not an empty folder: nothing is ever overwritten.
     """
     path = Path(path)
     refuse_existing(path)
@@ -195,8 +191,7 @@ def neighbour(path: Path, *suffixes: str) -> str:
 def inside(folder: Path, name: str, *, where: object = "") -> Path:
     """Path below `folder` of `name` as a file states it. Links in the folder itself are followed: a person made them.
 
-    Raises:
-        DatasetError: `name` is absolute, leaves `folder`, or cannot be the name of a file.
+    Raises DatasetError: `name` is absolute, leaves `folder`, or cannot be the name of a file.
     """
     try:
         plain = os.path.normpath(name)  # resolves ".." by the words alone, so that it cannot lead out of a linked folder

@@ -12,8 +12,7 @@ from datasets.core.errors import UsageError
 MAX_BYTES = 2**22
 MAX_DEPTH = 50
 NODES = "KOALA_YAML_NODES"
-MAX_NODES = 100_000
-"""Budget of values and keys in one file; the environment variable `NODES` replaces it."""
+MAX_NODES = 100_000  # budget of values and keys in one file; the environment variable `NODES` replaces it
 _Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 

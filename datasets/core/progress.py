@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 
-Step = Callable[[], None]
-"""Called after each unit of work."""
-Count = Callable[[int, int], None]
-"""Called with the number of units finished and their total."""
+Step = Callable[[], None]  # called after each unit of work
+Count = Callable[[int, int], None]  # called with the number of units finished and their total
 
 
 def ignore(*_: object) -> None:

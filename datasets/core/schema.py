@@ -34,12 +34,9 @@ def load_yaml(path: Path | str, model: type[Model], *, overrides: Sequence[str] 
     """Read a YAML file as a `model`.
 
     Args:
-        path: the file.
-        model: the schema.
         overrides: "a.b=value" with value in YAML, "a.0.b=value" inside a list, applied before validation; the last one wins.
 
-    Raises:
-        UsageError: in one line, with the file, the line number, the key and what would have been valid.
+    Raises UsageError: in one line, with the file, the line number, the key and what would have been valid.
     """
     content, lines = read_yaml(path)
     return validate(content, model, where=path, lines=lines, overrides=overrides)

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,9 +68,11 @@ def merge(
     """Write one scene with the views of several that share a coordinate frame."""
     from datasets.edit import edit
     from datasets.formats import load_scene
+    from datasets.formats.links import plain_masks
 
-    others = [load_scene(name, data_root=data_root) for name in scenes[1:]]
-    _write(scenes[0], out, data_root, as_json, lambda s, folder, done: edit.merge([s, *others], out.resolve().name))
+    with ExitStack() as stack:
+        others = [stack.enter_context(plain_masks(load_scene(name, data_root=data_root))) for name in scenes[1:]]
+        _write(scenes[0], out, data_root, as_json, lambda s, folder, done: edit.merge([s, *others], out.resolve().name))
 
 
 def downscale(
@@ -89,7 +92,7 @@ def undistort(scene: options.Scene, out: OutFolder, data_root: DataRoot = None, 
     """Write a scene with every image resampled to a centred pinhole camera."""
     from datasets.edit import edit
 
-    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done))
+    _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done), any_lens=True)
 
 
 def crop(
@@ -108,20 +111,22 @@ def crop(
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))
 
 
-def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit) -> None:
+def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit, *, any_lens: bool = False) -> None:
     """Load a scene, change it, and write it as a Koala scene, all or nothing."""
     from datasets.build import extra_truth
     from datasets.core.files import refuse_existing
     from datasets.formats import find, koala, load_scene
+    from datasets.formats.links import plain_masks
 
     refuse_existing(out)
-    loaded = load_scene(name, data_root=data_root)
+    loaded = load_scene(name, data_root=data_root, any_lens=any_lens)
     out.parent.mkdir(parents=True, exist_ok=True)
     with (
         tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as work,
+        plain_masks(loaded) as plain,
         console.progress("writing", len(loaded.views), "views") as shown,
     ):
-        changed = change(loaded, Path(work), shown.advance)
+        changed = change(plain, Path(work), shown.advance)
         koala.save(changed, out, extra=extra_truth(find(name, data_root)))
     counts = changed.counts()
     sizes = sorted({(view.camera.width, view.camera.height) for view in changed.views})

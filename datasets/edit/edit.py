@@ -22,11 +22,9 @@ from datasets.core.progress import Step, ignore
 from datasets.formats import export
 from datasets.formats.links import file_name
 from datasets.imaging import downscale, images
-from datasets.scene import SPLITS, Scene, Sightings, View
+from datasets.scene import LOSSY, SPLITS, Scene, Sightings, View
 
 Pixels = NDArray[np.float64]
-LOSSY = frozenset({".jpg", ".jpeg"})
-"""Suffixes of lossy formats, for which PNG is written instead."""
 _CENTRED = export.Layout("", lambda camera: camera.is_centred, "", mask="masks/{stem}")
 
 
@@ -206,7 +204,7 @@ def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: 
 
 
 def _path(folder: Path, below: str, view: View, source: Path) -> Path:
-    suffix = ".png" if source.suffix.lower() in LOSSY else source.suffix
+    suffix = ".png" if source.suffix.lower() in LOSSY else source.suffix  # compressed again, it would lose more
     return files.target(folder, f"{below}/{file_name(view)}{suffix}")
 
 

@@ -9,22 +9,27 @@ from typing import Any
 
 from datasets.core.errors import DatasetError, KoalaError, UsageError, nearest
 from datasets.core.progress import Step, ignore
-from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio
+from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio, sdfstudio
 from datasets.formats.assemble import CAMERAS_ALONE
-from datasets.formats.links import Extra
+from datasets.formats.finding.almost import explain
+from datasets.formats.links import Extra, plain_masks
 from datasets.scene import Scene
 
-FORMATS = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
-"""Module of each format, with `detect`, `load` and `save`; the first that detects a folder reads it."""
+WRITTEN = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
+"""Module of each format that is read and written, with `detect`, `load` and `save`."""
+FORMATS = {**WRITTEN, "sdfstudio": sdfstudio}
+"""Module of each format, with `detect` and `load`; the first that detects a folder reads it."""
 
 WRITERS: dict[str, Callable[..., str]] = {
-    **{name: module.save for name, module in FORMATS.items()},
+    **{name: module.save for name, module in WRITTEN.items()},
     "colmap-text": partial(colmap.save, text=True),
     "mipnerf360": partial(colmap.save, sizes=(2, 4, 8)),
 }
 """Writer of each format, by name."""
 SIZED = frozenset({"koala", "nerfstudio", "llff", "colmap", "colmap-text"})
 """Formats that can hold smaller copies of the images."""
+LENSES = frozenset({"blender", "nerfstudio", "colmap"})
+"""Formats with lens models that our camera cannot hold."""
 _UNFORESEEN = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError, MemoryError)
 """What values of the wrong type raise inside a reader."""
 
@@ -38,6 +43,7 @@ def load_scene(
     images: str | None = None,
     problems: list[KoalaError] | None = None,
     measure: bool = False,
+    any_lens: bool = False,
 ) -> Scene:
     """Read a scene's cameras and bounds; its images stay on disk until a view is read.
 
@@ -48,6 +54,7 @@ def load_scene(
         images: folder of the images to use, where there are several sizes ("images_8").
         measure: where a scene has neither masks nor surface points, measure box, near and far by matching and triangulating
             its images (some seconds); `Scene.bounds_from` names the evidence.
+        any_lens: accept lenses that `Camera` cannot hold, for resampling the images.
         problems: a list that collects the errors of damaged views, which are then left out; None to raise them.
 
     Raises:
@@ -58,8 +65,9 @@ def load_scene(
     if format is not None and format not in FORMATS:
         raise UsageError(f"no format called {format!r}", remedy=nearest(format, FORMATS))
     kind = format or detect(folder)
+    lens = {"any_lens": True} if any_lens and kind in LENSES else {}
     try:
-        scene = FORMATS[kind].load(folder, hold_out=hold_out, images_folder=images, problems=problems)
+        scene = FORMATS[kind].load(folder, hold_out=hold_out, images_folder=images, problems=problems, **lens)
     except _UNFORESEEN as error:
         why, remedy = f"{type(error).__name__}: {str(error)[:200]}", "write it again, or state its real format"
         raise DatasetError(f"is no {kind} scene", where=folder, why=why, remedy=remedy) from error
@@ -99,16 +107,20 @@ def save_scene(
     if any(size < 2 for size in sizes):
         raise UsageError("sizes must be 2 or more", why=", ".join(map(str, sizes)))
     options: dict[str, Any] = {"sizes": tuple(sizes)} if sizes else {}
-    return WRITERS[format](scene, path, extra=extra, done=done, **options)
+    with plain_masks(scene) as plain:
+        return WRITERS[format](plain, path, extra=extra, done=done, **options)
 
 
 def detect(folder: Path) -> str:
-    """Name of a folder's format. Raises UsageError where it has none of them."""
-    for name, module in FORMATS.items():
-        if module.detect(folder):
-            return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
-    why = "no cameras.json, transforms_*.json, transforms.json, poses_bounds.npy, cameras_sphere.npz or COLMAP model"
-    raise UsageError("holds no scene in a known format", where=folder, why=why, remedy="give the folder that holds one of these")
+    """Name of a folder's format. Raises UsageError where it has none of them, with what is there and what is missing."""
+    name = _detected(folder)
+    if name is None:
+        raise explain(folder, lambda inner: _detected(inner) is not None)
+    return "colmap" if name == "llff" and colmap.is_whole(folder) else name  # mip-NeRF 360 has both; colmap holds more
+
+
+def _detected(folder: Path) -> str | None:
+    return next((name for name, module in FORMATS.items() if module.detect(folder)), None)
 
 
 def find(path: str | Path, data_root: Path | None = None) -> Path:

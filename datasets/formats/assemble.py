@@ -1,5 +1,6 @@
 """Shared by the readers of foreign formats: missing files, image sizes, background and bounds."""
 
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,13 +13,12 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, KoalaError
+from datasets.formats.finding import masks
 from datasets.imaging import images
-from datasets.scene import Scene, View, checked_name
-from datasets.structure import bounds
+from datasets.scene import SAME_SHAPE, Scene, View, checked_name
+from datasets.structure import bounds, polarity
 from datasets.structure.hull import visual_hull
 
-SAME_SHAPE = 0.02
-"""Relative difference of aspect ratios that rounding to pixels can cause."""
 SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""
 CAMERAS_ALONE = "cameras alone"
@@ -56,6 +56,14 @@ class Gathering:
         """`path`, which begins with the folder; raises DatasetError where it leaves it, also through a symbolic link."""
         return files.within(self.folder, path, where=where)
 
+    def masks(self, home: Path, names: Sequence[str]) -> list[Path | None]:
+        """Mask of each image of `names` below `home`; None for images that have none. Collects problems as `complain` does."""
+        found: list[Path | None] = [None] * len(names)
+        with self.collecting():
+            found, note = masks.find(self.folder, home, names)
+            self.notes += [note] if note else []
+        return [self.file(mask, where=mask) if mask else None for mask in found]
+
     def fitted(self, camera: Camera, picture: Path, *, where: object) -> Camera:
         """`fitted` of this module; images of another size than their camera are recorded."""
         found = fitted(camera, picture, where=where)
@@ -86,7 +94,7 @@ class Gathering:
         without = [view.name for view in self.views if view.mask is None]
         if 0 < len(without) < len(self.views):
             why = f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}"
-            remedy = "give all of them one, or none"
+            remedy = "give all of them one, or rename the folder of masks to do without"
             self.complain(DatasetError("only some views have a mask", where=self.folder, why=why, remedy=remedy))
             self.views = [replace(view, mask=None) for view in self.views]
         for view in self.views:
@@ -121,6 +129,13 @@ def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
     return camera.scaled(width, height)
 
 
+def foreign_lens(model: str, folder: Path, *, where: object) -> DatasetError:
+    """The error of a lens that our camera cannot hold, and the command that mends it."""
+    new = f"{folder.resolve().name}_undistorted"
+    remedy = f"make a copy without distortion: datasets undistort {shlex.quote(str(folder))} --out {shlex.quote(new)}"
+    return DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
+
+
 def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_far: tuple[float, float] | None = None) -> Scene:
     """Scene of a format that states neither background nor box: both come from images and cameras.
 
@@ -132,6 +147,7 @@ def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_fa
         if not ((focal > SHORTEST) & (focal < LONGEST)).all():
             why = f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}"
             raise DatasetError("focal length is out of range", where=f"{gathering.folder}, view {view.name}", why=why)
+    views = _right_way_round(views, gathering)
     masked = _has_empty_pixels(views)
     train = tuple(view for view in views if view.split == "train") or views
     if masked:
@@ -155,6 +171,14 @@ def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_fa
     provenance = {"format": format, "source": str(gathering.folder.absolute())}
     background = "white" if masked else "scene"
     return Scene(name, views, near, far, box, background, notes=notes, provenance=provenance, bounds_from=evidence)
+
+
+def _right_way_round(views: tuple[View, ...], gathering: Gathering) -> tuple[View, ...]:
+    """The views, their masks marked as inverted where they show the object in black."""
+    if any(view.mask is None for view in views) or not (why := polarity.inverted(views)):
+        return views
+    gathering.notes.append(f"masks show the object in black: {why}")
+    return tuple(replace(view, mask_inverted=True) for view in views)
 
 
 def _has_empty_pixels(views: Sequence[View]) -> bool:

@@ -28,12 +28,22 @@ def detect(folder: Path) -> bool:
     return (folder / "transforms_train.json").is_file()
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a Blender folder. Without a test file, every `hold_out`-th training view is a test view."""
+def load(
+    folder: Path,
+    *,
+    hold_out: int = 8,
+    images_folder: str | None = None,
+    problems: list[KoalaError] | None = None,
+    any_lens: bool = False,
+) -> Scene:
+    """Read a Blender folder. Without a test file, every `hold_out`-th training view is a test view.
+
+    `any_lens` is that of `opengl.camera`.
+    """
     gathering = assemble.Gathering(folder, problems)
     present = [split for split in SPLITS if (folder / f"transforms_{split}.json").is_file()]
     for split in present:
-        _gather(gathering, split)
+        _gather(gathering, split, any_lens=any_lens)
     views = gathering.finished(listed_in="transforms_*.json")
     if (known := sidecar.read(folder)) is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
@@ -43,21 +53,28 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     return assemble.scene(gathering, views, "blender")
 
 
-def _gather(gathering: assemble.Gathering, split: str) -> None:
-    source = gathering.folder / f"transforms_{split}.json"
-    content = files.read_json(files.within(gathering.folder, source))
-    for frame in opengl.frames_of(content, where=source):
+def _gather(gathering: assemble.Gathering, split: str, *, any_lens: bool) -> None:
+    folder = gathering.folder
+    source = folder / f"transforms_{split}.json"
+    content = files.read_json(files.within(folder, source))
+    frames = opengl.frames_of(content, where=source)
+    present = opengl.Images(folder, frames, where=source)
+    gathering.notes += [present.note] if present.note else []
+    for frame in frames:
         where = f"{source}, {frame['file_path']}"
         with gathering.collecting():
-            image = opengl.image_path(gathering.folder, frame["file_path"], where=where)
+            image = present.path(frame["file_path"], where=where)
             if image is None:
                 gathering.missing.append(frame["file_path"])
                 continue
-            camera = gathering.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
+            camera = opengl.camera(content, frame, image, folder, where=where, any_lens=any_lens)
+            camera = gathering.fitted(camera, image, where=where)
             named = [(key, image.with_name(image.stem + end)) for key, ends in TRUTH.items() for end in reversed(ends)]
             truth = {key: gathering.file(path, where=where) for key, path in named if path.is_file()}
-            name = image.relative_to(gathering.folder).with_suffix("").as_posix()
-            gathering.views.append(View(name, camera, opengl.world_from_camera(frame, where=where), split, image, truth=truth))
+            name = image.relative_to(folder).with_suffix("").as_posix()
+            matrix = opengl.world_from_camera(frame, where=where)
+            mask = opengl.other_path(frame, "mask_path", folder, where=where)
+            gathering.views.append(View(name, camera, matrix, split, image, mask, truth))
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) -> str:

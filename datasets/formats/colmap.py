@@ -1,10 +1,10 @@
 """COLMAP folders, also in the layout of mip-NeRF 360: a model, `images/` and, where there are several sizes, `images_N/`.
 
-Poses are camera_from_world in our axes and pixel convention; the world is that of the model. `colmap_files` reads models;
-pycolmap, imported only when a model is written, writes them.
+Poses are camera_from_world in our axes and pixel convention; the world is that of the model. `colmap_files` reads models,
+`colmap_library` writes them.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,13 @@ from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, export, llff, sidecar
+from datasets.formats import assemble, colmap_library, export, llff, sidecar
 from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
+from datasets.formats.finding import models
+from datasets.formats.finding.pictures import Listing, homes, photographs
 from datasets.formats.links import Extra, file_name, link_all, write_smaller
 from datasets.scene import Scene, Sightings, View
 
-PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
-"""Where a scene may keep its model."""
-NEEDED = ("cameras", "images", "points3D")
 _FOCALS, _TANGENTIAL = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
 PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -34,62 +33,83 @@ PARAMETERS = {
     "OPENCV_FISHEYE": (*_FOCALS, "k1", "k2", "k3", "k4"),
     "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
     "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+    "SIMPLE_FISHEYE": ("f", "cx", "cy"),
+    "FISHEYE": _FOCALS,
 }
 """Parameters of the lens models that our camera can represent."""
 LAYOUT = export.Layout("COLMAP's layout", lambda camera: True, "", mask="masks/{file}")
 
 
 def detect(folder: Path) -> bool:
-    """True for a folder with the cameras of a model in one of `PLACES`."""
-    return any((folder / place / f"cameras{suffix}").is_file() for place in PLACES for suffix in (".bin", ".txt"))
+    """True for a folder with the cameras of a model in one of `models.PLACES`."""
+    return models.exists(folder)
 
 
 def is_whole(folder: Path) -> bool:
     """True where the folder has a readable model and most of its images."""
     try:
-        place, home = _place(folder, None)
-        names = [image.name for image in _model(folder, place).images]
-        return sum(files.inside(home, name).is_file() for name in names) > len(names) / 2
+        source = _find(folder, None)
+        present = [source.image(image.name) is not None for image in source.model.images]
+        return not source.renamed and sum(present) > len(present) / 2
     except KoalaError:
         return False
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a COLMAP scene; every `hold_out`-th view by sorted name is a test view.
+def load(
+    folder: Path,
+    *,
+    hold_out: int = 8,
+    images_folder: str | None = None,
+    problems: list[KoalaError] | None = None,
+    any_lens: bool = False,
+) -> Scene:
+    """Read a COLMAP scene; every `hold_out`-th view by sorted name is a test view. With `any_lens`, lenses that our camera cannot
+    hold are accepted: the scene's images can be resampled, and nothing else.
 
     Raises:
         DatasetError: the model lacks a file or uses an unsupported lens model.
     """
-    place, home = _place(folder, images_folder)
-    model = _model(folder, place)
-    gathering = assemble.Gathering(folder, problems)
-    assemble.listed_once([image.name for image in model.images], where=place / "images")
+    source = _find(folder, images_folder)
+    model, listed_in = source.model, source.place / "images"
+    gathering = assemble.Gathering(folder, problems, notes=list(source.notes))
+    assemble.listed_once([image.name for image in model.images], where=listed_in)
     pixels: dict[str, np.ndarray] = {}
     stored: dict[str, StoredImage] = {}
-    for image in sorted(model.images, key=lambda image: image.name):
-        where = f"{place / 'images'}, {image.name}"
+    ordered = sorted(model.images, key=lambda image: image.name)
+    present = {}
+    for image in ordered:
         with gathering.collecting():
-            picture = gathering.file(home / image.name, where=where)
-            if not picture.is_file():
+            gathering.file(source.home / image.name, where=f"{listed_in}, {image.name}")
+            if (picture := source.image(image.name)) is not None:
+                present[image.name] = picture
+            else:
                 gathering.missing.append(image.name)
-                continue
-            full = _camera(model.cameras[image.camera_id], where=where)
+    masks = dict(zip(present, gathering.masks(source.home, list(present)), strict=True))
+    for image in (image for image in ordered if image.name in present):
+        where, picture = f"{listed_in}, {image.name}", present[image.name]
+        with gathering.collecting():
+            full = _camera(model.cameras[image.camera_id], folder, any_lens=any_lens, where=where)
             camera = gathering.fitted(full, picture, where=where)
             matrix = pose.inverse(pose.checked(image.camera_from_world, where=where))
-            mask = _mask(gathering, home, image.name, where=where)
             name = Path(image.name).with_suffix("").as_posix()
-            gathering.views.append(View(name, camera, matrix, "train", picture, mask))
+            gathering.views.append(View(name, camera, matrix, "train", picture, masks[image.name]))
             stored[name] = image
             pixels[name] = image.pixels * [camera.width / full.width, camera.height / full.height]
     if (folder / llff.FILE).is_file():
-        gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {place.relative_to(folder)} holds more")
-    views = gathering.finished(listed_in=f"{place.name}/images")
-    sightings = _sightings(model, stored, pixels) if len(model.points) else None
-    stored_facts = sidecar.read(folder)
+        gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {source.place.relative_to(folder)} holds more")
+    views = gathering.finished(listed_in=f"{source.place.name}/images")
+    return _assembled(gathering, views, hold_out, _sightings(model, stored, pixels) if len(model.points) else None, model)
+
+
+def _assembled(
+    gathering: assemble.Gathering, views: tuple[View, ...], hold_out: int, sightings: Sightings | None, model: Model
+) -> Scene:
+    """The scene with the model's points, and with what a sidecar adds."""
+    stored_facts = sidecar.read(gathering.folder)
     if stored_facts is not None:
         if sightings is not None:
             sightings = replace(sightings, names=tuple(sidecar.name_of(stored_facts, name) for name in sightings.names))
-        scene = sidecar.restore(stored_facts, views, folder, notes=tuple(gathering.notes))
+        scene = sidecar.restore(stored_facts, views, gathering.folder, notes=tuple(gathering.notes))
         return replace(scene, points=model.points, sightings=sightings) if sightings is not None else scene
     scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
     return replace(assemble.with_points(scene, model.points), sightings=sightings) if sightings is not None else scene
@@ -104,47 +124,78 @@ def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, n
     return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places), model.colours)
 
 
-def _place(folder: Path, wanted: str | None) -> tuple[Path, Path]:
-    """(folder of the model, folder of its images): the first model that has images."""
-    places = [folder / place for place in PLACES if any((folder / place / f"cameras{end}").is_file() for end in (".bin", ".txt"))]
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A model and where its images are."""
+
+    place: Path
+    model: Model
+    home: Path
+    notes: tuple[str, ...] = ()
+    renamed: dict[str, Path] = field(default_factory=dict)
+    """Image of each name of the model, where names do not tell."""
+    listing: Listing = field(default_factory=Listing)
+
+    def image(self, name: str) -> Path | None:
+        """The image of this name in the model; its suffix may differ. None where there is none."""
+        path = self.home / name
+        return path if path.is_file() else self.renamed.get(name) or self.listing.like(self.home, name)
+
+
+def _find(folder: Path, wanted: str | None) -> _Source:
+    """The first model some of whose images exist, else the first with as many images as there are."""
+    places, notes = models.find(folder)
     if not places:
-        raise UsageError("holds no COLMAP model", where=folder, why=f"no cameras.bin in {', '.join(filter(None, PLACES))}")
-    if wanted is not None:
-        return places[0], files.inside(folder, wanted)
+        raise UsageError("holds no COLMAP model", where=folder, why="no cameras.bin in sparse/0, sparse or colmap/sparse/0")
+    remaining, read = [], {}
     for place in places:
-        for home in (folder / "images", place.parent / "images", *sorted(folder.glob("images_*"))):
-            if home.is_dir() and any(p.suffix.lower() in llff.PICTURES for p in files.within(folder, home).rglob("*")):
-                return place, home
-    raise DatasetError("scene has no images", where=folder / "images", remedy="put the images there")
+        read[place] = read_model(*(files.within(folder, part) for part in models.parts(place)))
+        names = [image.name for image in read[place].images]
+        for home in _homes(folder, place, wanted):
+            source = _Source(place, read[place], home, tuple(notes[place] for _ in range(place in notes)))
+            if any(source.image(name) for name in names if _is_inside(home, name)):
+                return source
+            remaining.append(source)
+    having = [(source, found) for source in remaining if (found := photographs(source.listing.files(source.home)))]
+    if not having:
+        raise DatasetError("scene has no images", where=folder / (wanted or "images"), remedy="put the images there")
+    same = [(source, found) for source, found in having if len(found) == len(source.model.images)]
+    if not same:
+        return having[0][0]
+    source, found = same[0]
+    said = f"images in {source.home.relative_to(folder)} have other names than in the model: they are taken in the order of names"
+    renamed = dict(zip(sorted(image.name for image in source.model.images), found, strict=True))
+    return replace(source, notes=(*source.notes, said), renamed=renamed)
 
 
-def _model(folder: Path, place: Path) -> Model:
-    suffix = ".bin" if (place / "cameras.bin").is_file() else ".txt"
-    absent = [name + suffix for name in NEEDED if not (place / (name + suffix)).is_file()]
-    if absent:
-        why = f"{', '.join(absent)} is missing"
-        raise DatasetError("COLMAP model is not complete", where=place, why=why, remedy="copy the whole model")
-    return read_model(*(files.within(folder, place / (name + suffix)) for name in NEEDED))
+def _homes(folder: Path, place: Path, wanted: str | None) -> list[Path]:
+    """Folders that may hold the images of a model, those nearest to it first; names may begin with the folder's."""
+    roots = [root for root in (place.parent, place.parent.parent, folder) if root == folder or folder in root.parents]
+    if wanted is not None:
+        files.inside(folder, wanted)
+        return [root / wanted for root in dict.fromkeys(roots) if (root / wanted).is_dir()]
+    return [home for root in dict.fromkeys(roots) if root.is_dir() for home in (*homes(root), root)]
 
 
-def _mask(gathering: assemble.Gathering, home: Path, name: str, *, where: str) -> Path | None:
-    """Mask of an image: `masks/NAME.EXT.png`, as COLMAP has it, or `masks/NAME.png`."""
-    folder = home.with_name(home.name.replace("images", "masks"))
-    for candidate in (folder / f"{name}.png", (folder / name).with_suffix(".png")):
-        if candidate.is_file() and folder != home:
-            return gathering.file(candidate, where=where)
-    return None
+def _is_inside(home: Path, name: str) -> bool:
+    try:
+        return bool(files.inside(home, name))
+    except DatasetError:
+        return False
 
 
-def _camera(stored: StoredCamera, *, where: str) -> Camera:
-    if stored.model not in PARAMETERS:
-        remedy = "undistort the images with COLMAP first"
-        raise DatasetError(f"camera model {stored.model} is not supported", where=where, remedy=remedy)
-    values: dict[str, Any] = dict(zip(PARAMETERS[stored.model], stored.parameters, strict=True))
-    if "f" in values:
-        values["fx"] = values["fy"] = values.pop("f")
-    values["fisheye"] = "FISHEYE" in stored.model
-    return Camera.from_json({"width": stored.width, "height": stored.height, **values}, where=where)
+def _camera(stored: StoredCamera, folder: Path, *, any_lens: bool, where: str) -> Camera:
+    if stored.model in PARAMETERS:
+        values: dict[str, Any] = dict(zip(PARAMETERS[stored.model], stored.parameters, strict=True))
+        if "f" in values:
+            values["fx"] = values["fy"] = values.pop("f")
+        values["fisheye"] = "FISHEYE" in stored.model
+        return Camera.from_json({"width": stored.width, "height": stored.height, **values}, where=where)
+    if stored.model not in colmap_library.POINTWISE:
+        raise DatasetError(f"camera model {stored.model} is not supported", where=where, remedy="cut perspective images from it")
+    if not any_lens:
+        raise assemble.foreign_lens(stored.model, folder, where=where)
+    return colmap_library.camera(stored.model, (stored.width, stored.height), stored.parameters, where=where)
 
 
 def save(
@@ -158,59 +209,6 @@ def save(
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         link_all(extra, folder)
         write_smaller([p.view for p in placed], folder, sizes, lambda view, source: source.name)
-        _write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
+        colmap_library.write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
     return export.limits(scene, placed, LAYOUT)
-
-
-def _write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) -> None:
-    """Write the three files of the model, and those of COLMAP 4, for views as exported."""
-    import pycolmap
-
-    model = pycolmap.Reconstruction()
-    cameras = {camera: number for number, camera in enumerate(dict.fromkeys(view.camera for view in views), 1)}
-    for camera, number in cameras.items():
-        kind, values = _parameters(camera)
-        stored = pycolmap.Camera(camera_id=number, model=kind, width=camera.width, height=camera.height, params=values)
-        model.add_camera_with_trivial_rig(stored)
-    features = _features(scene, views)
-    for number, view in enumerate(views, 1):
-        image = pycolmap.Image(view.image.name, features[number][1], cameras[view.camera], number)
-        camera_from_world = pycolmap.Rigid3d(pose.inverse(view.world_from_camera)[:3])
-        model.add_image_with_trivial_frame(image, camera_from_world)
-    tracks: dict[int, list[tuple[int, int]]] = {}
-    for number, (points, _) in features.items():
-        for place, point in enumerate(points):
-            tracks.setdefault(int(point), []).append((number, place))
-    if scene.points is not None:
-        colours = np.zeros((len(scene.points), 3), np.uint8) if scene.sightings is None else scene.sightings.colours
-        for point, xyz in enumerate(scene.points):
-            track = pycolmap.Track([pycolmap.TrackElement(*element) for element in tracks.get(point, [])])
-            model.add_point3D(xyz, track, colours[point])
-        model.update_point_3d_errors()
-    folder.mkdir(parents=True)
-    (model.write_text if text else model.write_binary)(folder)
-
-
-def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Per image number, from 1: (k,) points that it saw and (k, 2) their pixels."""
-    sightings = scene.sightings
-    if sightings is None or scene.points is None:
-        return {number: (np.zeros(0, np.int64), np.zeros((0, 2))) for number in range(1, len(views) + 1)}
-    numbers = {name: index for index, name in enumerate(sightings.names)}
-    found = {}
-    for number, view in enumerate(views, 1):
-        rows = np.flatnonzero(sightings.index[:, 1] == numbers.get(view.name, -1))
-        found[number] = (sightings.index[rows, 0], sightings.pixels[rows])
-    return found
-
-
-def _parameters(camera: Camera) -> tuple[str, list[float]]:
-    """The simplest lens model that represents a camera, and its parameters."""
-    straight = [camera.fx, camera.fy, camera.cx, camera.cy]
-    if camera.is_pinhole:
-        return "PINHOLE", straight
-    if camera.fisheye:
-        return "OPENCV_FISHEYE", [*straight, camera.k1, camera.k2, camera.k3, camera.k4]
-    bent, higher = [*straight, camera.k1, camera.k2, camera.p1, camera.p2], [camera.k3, camera.k4, camera.k5, camera.k6]
-    return ("FULL_OPENCV", bent + higher) if any(higher) else ("OPENCV", bent)

@@ -20,7 +20,8 @@ from datasets.core.errors import DatasetError
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
     5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
-    10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
 }  # fmt: skip
 """Name and number of parameters of each lens model, by its number in the file."""
 NOWHERE = 2**64 - 1
@@ -86,6 +87,13 @@ def read_model(cameras: Path, images: Path, points: Path) -> Model:
         matrix = pose.from_quaternion(values[:4], values[4:])
         model.images.append(StoredImage(name, camera_id, matrix, pixels, _rows(point_ids, ids[order], order)))
     return model
+
+
+def count_images(path: Path) -> int:
+    """Number of images that the file `images` of a model states or, as text, lists."""
+    if path.suffix == ".bin":
+        return _Cursor(path).count(64 + 1 + 8, "images")
+    return sum(1 for _ in _lines(path, keep_empty=True)) // 2
 
 
 def _rows(point_ids: NDArray[np.uint64], sorted_ids: NDArray[np.uint64], order: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,9 +1,10 @@
-"""DTU in the layout of IDR and NeuS: `cameras_sphere.npz`, `image/`, `mask/`.
+"""DTU in the layout of IDR and NeuS: `cameras_sphere.npz`, `image/`, `mask/`; the folders may have their other usual names.
 
 `world_mat_i` is the projection K [R | t] of camera i for the original image size, in OpenCV's axes and pixel origin;
 `scale_mat_i` takes the unit sphere about the object to the world. The world is that of the file (millimetres for DTU).
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,19 +18,19 @@ from datasets.core import arrays, files
 from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, sidecar
+from datasets.formats.finding import pictures
 from datasets.formats.links import Extra, link_all
-from datasets.formats.llff import PICTURES
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
-CAMERAS = ("cameras_sphere.npz", "cameras.npz")
+CAMERAS = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
 LAYOUT = export.Layout("DTU's layout", lambda camera: camera.is_pinhole, "lens distortion", mask="mask/{stem}")
 
 
 def detect(folder: Path) -> bool:
-    """True for a folder with `cameras_sphere.npz` or `cameras.npz` and `image/`."""
-    return any((folder / name).is_file() for name in CAMERAS) and (folder / "image").is_dir()
+    """True for a folder with one of `CAMERAS` and a folder of images."""
+    return any((folder / name).is_file() for name in CAMERAS) and bool(pictures.homes(folder))
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
@@ -43,25 +44,21 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     """
     source = next((folder / name for name in CAMERAS if (folder / name).is_file()), folder / CAMERAS[0])
     stored = _arrays(files.within(folder, source))
-    home = images_folder or "image"
-    pictures = _sorted(files.inside(folder, home))
-    masks = _sorted(folder / "mask") if (folder / "mask").is_dir() else []
-    if masks and len(masks) != len(pictures):
-        raise DatasetError("masks and images do not correspond", where=folder / "mask", why=f"{len(masks)} and {len(pictures)}")
+    found, home = pictures.find(folder, images_folder)
+    numbers = _numbers(found, stored, where=source)
     gathering = assemble.Gathering(folder, problems)
-    for index, picture in enumerate(pictures):
+    masks = gathering.masks(found[0].parent, [picture.name for picture in found])
+    for index, picture, mask in zip(numbers, found, masks, strict=True):
         where = f"{source}, world_mat_{index} ({picture.name})"
         with gathering.collecting():
             if f"world_mat_{index}" not in stored:
                 raise DatasetError("camera is missing", where=where, remedy="one world_mat for each image, in the order of names")
             size = images.size(gathering.file(picture, where=where))
             matrix, camera, factor = _posed(stored[f"world_mat_{index}"], size, where=where)
-            mask = gathering.file(masks[index], where=where) if masks else None
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
-            if factor != 1 and not gathering.notes:
-                full = f"{camera.width * factor:g}x{camera.height * factor:g}"
-                gathering.notes.append(
-                    f"{source.name} is for images of {full}, {home} holds {camera.width}x{camera.height}: intrinsics are scaled"
+            if factor != 1:
+                gathering.rescaled.append(
+                    f"{camera.width * factor:g}x{camera.height * factor:g} for an image of {camera.width}x{camera.height}"
                 )
     views = gathering.finished(listed_in=home)
     if (known := sidecar.read(folder)) is not None:
@@ -113,11 +110,17 @@ def _arrays(path: Path) -> dict[str, NDArray[np.float64]]:
     return {name: arrays.numbers(array, (4, 4), where=f"{path}, {name}") for name, array in stored.items() if "inv" not in name}
 
 
-def _sorted(folder: Path) -> list[Path]:
-    found = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES)
-    if not found:
-        raise DatasetError("scene has no images", where=folder, remedy="put the images there")
-    return found
+def _numbers(found: list[Path], stored: dict[str, NDArray[np.float64]], *, where: Path) -> list[int]:
+    """Number of each image's camera: its place among the sorted names, or the number in its name where images are left out."""
+    cameras = sum(name.startswith("world_mat_") for name in stored)
+    if cameras <= len(found):
+        return list(range(len(found)))
+    numbers = [int(digits[-1][-9:]) if (digits := re.findall(r"\d+", picture.stem)) else -1 for picture in found]
+    if len(set(numbers)) < len(numbers) or not all(f"world_mat_{number}" in stored for number in numbers):
+        why = f"{cameras} cameras, {len(found)} images whose names do not say which is which"
+        remedy = "put every image in place: sorted names correspond to cameras"
+        raise DatasetError("cameras and images do not correspond", where=where, why=why, remedy=remedy)
+    return numbers
 
 
 def _posed(world_mat: NDArray[np.float64], size: tuple[int, int], *, where: str) -> tuple[NDArray[np.float64], Camera, float]:

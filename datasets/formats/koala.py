@@ -128,7 +128,8 @@ def _resized(view: View, folder: Path, home: str) -> View:
     picture = files.within(folder, files.inside(folder, home) / view.image.name, where=where)
     mask = None
     if view.mask is not None:
-        mask = files.inside(folder, f"{home.replace('images', 'masks')}/{view.mask.name}", where=where)
+        scaled = files.inside(folder, f"{home.replace('images', 'masks')}/{view.mask.name}", where=where)
+        mask = scaled if scaled.is_file() else view.mask
     return replace(view, image=picture, mask=mask, camera=assemble.fitted(view.camera, picture, where=where))
 
 

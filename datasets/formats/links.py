@@ -3,15 +3,18 @@
 import errno
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 from datasets.core import files
 from datasets.core.errors import DatasetError
-from datasets.imaging import downscale
+from datasets.imaging import downscale, images
 from datasets.recording import TRUTH
-from datasets.scene import View
+from datasets.scene import Scene, View
 
 Extra = Mapping[str, Path] | None
 """Further files to include in a scene, by relative name."""
@@ -63,6 +66,26 @@ def _copy(source: Path, target: Path) -> None:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise OSError(error.errno, error.strerror, str(target)) from None
         raise
+
+
+@contextmanager
+def plain_masks(scene: Scene) -> Iterator[Scene]:
+    """The scene with masks as other programs expect them: grey, of the image's size, white on the object; in a temporary folder
+    where they differ from that."""
+    with tempfile.TemporaryDirectory(prefix="koala-masks-") as folder:
+        views = []
+        for number, view in enumerate(scene.views):
+            if view.mask is not None and not _is_plain(view):
+                target = Path(folder, f"{number}.png")
+                images.write(target, view.read_mask())
+                view = replace(view, mask=target, mask_inverted=False)
+            views.append(view)
+        yield scene.with_views(tuple(views))
+
+
+def _is_plain(view: View) -> bool:
+    mask, same_size = view.mask, (view.camera.width, view.camera.height)
+    return mask is None or not (view.mask_inverted or images.channels(mask) != 1 or images.size(mask) != same_size)
 
 
 def write_smaller(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Callable[[View, Path], str]) -> None:

@@ -13,15 +13,15 @@ from datasets import pose, splits
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF
 from datasets.core import arrays, files
-from datasets.core.errors import DatasetError, KoalaError, UsageError
+from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, sidecar
+from datasets.formats.finding import pictures
 from datasets.formats.links import Extra, file_name, link_all, write_smaller
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
 FILE = "poses_bounds.npy"
-PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
 LAYOUT = export.Layout(
     "LLFF's layout", lambda camera: camera.is_centred, "lens distortion or an off-centre principal point", mask="masks/{stem}"
 )
@@ -35,24 +35,23 @@ def detect(folder: Path) -> bool:
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
     """Read an LLFF folder; every `hold_out`-th view by sorted name is a test view.
 
-    A folder `masks` may hold a mask of the object for each image, of the same name.
+    There may be a mask of the object for each image (`finding.masks`).
 
     Raises:
         DatasetError: the number of rows or the aspect ratio does not match the images.
     """
     rows = read_rows(files.inside(folder, FILE))
-    pictures, chosen = find_images(folder, images_folder)
-    if len(pictures) != len(rows):
-        why = f"it has {len(rows)} rows, {chosen} holds {len(pictures)} images"
+    found, chosen = pictures.find(folder, images_folder)
+    if len(found) != len(rows):
+        why = f"it has {len(rows)} rows, {chosen} holds {len(found)} images"
         remedy = "put every image in place: sorted names correspond to rows"
         raise DatasetError("rows and images do not correspond", where=folder / FILE, why=why, remedy=remedy)
     gathering = assemble.Gathering(folder, problems)
-    masks = _masks(folder, chosen, pictures)
-    for number, (row, picture, mask) in enumerate(zip(rows, pictures, masks, strict=True)):
+    masks = gathering.masks(found[0].parent, [picture.name for picture in found])
+    for number, (row, picture, mask) in enumerate(zip(rows, found, masks, strict=True)):
         with gathering.collecting():
             where = f"{folder / FILE}, row {number} ({picture.name})"
             matrix, camera = _posed(gathering, row, gathering.file(picture, where=where), where=where)
-            mask = gathering.file(mask, where=where) if mask else None
             gathering.views.append(View(picture.stem, camera, matrix, "train", picture, mask))
     views = gathering.finished(listed_in=chosen)
     if (folder / "sparse" / "0").is_dir() and not (folder / "sparse" / "0" / "images.bin").is_file():
@@ -90,33 +89,6 @@ def row_of(world_from_camera: NDArray[np.float64], camera: Camera, near: float, 
     """(17,) row of a centred pinhole's pose in our axes."""
     matrix = np.concatenate([(world_from_camera @ OPENCV_FROM_LLFF)[:3], [[camera.height], [camera.width], [camera.fx]]], axis=1)
     return np.concatenate([matrix.ravel(), [near, far]])
-
-
-def find_images(folder: Path, wanted: str | None) -> tuple[list[Path], str]:
-    """Sorted images and the name of their folder: `wanted`, else `images`, else the largest of `images_N`."""
-    sized = sorted((p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdigit()), key=lambda p: int(p.name[7:]))
-    offered = [path for path in (folder / "images", *sized) if path.is_dir()]
-    if wanted is not None:
-        files.inside(folder, wanted)
-        offered = [path for path in [folder / wanted] if path.is_dir()]
-    if not offered:
-        raise UsageError("no folder of images", where=folder / (wanted or "images"), remedy="put the images there")
-    pictures = sorted(path for path in offered[0].iterdir() if path.suffix.lower() in PICTURES and path.name[0] != ".")
-    if not pictures:
-        raise DatasetError("scene has no images", where=offered[0], remedy="put the images there")
-    return pictures, offered[0].name
-
-
-def _masks(folder: Path, chosen: str, pictures: list[Path]) -> list[Path | None]:
-    """Mask of each picture: in `masks` for `images`, in `masks_N` for `images_N`; all or none."""
-    home = folder / chosen.replace("images", "masks")
-    if not home.is_dir():
-        return [None] * len(pictures)
-    masks = [home / (picture.stem + ".png") for picture in pictures]
-    absent = [mask.name for mask in masks if not mask.is_file()]
-    if absent:
-        raise DatasetError("masks are missing", where=home, why=", ".join(absent[:5]), remedy="give each image a mask, or none")
-    return list(masks)
 
 
 def _posed(

@@ -37,8 +37,15 @@ def detect(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
-    """Read a nerfstudio folder; missing images are left out and named in the notes.
+def load(
+    folder: Path,
+    *,
+    hold_out: int = 8,
+    images_folder: str | None = None,
+    problems: list[KoalaError] | None = None,
+    any_lens: bool = False,
+) -> Scene:
+    """Read a nerfstudio folder; missing images are left out and named in the notes. `any_lens` is that of `opengl.camera`.
 
     Views are sorted by file name. Without `train_filenames` and the like, every `hold_out`-th view is a test view.
     """
@@ -46,9 +53,17 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     content = files.read_json(files.within(folder, source))
     gathering = assemble.Gathering(folder, problems)
     stated = _splits(content, where=source)
-    for frame in sorted(opengl.frames_of(content, where=source), key=lambda frame: frame["file_path"]):
+    frames = sorted(opengl.frames_of(content, where=source), key=lambda frame: frame["file_path"])
+    present = opengl.Images(folder, frames, where=source, home=images_folder)
+    gathering.notes += [present.note] if present.note else []
+    for frame in frames:
         with gathering.collecting():
-            _gather(gathering, content, frame, stated, images_folder)
+            _gather(gathering, content, frame, stated, present, any_lens=any_lens)
+    if not any(view.mask for view in gathering.views) and len({view.image.parent for view in gathering.views}) == 1:
+        home = gathering.views[0].image.parent
+        masks = gathering.masks(home, [view.image.name for view in gathering.views])
+        gathering.views = [replace(view, mask=mask) for view, mask in zip(gathering.views, masks, strict=True)]
+        gathering.notes += [f"masks are used that {FILE} does not name"] if any(masks) else []
     views = gathering.finished(listed_in=FILE)
     points = _points(folder, content, where=source)
     known = sidecar.read(folder)
@@ -72,21 +87,21 @@ def _gather(
     content: dict[str, Any],
     frame: dict[str, Any],
     stated: dict[str, str],
-    images_folder: str | None,
+    present: opengl.Images,
+    *,
+    any_lens: bool,
 ) -> None:
     folder, listed = gathering.folder, frame["file_path"]
     where = f"{folder / FILE}, {listed}"
-    file_path = listed if images_folder is None else f"{images_folder}/{PurePosixPath(listed).name}"
-    image = opengl.image_path(folder, file_path, where=where)
+    image = present.path(listed, where=where)
     if image is None:
-        gathering.missing.append(file_path)
+        gathering.missing.append(listed)
         return
-    camera = gathering.fitted(opengl.camera(content, frame, image, where=where), image, where=where)
-    mask = files.inside(folder, frame["mask_path"], where=where) if frame.get("mask_path") else None
-    truth = {"depth": files.inside(folder, frame["depth_file_path"], where=where)} if frame.get("depth_file_path") else {}
-    name = PurePosixPath(listed).with_suffix("").as_posix().removeprefix("./")
+    camera = gathering.fitted(opengl.camera(content, frame, image, folder, where=where, any_lens=any_lens), image, where=where)
+    mask, depth = (opengl.other_path(frame, key, folder, where=where) for key in ("mask_path", "depth_file_path"))
+    name = PurePosixPath(opengl.plain_path(listed, where=where)).with_suffix("").as_posix()
     split = stated.get(listed, "train")
-    matrix = opengl.world_from_camera(frame, where=where)
+    matrix, truth = opengl.world_from_camera(frame, where=where), {"depth": depth} if depth else {}
     gathering.views.append(View(name, camera, matrix, split, image, mask, truth, depth_unit=_depth_unit(content, where=where)))
 
 

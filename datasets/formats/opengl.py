@@ -1,22 +1,27 @@
 """Shared by Blender's and nerfstudio's JSON: OpenGL camera axes and the variants of intrinsics."""
 
-from pathlib import Path
-from typing import Any
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_OPENGL
 from datasets.core import files
 from datasets.core.errors import DatasetError
-from datasets.formats.assemble import listed_once
+from datasets.formats.assemble import foreign_lens, listed_once
+from datasets.formats.finding.pictures import Listing, homes
 from datasets.imaging import images
 
-SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr", ".JPG", ".PNG")
-"""Suffixes that a `file_path` may lack."""
-PINHOLES = frozenset({"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", ""})
+PINHOLES = frozenset(
+    {"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "PERSPECTIVE", "BROWN", "NONE", ""}
+)
+"""Names of lens models whose coefficients are among OpenCV's."""
+FISHEYES = frozenset({"OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE"})
 FISHEYE = "OPENCV_FISHEYE"
 DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 """nerfstudio's order in `distortion_params`."""
@@ -31,17 +36,60 @@ def frames_of(content: Any, *, where: object) -> list[dict[str, Any]]:
     return frames
 
 
-def image_path(folder: Path, file_path: str, *, where: object) -> Path | None:
-    """The existing image of a `file_path`, with or without suffix; None where there is none.
+def plain_path(file_path: str, *, where: object) -> str:
+    """A `file_path` with "/" between its parts, as programs on Windows do not write it.
 
     Raises:
-        DatasetError: the path is absolute or leaves the folder, also through a symbolic link.
+        DatasetError: it names a drive.
     """
-    for suffix in SUFFIXES:
-        path = files.inside(folder, file_path + suffix, where=where)
-        if path.is_file():
-            return path
-    return None
+    path = file_path.replace("\\", "/")
+    if re.match(r"[A-Za-z]:", path):
+        raise DatasetError(f"path {file_path!r} leaves the folder", where=where, remedy="use paths relative to it")
+    return path.removeprefix("./")
+
+
+def other_path(frame: dict[str, Any], key: str, folder: Path, *, where: object) -> Path | None:
+    """The path that a frame states under a key; None where it states none. Raises DatasetError where it leaves the folder."""
+    stated = frame.get(key)
+    if not stated:
+        return None
+    return files.inside(folder, plain_path(stated, where=where) if isinstance(stated, str) else stated, where=where)
+
+
+class Images:
+    """The images that the frames of a file name; suffixes may be missing or differ, and so may the name of their folder.
+
+    Args:
+        folder: folder of the file.
+        frames: its frames. Where all of them name one folder and it does not exist, the first folder of images that holds one
+            of their images stands for it.
+        home: folder of images that stands for all that are named; None to take the images where the frames say.
+    """
+
+    def __init__(self, folder: Path, frames: list[dict[str, Any]], *, where: object, home: str | None = None) -> None:
+        self._folder, self._listing = folder, Listing()
+        self._home = PurePosixPath(home) if home is not None else None
+        self.note = ""
+        """One line on the folder that stands for the one that the frames name; empty where they agree."""
+        paths = [PurePosixPath(plain_path(frame["file_path"], where=where)) for frame in frames]
+        stated = {str(path.parent) for path in paths}
+        if home is None and len(stated) == 1 and not files.inside(folder, *stated, where=where).is_dir():
+            there = (other.name for other in homes(folder) if any(self._listing.like(other, path.name) for path in paths))
+            if (name := next(there, None)) is not None:
+                self._home = PurePosixPath(name)
+                self.note = f"there is no folder {' '.join(stated)}: images are taken from {name}"
+
+    def path(self, file_path: str, *, where: object) -> Path | None:
+        """The existing image of a `file_path`; None where there is none.
+
+        Raises:
+            DatasetError: the path is absolute or leaves the folder.
+        """
+        plain = PurePosixPath(plain_path(file_path, where=where))
+        path = files.inside(self._folder, str(plain), where=where)
+        if self._home is not None:
+            path = files.inside(self._folder, str(self._home / plain.name), where=where)
+        return path if path.is_file() else self._listing.like(path.parent, path.name)
 
 
 def world_from_camera(frame: dict[str, Any], *, where: object) -> NDArray[np.float64]:
@@ -59,32 +107,65 @@ def transform_matrix(world_from_camera: NDArray[np.float64]) -> list[list[float]
     return (world_from_camera @ OPENCV_FROM_OPENGL).tolist()
 
 
-def camera(content: dict[str, Any], frame: dict[str, Any], image: Path, *, where: object) -> Camera:
+def camera(
+    content: dict[str, Any], frame: dict[str, Any], image: Path, folder: Path, *, where: object, any_lens: bool = False
+) -> Camera:
     """Intrinsics of one frame: its own keys override those of the file; a missing size comes from the image's header.
+
+    k4 is the first coefficient below the line of OpenCV's rational model if k5, k6 or the lens model FULL_OPENCV say so, and else
+    the fourth above it, which needs `any_lens`.
 
     Raises:
         DatasetError: the lens model is not supported, or there is no focal length.
     """
     keys = {**content, **frame}
-    model = str(keys.get("camera_model", "")).upper()
-    if model not in PINHOLES | {FISHEYE}:
-        remedy = "undistort the images to a pinhole first"
+    model = str(keys.get("camera_model") or "").upper()
+    fisheye = model in FISHEYES or bool(keys.get("is_fisheye", False))
+    if model not in PINHOLES | FISHEYES:
+        remedy = "undistort the images to a pinhole first, or convert the model to COLMAP's layout"
         raise DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
     if keys.get("distortion_params") is not None:
         keys |= dict(zip(DISTORTION_PARAMS, keys["distortion_params"], strict=False))
-    fisheye = model == FISHEYE or bool(keys.get("is_fisheye", False))
-    if keys.get("k4") and not fisheye:
-        why, remedy = f"k4 = {keys['k4']}", "undistort the images to a pinhole first"
-        raise DatasetError("distortion k4 is not supported", where=where, why=why, remedy=remedy)
     width, height = (int(keys["w"]), int(keys["h"])) if "w" in keys and "h" in keys else images.size(image)
     fx = keys.get("fl_x") or _focal(width, keys.get("camera_angle_x"))
     fy = keys.get("fl_y") or (_focal(height, keys.get("camera_angle_y")) if "fl_x" not in keys else None) or fx
     if not fy:
         raise DatasetError("no focal length", where=where, why="neither fl_x nor camera_angle_x is given")
     cx, cy = keys.get("cx", width / 2), keys.get("cy", height / 2)
-    values = {"width": width, "height": height, "fx": fx or fy, "fy": fy, "cx": cx, "cy": cy}
-    terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
-    return Camera.from_json(values | {k: keys.get(k, 0.0) for k in terms} | {"fisheye": fisheye}, where=where)
+    values = {"width": width, "height": height, "fx": fx or fy, "fy": fy, "cx": cx, "cy": cy, "fisheye": fisheye}
+    rational = model == "FULL_OPENCV" or keys.get("k5") or keys.get("k6")
+    terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", *(("k4", "k5", "k6") if rational else ()))
+    found = Camera.from_json(values | {k: keys.get(k) or 0.0 for k in terms}, where=where)
+    fourth = 0.0 if fisheye or rational else float(keys.get("k4") or 0.0)
+    if fourth and not any_lens:
+        raise foreign_lens(f"with k4 = {fourth} as the fourth radial coefficient", folder, where=where)
+    return PolynomialCamera.of(found, fourth) if fourth else found
+
+
+@dataclass(frozen=True)
+class PolynomialCamera(Camera):
+    """A camera whose radial factor is 1 + k1 r^2 + k2 r^4 + k3 r^6 + fourth r^8, as nerfstudio reads k4 where no k5 or k6 stands
+    beside it. Images are resampled from it; nothing else knows it.
+    """
+
+    fourth: float = 0.0
+
+    @classmethod
+    def of(cls, camera: Camera, fourth: float) -> Self:
+        """The camera with a further coefficient."""
+        return cls(**asdict(camera), fourth=fourth)
+
+    @property
+    def is_pinhole(self) -> bool:
+        """False: there is a lens."""
+        return False
+
+    def radial(self, r2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(radial factor at the squared radius `r2`, its derivative by r2), of any shape."""
+        factor, slope = super().radial(r2)
+        square = np.asarray(r2, np.float64)
+        bent = self.fourth * square * square * square
+        return factor + bent * square, slope + 4 * bent
 
 
 def _focal(length: int, angle: float | None) -> float | None:

@@ -1,13 +1,17 @@
 """Time and memory needed to read images and shrink them."""
 
 import resource
+import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from datasets.imaging import downscale, images
+from datasets.imaging import downscale, images, reduced
+from datasets.imaging.copies import Copies
 
 
 def read_and_shrink(
@@ -48,3 +52,55 @@ def read_and_shrink(
 
 def _peak_kb() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def read_photographs(count: int = 57, *, width: int = 4608, height: int = 3456, scale: float = 0.1) -> dict[str, float]:
+    """Read `count` JPEGs at `scale`, `READERS` at a time: by OpenCV alone, from the files, and from their copies.
+
+    OpenCV decodes whole pictures and averages sRGB values; we average light. The pictures have detail of all widths down to three
+    pixels, of more contrast than photographs have.
+
+    Returns:
+        `opencv_seconds`, `seconds` and `again_seconds` of wall time, and `cpu_seconds` likewise; `file_mb`; and for one picture
+        `largest_difference` and `mean_difference` [steps of 255] from decoding all pixels and averaging their light.
+    """
+    wide, high = max(1, round(width * scale)), max(1, round(height * scale))
+    with tempfile.TemporaryDirectory() as folder:
+        first = _photograph(Path(folder) / "0.jpg", width, height)
+        paths = [first, *(Path(shutil.copy(first, first.with_stem(f"{i}"))) for i in range(1, count))]
+        copies = Copies(Path(folder) / "copies")
+
+        def kept(path: Path) -> np.ndarray:
+            return np.array(copies.of([path], wide, high, lambda: reduced.read_resized(path, None, wide, high)))
+
+        def plainly(path: Path) -> np.ndarray:
+            pixels = cv2.imread(str(path))
+            assert pixels is not None, "it was written above"
+            return cv2.resize(pixels, (wide, high), interpolation=cv2.INTER_AREA)
+
+        times: dict[str, float] = {}
+        for name, read in {"opencv_": plainly, "": kept, "again_": kept}.items():
+            times[f"{name}seconds"], times[f"{name}cpu_seconds"] = _seconds(read, paths)
+        exact = images.resize(images.read(first), wide, high)
+        off = 255 * np.abs(images.as_float(reduced.read_resized(first, None, wide, high)) - exact)
+        megabytes = first.stat().st_size / 1e6
+    sizes = {"images": count, "width": width, "height": height, "small_width": wide, "small_height": high, "file_mb": megabytes}
+    return {**sizes, **times, "largest_difference": float(off.max()), "mean_difference": float(off.mean())}
+
+
+def _photograph(path: Path, width: int, height: int) -> Path:
+    """Write a JPEG with random detail of widths from three to 96 pixels."""
+    random, picture = np.random.default_rng(0), np.full((height, width, 3), 0.5, np.float32)
+    for detail in (3, 12, 96):
+        coarse = random.normal(0, 0.12, (-(-height // detail), -(-width // detail), 3)).astype(np.float32)
+        picture += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(path), images.to_uint8(picture), [cv2.IMWRITE_JPEG_QUALITY, 92])
+    return path
+
+
+def _seconds(read: Callable[[Path], np.ndarray], paths: list[Path]) -> tuple[float, float]:
+    """Wall-clock and processor time."""
+    start, start_cpu = time.perf_counter(), time.process_time()
+    for _ in downscale.streamed(read, paths, workers=reduced.READERS):
+        pass
+    return time.perf_counter() - start, time.process_time() - start_cpu

@@ -8,6 +8,7 @@ import errno
 import os
 import shutil
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -68,23 +69,23 @@ def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
         raise DatasetError("image cannot be read", where=path, why=complaint or "decoding failed", remedy="copy it again")
     if pixels.ndim == 2:
         pixels = pixels[..., None]
-    return np.ascontiguousarray(_upright(pixels, orientation))
+    return np.ascontiguousarray(upright(pixels, orientation))
 
 
 def size(path: Path) -> tuple[int, int]:
     """(width, height) of an image as `read` would return it, from the header alone. Raises as `read` does."""
-    spec, orientation = _header(path)
+    spec, orientation = header(path)
     return (spec.height, spec.width) if orientation >= 5 else (spec.width, spec.height)
 
 
 def channels(path: Path) -> int:
     """Number of channels of an image, from the header alone; 2 and 4 include an alpha. Raises as `read` does."""
-    return _header(path)[0].nchannels
+    return header(path)[0].nchannels
 
 
 def steps(path: Path) -> int:
     """The divisor of `read`, from the header alone: 255 or 65535 for integers, 1 for floats."""
-    return _STEPS.get(str(_header(path)[0].format), 1)
+    return _STEPS.get(str(header(path)[0].format), 1)
 
 
 def metadata(path: Path) -> dict[str, str | int | float]:
@@ -93,7 +94,7 @@ def metadata(path: Path) -> dict[str, str | int | float]:
     The orientation is left out, since `read` applies it. Raises as `read` does.
     """
     found: dict[str, Any] = {}
-    for entry in _header(path)[0].extra_attribs:
+    for entry in header(path)[0].extra_attribs:
         try:
             found[entry.name] = entry.value
         except UnicodeDecodeError:  # text in another encoding, which nothing depends on
@@ -172,15 +173,32 @@ def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
     return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
 
 
+def as_float(stored: NDArray[Any]) -> NDArray[np.float32]:
+    """What `read` gives, from what `read_stored` gives: integers scaled to 0..1, floats as they are."""
+    if stored.dtype == np.float32:
+        return stored
+    return stored.astype(np.float32) * np.float32(1 / np.iinfo(stored.dtype).max)
+
+
+@cache
+def _light_of_steps(kind: type) -> NDArray[np.float32]:
+    """Linear light of every value that an integer type can hold."""
+    return linear_from_srgb(as_float(np.arange(np.iinfo(kind).max + 1, dtype=kind)))
+
+
 def linear_from_stored(stored: NDArray[Any]) -> NDArray[np.float32]:
     """Linear light of the result of `read_stored`; alpha, the second or fourth channel, is only scaled to 0..1."""
     if stored.dtype == np.float32:
         return stored.astype(np.float32)
-    top = np.iinfo(stored.dtype).max
-    steps_of_light = np.arange(top + 1, dtype=np.float32) / np.float32(top)
-    light = linear_from_srgb(steps_of_light)[stored]
+    table = _light_of_steps(stored.dtype.type)
+    if stored.dtype == np.uint8:
+        import cv2
+
+        light = np.asarray(cv2.LUT(stored, table[None]), np.float32).reshape(stored.shape)
+    else:
+        light = table[stored]
     if stored.shape[-1] in (2, 4):
-        light[..., -1] = steps_of_light[stored[..., -1]]
+        light[..., -1] = as_float(stored[..., -1])
     return light
 
 
@@ -286,7 +304,7 @@ def _beyond(spec: Any, path: Path) -> DatasetError | None:
     return None
 
 
-def _header(path: Path) -> tuple[Any, int]:
+def header(path: Path) -> tuple[Any, int]:
     """OpenImageIO's specification of a file, and the orientation tag."""
     source, orientation = _open(path)
     spec = source.spec()
@@ -302,7 +320,7 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def _upright(pixels: NDArray[np.float32], orientation: int) -> NDArray[np.float32]:
+def upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     """Undo an EXIF orientation: 5 to 8 transpose, the others only mirror."""
     if orientation >= 5:
         pixels = pixels.transpose(1, 0, 2)

@@ -11,8 +11,7 @@ from datasets.page.server import Page
 
 Picture = NDArray[np.floating] | NDArray[np.uint8]
 
-WIDTH = 640
-"""Largest width of pictures that are sent [px]."""
+WIDTH = 640  # largest width of pictures that are sent [px]
 
 
 class PicturePanel:
@@ -31,8 +30,6 @@ class PicturePanel:
         """Replace what one browser shows by Markdown and a picture.
 
         Args:
-            client: the browser.
-            words: Markdown.
             picture: (height, width, 1 to 4) sRGB in 0..1, or bytes; None for text only.
         """
         pixels = None if picture is None else bytes_of(picture, WIDTH)
@@ -55,7 +52,6 @@ def bytes_of(picture: Picture, width: int) -> NDArray[np.uint8]:
 
     Args:
         picture: (height, width, 1 to 4) sRGB in 0..1, or bytes.
-        width: greatest width of the result [px].
     """
     values = np.asarray(picture, np.float32) / 255 if picture.dtype == np.uint8 else np.clip(picture, 0, 1)
     if values.shape[1] > width:

@@ -28,12 +28,9 @@ from websockets.http11 import Request, Response
 
 from datasets.core.errors import KoalaError
 
-HOST, PORT = "127.0.0.1", 8080
-"""Address of pages, for this machine only, at the first free port from PORT on."""
-JOIN_S = 0.3
-"""How long closing a page waits for its background work [s]."""
-POLL_S = 0.2
-"""Interval at which the main thread, which alone handles signals, checks for one [s]."""
+HOST, PORT = "127.0.0.1", 8080  # address of pages, for this machine only, at the first free port from PORT on
+JOIN_S = 0.3  # how long closing a page waits for its background work [s]
+POLL_S = 0.2  # interval at which the main thread, which alone handles signals, checks for one [s]
 logger = logging.getLogger(__name__)
 
 
@@ -85,8 +82,7 @@ class Page:
     """A page that is being served."""
 
     server: viser.ViserServer
-    stopping: threading.Event = field(default_factory=threading.Event)
-    """Set when the page closes; background work checks it."""
+    stopping: threading.Event = field(default_factory=threading.Event)  # set when the page closes; background work checks it
     _workers: list[threading.Thread] = field(default_factory=list)
 
     @property

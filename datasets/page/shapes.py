@@ -18,8 +18,7 @@ COLOURS: dict[str, Colour] = {
     "blocked": (120, 120, 120), "error": (220, 20, 20), "warning": (240, 150, 0), "box": (190, 150, 30),
 }  # fmt: skip
 """sRGB colours by meaning."""
-SIDES = 16
-"""Number of corners of the circles of capsules."""
+SIDES = 16  # number of corners of the circles of capsules
 
 
 def colour_of(name: str) -> Colour:

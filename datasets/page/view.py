@@ -20,10 +20,8 @@ from datasets.page.ruler import Ruler
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
-THUMBNAIL = 96
-"""Width of the images on the cameras [px]."""
-MOST_POINTS = 200_000
-"""Largest number of points shown; larger clouds are thinned."""
+THUMBNAIL = 96  # width of the images on the cameras [px]
+MOST_POINTS = 200_000  # largest number of points shown; larger clouds are thinned
 
 
 class _Stopped(Exception):
@@ -192,9 +190,7 @@ def show(page: Page, path: str | Path, scene: Scene, *, quick: bool = False, **o
     """Show a scene on a page; thumbnails and findings follow in the background.
 
     Args:
-        page: to draw on.
         path: of the scene, for the check.
-        scene: as loaded from there.
         quick: do not match features between views.
         **options: of `load_scene`.
     """

@@ -36,8 +36,7 @@ class Number:
     value: float | None
     unit: str = ""
     std: float | None = None
-    digits: int | None = None
-    """Digits after the point; None: two significant digits of the deviation, else four of the value."""
+    digits: int | None = None  # digits after the point; None: two significant digits of the deviation, else four of the value
 
     @property
     def known(self) -> bool:
@@ -74,7 +73,6 @@ class ReportPage:
         """Begin a page.
 
         Args:
-            title: heading of the page and title of its window.
             made_by: the command lines that led to it; the last one made it.
         """
         self.title, self.made_by = title, tuple(made_by)

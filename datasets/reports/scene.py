@@ -18,8 +18,7 @@ from datasets.reports.html import Number, ReportPage
 from datasets.scene import Scene, View
 from datasets.structure import bounds
 
-THUMBNAIL = 190
-"""Width of the thumbnails [px]."""
+THUMBNAIL = 190  # width of the thumbnails [px]
 COLOURS = {"train": "#2f6fde", "val": "#8e5bbf", "test": "#d0342c"}
 COLUMNS = ("view", "split", "width [px]", "height [px]", "fx", "fy", "cx", "cy", "distance to the box's centre", "truth")
 
@@ -30,15 +29,11 @@ def write(
     """Write the report of a scene to the new file `out`; returns the findings of `datasets check`.
 
     Args:
-        path: of the scene.
-        out: HTML file.
         matches: match features between views, the slowest part.
-        made_by: the command line.
         done: called with the number of views checked and their total.
         **options: of `load_scene`.
 
-    Raises:
-        UsageError: `out` exists, or `path` is not a scene.
+    Raises UsageError: `out` exists, or `path` is not a scene.
     """
     files.refuse_existing(out)
     problems: list[KoalaError] = []

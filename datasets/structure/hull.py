@@ -1,14 +1,22 @@
-"""The visual hull: the space that no alpha and no mask marks as empty. Its box is a safe bound of the object."""
+"""The visual hull: the space that the masks leave to the object. Its box is a safe bound of the object."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datasets.imaging import images
 from datasets.scene import View
-from datasets.structure.bounds import Box, depth_range, half_field
+from datasets.structure.bounds import Box, depth_range
+from datasets.structure.votes import FEWEST, Silhouette, upheld
+
+GROWTH = (1.0, 1.25, 1.5, 2.0, 2.5)
+"""Sizes of the box that the hull is looked for in, until it explains the masks: an object may go on beyond most pictures."""
+SEEN_BY = (3, 6, 12)
+"""A voxel is seen by one of so many views; fewer where the hull explains the masks only then."""
+UNEXPLAINED = 0.003
+"""Share of the object's pixels that may see no voxel of the hull, in the mean over the views."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,68 +43,61 @@ class Hull:
             nearest, furthest = min(nearest, float(depths.min())), max(furthest, float(depths.max()))
         return max(nearest - self.radius, least), min(furthest + self.radius, greatest)
 
+    def unexplained(self, silhouettes: Sequence[Silhouette]) -> float:
+        """Share of the object's pixels that see none of its voxels, in the mean over views."""
+        return float(np.mean([silhouette.unexplained(self.centres, self.radius) for silhouette in silhouettes]))
+
 
 def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, resolution: int = 48) -> Hull:
-    """The part of `box` that at least a third of the views see and no mask marks as empty.
+    """The space that masks leave to the object and that a third of the views see, looked for in `box`.
 
-    Conservative: masks are dilated by half a projected voxel diagonal. Three passes, each in the box of the previous one.
+    Where such a hull does not explain the masks, since the object leaves pictures at their edges, it is looked for in a larger
+    box, and among what fewer views see.
     """
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
-    masks = [_mask(view) for view in chosen]
-    start = result = np.asarray(box, np.float64)
-    kept, radius = np.zeros((0, 3)), 0.0
+    silhouettes = [_silhouette(view) for view in chosen]
+    start = np.asarray(box, np.float64)
+    found: list[tuple[float, Hull]] = []
+    for one_of in SEEN_BY:
+        for growth in GROWTH:
+            grown = start.mean(0) + growth * (start - start.mean(0))
+            hull = _hull_within(silhouettes, grown, max(len(chosen) // one_of, FEWEST), resolution)
+            if hull is None:
+                continue
+            found.append((hull.unexplained(silhouettes), hull))
+            if found[-1][0] <= UNEXPLAINED:
+                return hull
+    return min(found, key=lambda one: one[0])[1] if found else Hull(start, np.zeros((0, 3)), 0.0, 0)
+
+
+def _hull_within(silhouettes: Sequence[Silhouette], box: Box, needed: int, resolution: int) -> Hull | None:
+    """The hull of what `needed` views see of a box; None where there is none. Three passes, each in the box of the last."""
+    kept, radius, result = np.zeros((0, 3)), 0.0, box
     for _ in range(3):
         voxel = (result[1] - result[0]) / resolution
         axes = [result[0, k] + voxel[k] * (np.arange(resolution) + 0.5) for k in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         radius = float(np.linalg.norm(voxel)) / 2
-        visible = np.zeros(len(points), int)
-        for view, mask in zip(chosen, masks, strict=True):
-            counted, possible = _carve(view, mask, points, radius)
-            points, visible = points[possible], (visible + counted)[possible]
-        kept = points[visible >= max(len(chosen) // 3, 1)]
+        index, seen = upheld(silhouettes, points, radius)
+        kept = points[index[seen >= needed]]
         if not len(kept):
-            return Hull(start, points, radius, 0)
+            return None
         result = np.stack([np.maximum(kept.min(0) - voxel, result[0]), np.minimum(kept.max(0) + voxel, result[1])])
-    return Hull(result, kept, radius, len(chosen))
+    return Hull(result, kept, radius, len(silhouettes))
 
 
 _CELL = 2
 """Pixels per side of a mask cell."""
+FAINTEST = 0.1
+"""Alpha above which a pixel may be of the object: compressed masks have specks of a few hundredths."""
 
 
-def _mask(view: View) -> NDArray[np.bool_]:
-    """(rows, columns) mask cells: True where any pixel belongs to the object."""
-    picture = images.read(view.mask or view.image)
-    inside = picture[..., 0 if view.mask else -1] > 0
+def _silhouette(view: View) -> Silhouette:
+    """A view's mask in cells, of the object where any of their pixels is."""
+    inside = (view.read_mask() if view.mask else images.read(view.image))[..., -1] > FAINTEST
     height, width = inside.shape
     padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
-    cells = padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL)
-    return np.any(cells, axis=(1, 3))
-
-
-def _carve(
-    view: View, mask: NDArray[np.bool_], points: NDArray[np.float64], radius: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(n,) flags of the (n, 3) points: which this view sees, and which its mask does not exclude."""
-    from scipy.ndimage import maximum_filter
-
-    camera = view.camera
-    visible, possible = np.zeros(len(points), bool), np.ones(len(points), bool)
-    local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-    front = local[:, 2] > 2 * radius
-    safe_depth = np.where(front, local[:, 2], 1.0)
-    index = np.flatnonzero(
-        front & (np.abs(local[:, :2]).max(1) < 1.5 * half_field(camera) * safe_depth)
-    )  # where the lens model is valid
-    pixels = camera.project(local[index])
-    inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(1)
-    index, pixels = index[inside], pixels[inside]
-    if not len(index):
-        return visible, possible
-    footprint = radius * max(camera.fx, camera.fy) / (float(local[index, 2].min()) - radius) / _CELL
-    wide = maximum_filter(mask, size=2 * int(np.ceil(footprint)) + 1, mode="nearest")
-    column, row = (pixels / _CELL).astype(int).T
-    visible[index] = True
-    possible[index] = wide[row, column]
-    return visible, possible
+    rows, columns = padded.shape[0] // _CELL, padded.shape[1] // _CELL
+    cells = np.any(padded.reshape(rows, _CELL, columns, _CELL), axis=(1, 3))
+    camera = replace(view.camera, width=columns * _CELL, height=rows * _CELL).scaled(columns, rows)
+    return Silhouette(camera, view.world_from_camera, cells)

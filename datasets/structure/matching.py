@@ -20,6 +20,8 @@ COUNT = 900
 """Features per view; the strongest are kept."""
 RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
+BLUR_PX = 2.0
+"""Standard deviation of the window in which a feature's colour is measured [px of the image that is searched]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +32,15 @@ class Features:
     """(n, 3) rays in the camera's frame, z = 1."""
     descriptors: NDArray[np.float32]
     """(n, 128) unit vectors: the root of SIFT's, whose dot product is Hellinger's affinity."""
-    light: NDArray[np.float32]
-    """(n,) linear light around each feature, mean of the channels, 0..1."""
+    colours: NDArray[np.float32]
+    """(n, 3) linear light around each feature, 0..1; of the object alone where there is an alpha or a mask."""
     pixel: float
     """Size of a pixel of the image that was searched, as a tangent."""
+
+    @property
+    def light(self) -> NDArray[np.float32]:
+        """(n,) mean of the colours' channels."""
+        return self.colours.mean(-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,18 +64,34 @@ def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: in
     for view in views:
         found.append(detect(view, side=side))
         done()
+    return joined(views, found, pairs)
+
+
+def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[tuple[int, int]]) -> Matches:
+    """Matches of views whose features are known, between the given pairs."""
     kept = [(i, j, match(found[i], found[j])) for i, j in pairs]
     return Matches(tuple(views), tuple(found), tuple(pair for pair in kept if len(pair[2])))
 
 
 def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     """Features of a view; with an alpha or a mask, only those of the object. Raises as `View.read` does."""
+    return detect_in(shrunk(view.read(), side), view, count=count)
+
+
+def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32]:
+    """A picture of at most `side` pixels, averaged over areas."""
     import cv2
 
-    picture = view.read()
     shrink = max(1.0, max(picture.shape[:2]) / side)
     width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
-    small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> Features:
+    """Features of a view in its picture at any size."""
+    import cv2
+
+    height, width = small.shape[:2]
     grey = 255 * small[..., :3].mean(-1)
     grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # NaN, as behind a mask, becomes black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
@@ -76,13 +99,24 @@ def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
     keypoints, descriptors = sift.detectAndCompute(grey, mask)
     pixel = 1 / (view.camera.fx * width / view.camera.width)
     if descriptors is None:
-        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32), pixel)
+        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros((0, 3), np.float32), pixel)
     pixels = conventions.pixels_from_opencv([point.pt for point in keypoints])
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    light = cv2.GaussianBlur(images.linear_from_srgb(small[..., :3]).mean(-1), (0, 0), 2.0)
     column, row = np.minimum(pixels.astype(int), [width - 1, height - 1]).T
     directions = view.camera.scaled(width, height).directions(pixels)
-    return Features(directions, root.astype(np.float32), light[row, column], pixel)
+    return Features(directions, root.astype(np.float32), _colours(small)[row, column], pixel)
+
+
+def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(height, width, 3) linear light of an sRGB picture, blurred; pixels count by their alpha."""
+    import cv2
+
+    light = np.nan_to_num(images.linear_from_srgb(picture[..., :3]), nan=0.0)  # behind a mask there may be anything
+    if picture.shape[-1] == 3:
+        return np.asarray(cv2.GaussianBlur(light, (0, 0), BLUR_PX), np.float32)
+    alpha = np.clip(picture[..., 3:], 0, 1)
+    share = cv2.GaussianBlur(alpha, (0, 0), BLUR_PX)[..., None]
+    return np.asarray(cv2.GaussianBlur(light * alpha, (0, 0), BLUR_PX) / np.maximum(share, 1e-3), np.float32)
 
 
 def match(first: Features, second: Features) -> NDArray[np.int64]:
@@ -116,3 +150,10 @@ def neighbours(
         near = [int(j) for j in np.argsort(angles, kind="stable") if j != i and angles[j] >= least_deg][:count]
         chosen |= {(min(i, j), max(i, j)) for j in near}
     return sorted(chosen)
+
+
+def pairs_of(world_from_camera: NDArray[np.float64], centre: NDArray[np.float64], *, count: int = 4) -> list[tuple[int, int]]:
+    """Pairs of (n, 4, 4) cameras to be matched: `neighbours`, and the next two in the order of capture."""
+    views = len(world_from_camera)
+    in_order = [(i, i + step) for step in (1, 2) for i in range(views - step)]
+    return sorted({*neighbours(world_from_camera, centre, count=count), *in_order})

@@ -36,6 +36,8 @@ class Cloud:
     """(n, 3) in the world."""
     sightings: NDArray[np.int64]
     """(m, 2) index of a point, and of a view in `Matches.views` that saw it."""
+    features: NDArray[np.int64]
+    """(m,) index of the feature behind each sighting in its view's features."""
     errors_px: NDArray[np.float64]
     """(m,) distance between point and feature in the image that was searched."""
 
@@ -58,7 +60,8 @@ def triangulate(matches: Matches, world_from_camera: NDArray[np.float64]) -> Clo
     good = enough[rows[sighting]]
     new_index = np.cumsum(enough) - 1
     sightings = np.stack([new_index[rows[sighting][good]], view[sighting][good]], axis=1)
-    return Cloud(points[enough], sightings, errors[good])
+    features = sighting[good] - offsets[view[sighting[good]]]
+    return Cloud(points[enough], sightings, features, errors[good])
 
 
 def meeting_point(sightings: Sequence[tuple[View, ArrayLike]]) -> NDArray[np.float64] | None:

@@ -21,7 +21,7 @@ from reconstruct.studies.seeds import CONFIDENCE, Sample
 
 NORMALS = ("normal_mae_deg", "normal_mae_alpha_acc_deg", "normal_pred_mae_deg", "normal_pred_mae_alpha_acc_deg")
 COSTS = ("rays_per_s", "seconds", "compilation_s", "peak_memory_mb")
-COMPARED = ("psnr", "ssim", *NORMALS, "depth_rmse_mm", "chamfer_mm", *COSTS)
+COMPARED = ("psnr", "ssim", "psnr_inside", "ssim_inside", *NORMALS, "depth_rmse_mm", "chamfer_mm", *COSTS)
 BETTER_HIGH = HIGHER_IS_BETTER | {"rays_per_s", "samples_per_s"}
 EVERYWHERE = "all places"
 

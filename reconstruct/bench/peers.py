@@ -14,8 +14,9 @@ from datasets.core.errors import DatasetError, UsageError, nearest
 from reconstruct.bench.records import Row
 
 TEXT = ("program", "scene", "note")
-METRICS = ("psnr", "ssim", "normal_mae_deg", "normal_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm")
-NUMBERS = ("scale", "seconds", *METRICS, "rays_per_s", "view_s", "peak_memory_mb")
+PICTURES = ("psnr", "ssim", "psnr_inside", "ssim_inside")
+SHAPES = ("normal_mae_deg", "normal_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm")
+NUMBERS = ("scale", "seconds", *PICTURES, *SHAPES, "rays_per_s", "view_s", "peak_memory_mb")
 NEEDED = ("program", "scene", "seconds")
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from datasets.core.errors import DatasetError
 from reconstruct.bench.suite import Trial
@@ -46,25 +46,32 @@ class Records:
     def rows(self) -> list[Row]:
         """All complete lines, unknown values as None. A last line without its end, left by a kill, is ignored.
 
-        Raises DatasetError: the columns differ.
+        Files of earlier versions may lack metrics. Raises DatasetError: other columns differ.
         """
         text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
         whole = text[: text.rfind("\n") + 1]
         reader = csv.DictReader(io.StringIO(whole))
-        if whole and tuple(reader.fieldnames or ()) != COLUMNS:
-            different = sorted(set(COLUMNS) ^ set(reader.fieldnames or ()))[:4]
-            advice = "choose another --out"
-            raise DatasetError("columns differ from this version's", where=self.path, why=f"{different}", remedy=advice)
-        return [{name: _number(value) if name not in _TEXT else value for name, value in row.items()} for row in reader]
+        columns = tuple(reader.fieldnames or ())
+        if whole and columns != tuple(name for name in COLUMNS if name in columns or name not in METRICS):
+            self._refuse(columns)
+        unknown = dict.fromkeys(name for name in METRICS if name not in columns)
+        read = [{name: _number(value) if name not in _TEXT else value for name, value in row.items()} for row in reader]
+        return [row | unknown for row in read]
+
+    def _refuse(self, columns: Iterable[str]) -> NoReturn:
+        why, advice = f"{sorted(set(COLUMNS) ^ set(columns))[:4]}", "choose another --out"
+        raise DatasetError("columns differ from this version's", where=self.path, why=why, remedy=advice)
 
     def done(self) -> set[tuple[str, ...]]:
         """Keys of the finished trials."""
         return {key_of(row) for row in self.rows() if row["status"] == DONE}
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Append a line and flush it to disk."""
+        """Append a line and flush it to disk. Raises DatasetError: the columns differ."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         text = self.path.read_bytes() if self.path.is_file() else b""
+        if b"\n" in text and (columns := text[: text.index(b"\n")].decode().split(",")) != list(COLUMNS):
+            self._refuse(columns)
         buffer = io.StringIO()
         writer = csv.DictWriter(buffer, COLUMNS, restval="", lineterminator="\n")
         if b"\n" not in text:

@@ -15,8 +15,9 @@ from reconstruct.bench.suite import COST, QUALITY
 from reconstruct.output import metric_names
 
 REPORT = "index.html"
-METRICS = ("psnr", "ssim", "normal_mae_alpha_acc_deg", "normal_mae_deg", "normal_pred_mae_alpha_acc_deg", "depth_rmse_mm")
-COLUMNS = (*METRICS, "chamfer_mm", "seconds")  # metrics in the table of all points
+PICTURES = ("psnr", "ssim", "psnr_inside", "ssim_inside")
+SHAPES = ("normal_mae_alpha_acc_deg", "normal_mae_deg", "normal_pred_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm")
+COLUMNS = (*PICTURES, *SHAPES, "seconds")  # metrics in the table of all points
 RATES = ("steps", "rays_per_s", "samples_per_s", "peak_memory_mb")
 RATE_HEADINGS = ("steps", "rays/s", "samples/s", "memory [MB]")
 SPEEDS = (("training rays", "rays_per_s", "rays_per_s", "1/s"), ("rendering a view", "view_s", "seconds", "s"))

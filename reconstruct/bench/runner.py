@@ -32,7 +32,6 @@ def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict
     """Run the trials that are not finished yet.
 
     Args:
-        out: folder of the benchmark.
         data: folder of the real scenes.
 
     Returns:

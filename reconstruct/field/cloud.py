@@ -1,6 +1,6 @@
 """Places at which a field is evaluated: points, or frustums that several small Gaussians stand for.
 
-Knows the contraction, so that fields see contracted coordinates and everybody else the scene's own.
+Knows the space, so that fields see its coordinates and everybody else the scene's own.
 """
 
 from dataclasses import replace
@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.field.contraction import contract, contraction_scale, pull_back
 from reconstruct.field.encodings.encoding import Encoding, Scale
 from reconstruct.numerics.compiling import barrier
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import Space
 
 GAUSSIAN_SCALE = 0.5
 """Zip-NeRF's factor on the width of the Gaussians."""
@@ -27,7 +27,7 @@ class Cloud(eqx.Module):
     """Scene coordinates."""
     scale: Float[Array, " n_group"] | Float[Array, "3 n_group"] | None
     """Standard deviation, of all axes or of each [scene unit]; None for points without extent."""
-    bounded: bool = eqx.field(static=True)
+    space: Space = eqx.field(static=True)
     group: int = eqx.field(static=True, default=1)
     followed: bool = eqx.field(static=True, default=False)
     """Whether a gradient goes to the points: they are data elsewhere."""
@@ -39,7 +39,7 @@ class Cloud(eqx.Module):
 
     def encoded(self, encoding: Encoding) -> Float[Array, "channels n"]:
         """Features of each place."""
-        points, scale = barrier(self.contracted())
+        points, scale = barrier(self.mapped())
         if not self.followed:
             return self._averaged(encoding(points, scale))
         held = jax.lax.stop_gradient(points)
@@ -49,22 +49,22 @@ class Cloud(eqx.Module):
 
     def encoded_with_jacobian(self, encoding: Encoding) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
         """Features and their derivative to the scene's coordinates."""
-        points, scale = barrier(self.contracted())
+        points, scale = barrier(self.mapped())
         features, jacobian = encoding.value_and_jacobian(points, scale)
-        if not self.bounded:
-            jacobian = pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
+        if not self.space.bounded:
+            jacobian = self.space.pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
         return self._averaged(features), self._averaged(jacobian)
 
     def centres(self) -> Float[Array, "3 n"]:
-        """Contracted coordinates of each place: the mean of its Gaussians'."""
-        return self._averaged(self.contracted()[0])
+        """Where each place is around the object: the mean of its Gaussians'."""
+        return self._averaged(self.points if self.space.bounded else self.space.around(self.points.T).T)
 
-    def contracted(self) -> tuple[Float[Array, "3 n_group"], Scale | None]:
+    def mapped(self) -> tuple[Float[Array, "3 n_group"], Scale | None]:
         """Points and scale as the encodings take them."""
-        if self.bounded:
+        if self.space.bounded:
             return self.points, self.scale
-        factor = None if self.scale is None else self.scale * contraction_scale(self.points.T)
-        return contract(self.points.T).T, factor
+        factor = None if self.scale is None else self.scale * self.space.scale(self.points.T)
+        return self.space.mapped(self.points.T).T, factor
 
     def _averaged(self, values: Float[Array, "*lead n_group"]) -> Float[Array, "*lead n"]:
         if self.group == 1:
@@ -72,13 +72,13 @@ class Cloud(eqx.Module):
         return values.reshape(*values.shape[:-1], -1, self.group).mean(-1)
 
 
-def points_on_rays(rays: Rays, ray: Array, t: Float[Array, " n"], bounded: bool) -> Cloud:
+def points_on_rays(rays: Rays, ray: Array, t: Float[Array, " n"], space: Space) -> Cloud:
     """Points at distance t along the given rays."""
     along = rays.directions.at[ray].get(mode="promise_in_bounds") * t[:, None]
-    return Cloud((rays.origins.at[ray].get(mode="promise_in_bounds") + along).T, None, bounded)
+    return Cloud((rays.origins.at[ray].get(mode="promise_in_bounds") + along).T, None, space)
 
 
-def gaussians_in_frustums(rays: Rays, ray: Array, t: Float[Array, " n"], half: Float[Array, " n"], bounded: bool) -> Cloud:
+def gaussians_in_frustums(rays: Rays, ray: Array, t: Float[Array, " n"], half: Float[Array, " n"], space: Space) -> Cloud:
     """One Gaussian per conical frustum, of its mean and the diagonal of its covariance (Mip-NeRF, equations 7 to 16).
 
     Args:
@@ -95,10 +95,10 @@ def gaussians_in_frustums(rays: Rays, ray: Array, t: Float[Array, " n"], half: F
     axial = squared / jnp.maximum(jnp.sum(squared, -1, keepdims=True), 1e-12)
     variance = jnp.maximum(along, 0.0)[:, None] * squared + jnp.maximum(across, 0.0)[:, None] * (1 - axial)
     points = get(rays.origins) + mean[:, None] * directions
-    return Cloud(points.T, jnp.sqrt(jnp.maximum(variance, 1e-16)).T, bounded)
+    return Cloud(points.T, jnp.sqrt(jnp.maximum(variance, 1e-16)).T, space)
 
 
-def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays edges"], turn: Float[Array, " rays"], bounded: bool) -> Cloud:
+def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays edges"], turn: Float[Array, " rays"], space: Space) -> Cloud:
     """Six Gaussians per conical frustum that match its mean and covariance (Zip-NeRF, section 3.1).
 
     Args:
@@ -116,7 +116,7 @@ def hexagons_in_frustums(rays: Rays, tdist: Float[Array, "rays edges"], turn: Fl
         jnp.cos(angle)[..., None] * across[:, None, None] + jnp.sin(angle)[..., None] * up[:, None, None]
     )
     points = rays.origins[:, None, None] + t[..., None] * rays.directions[:, None, None] + offset
-    return Cloud(points.reshape(-1, 3).T, (GAUSSIAN_SCALE * radius).reshape(-1), bounded, group=6)
+    return Cloud(points.reshape(-1, 3).T, (GAUSSIAN_SCALE * radius).reshape(-1), space, group=6)
 
 
 def _perpendicular(viewdirs: Float[Array, "n 3"]) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:

@@ -21,9 +21,11 @@ from datasets.scene import View
 from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model, render
+from reconstruct.rendering.pictures import on_device, taken
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.poses import corrected
-from reconstruct.scene.rays import Rays, over, read_scaled, view_rays
+from reconstruct.scene.rays import Rays, over, read_scaled
+from reconstruct.scene.space import Space
 from reconstruct.scene.twists import moved
 
 PIXELS = 2048  # maximum number of pixels used for the alignment; at most half of the view's
@@ -48,17 +50,17 @@ class Aligner:
     trained: TrainedModel
 
     def __post_init__(self) -> None:
-        bounded, behind = self.trained.run.normalisation.bounded, jnp.asarray(self.trained.renderer.behind)
-        self._linearised = compiled(lambda model, rays, twist: _linearised(model, rays, twist, behind, bounded))
+        space, behind = self.trained.run.normalisation.space, jnp.asarray(self.trained.renderer.behind)
+        self._linearised = compiled(lambda model, rays, twist: _linearised(model, rays, twist, behind, space))
 
     def __call__(self, view: View) -> Aligned:
         """Align a view to its image."""
         trained, camera = self.trained, self.trained.camera(view)
-        picture = read_scaled(view, trained.run.config.scale).reshape(camera.height * camera.width, -1)
+        picture = read_scaled(view, trained.run.config.scale, trained.run.copies).reshape(camera.height * camera.width, -1)
         colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
-        origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
-        rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))
+        rays = on_device(taken(trained.renderer.rays_of(view, camera), chosen))
+        rays = replace(rays, view=jnp.zeros(len(chosen), jnp.int32))
         twist, steps = self._solved(rays, colour[chosen])
         pose = corrected(view.world_from_camera, twist, trained.run.normalisation.scale)
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)
@@ -101,7 +103,7 @@ def _cost(error: NDArray[np.float64], twist: NDArray[np.float64], spread: float)
 
 
 def _linearised(
-    model: Model, rays: Rays, twist: Float[Array, " 6"], behind: Float[Array, " 3"], bounded: bool
+    model: Model, rays: Rays, twist: Float[Array, " 6"], behind: Float[Array, " 3"], space: Space
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 6"], Array]:
     """Colours of rays after a twist, their derivative with respect to a further twist, and which rays were not dropped.
 
@@ -111,8 +113,8 @@ def _linearised(
     found = model.sampler.look(rays)
 
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        shifted = Rays(origins, directions, rays.radii)
-        cloud = cloud_of(shifted, found.samples, bounded=bounded, footprint=found.footprint)
+        shifted = Rays(origins, directions, rays.radii, light=rays.light)
+        cloud = cloud_of(shifted, found.samples, space=space, footprint=found.footprint)
         rendered, _ = render(model.field, shifted, found.samples, replace(cloud, followed=True))
         return jnp.clip(rendered.over(behind[None]), 0, 1)
 

@@ -16,6 +16,7 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.formats import find
 from datasets.imaging import images
+from datasets.imaging.copies import Copies
 from datasets.scene import View
 from reconstruct.errors import ReconstructError
 from reconstruct.output import metric_names, metrics
@@ -23,6 +24,7 @@ from reconstruct.output.align import Aligner
 from reconstruct.output.lpips import Lpips
 from reconstruct.output.mesh import extraction, reading, surface_distance
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.exposure import across_halves, left_half
 from reconstruct.scene import poses
 from reconstruct.scene.rays import over, read_scaled
 
@@ -35,7 +37,14 @@ ALIGNED = {
     "steps": "steps of the method of Levenberg and Marquardt",
 }
 """Definitions for aligned views."""
-ALIGNED_SHOWN = ("psnr", "ssim", "lpips")  # metrics of aligned views in the summary
+EXPOSED = {
+    "exposure": "training views have learned gains, so each view's gain in linear light was fitted by least squares on one half "
+    "of its picture and applied to the other, both ways; all metrics of the colour are of the two halves together",
+    "log_gains": "natural logarithms of the gains fitted on the left half and on the right",
+    "psnr_as_rendered": "psnr without them: at the mean exposure of the training views [dB]",
+}
+"""Definitions for models with gains."""
+ALIGNED_SHOWN = ("psnr", "ssim", "psnr_inside", "ssim_inside", "lpips")  # metrics of aligned views in the summary
 TRUE_SURFACE = "truth/object.ply"  # true mesh [m] of the object in a simulated scene
 
 
@@ -58,6 +67,9 @@ def evaluate(
     measured = _measured(trained, views, lpips)
     camera, steps = trained.camera(views[0]), trained.step
     result = summary(split, measured, [camera.width, camera.height], lpips)
+    if trained.model.per_image is not None:
+        as_rendered = float(np.mean([view["psnr_as_rendered"] for view in measured]))
+        result |= {"exposure": {"psnr_as_rendered": as_rendered, "definitions": EXPOSED}}
     result |= {"scale": trained.run.config.scale, "steps": steps, "compilation_s": compilation_s}
     if align:
         result |= {"aligned": _aligned(trained, views, lpips)}
@@ -77,12 +89,25 @@ def _measured(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None)
             start = time.perf_counter()
             picture = trained.picture(view)
             seconds = time.perf_counter() - start
-            truth = read_truth(view, trained.camera(view))
-            found = compare(vars(picture), truth, metric=trained.scene.metric, lpips=lpips)
-            measured.append({"name": view.name, **found, "seconds": seconds})
+            truth = read_truth(view, trained.camera(view), trained.run.copies)
+            maps, exposure = _exposed(trained, vars(picture), truth["rgb"])
+            found = compare(maps, truth, metric=trained.scene.metric, lpips=lpips)
+            measured.append({"name": view.name, **found, **exposure, "seconds": seconds})
             shown.advance()
             shown.note(f"PSNR {measured[-1]['psnr']:.1f} dB")
     return measured
+
+
+def _exposed(
+    trained: TrainedModel, maps: dict[str, NDArray[np.float32]], truth: NDArray[np.float32]
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """The maps of a view with its exposure, where the model has gains, and what was fitted; see `EXPOSED`."""
+    gains = trained.model.per_image
+    if gains is None:
+        return maps, {}
+    height, width = truth.shape[:2]
+    rgb, fits = across_halves(maps, truth, left_half(height, width), trained.renderer.behind[0], gains.shape[1])
+    return maps | {"rgb": rgb}, {"psnr_as_rendered": metrics.psnr(maps["rgb"], truth), "log_gains": fits}
 
 
 def _aligned(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) -> dict[str, Any]:
@@ -108,14 +133,14 @@ def compare_surface(trained: TrainedModel, truth: Path, stands_on: str | None = 
     return surface_distance.compare(surface, reading.read(truth, process=True), trained.scene.views, trained.scene.box)
 
 
-def read_truth(view: View, camera: Camera) -> dict[str, NDArray[np.float32]]:
+def read_truth(view: View, camera: Camera, copies: Copies | None = None) -> dict[str, NDArray[np.float32]]:
     """All true maps of a view at the size of `camera`, and "rgb": its image in sRGB, over white if it has an alpha.
 
     Each new pixel is the mean over the pixels it covers; normals are normalised afterwards, depth is averaged where it is known.
-    "alpha" comes from the truth, from the image, or from the pixels with a depth.
+    "alpha" comes from the truth, from the image, or from the pixels with a depth. `copies`: see `read_scaled`.
     """
     scale = camera.width / view.camera.width
-    picture = read_scaled(view, scale)
+    picture = read_scaled(view, scale, copies)
     maps = {"rgb": over(picture)}
     if picture.shape[-1] == 4:
         maps["alpha"] = picture[..., 3:]
@@ -158,6 +183,9 @@ def compare(
     """
     pair = shown["rgb"], truth["rgb"]
     found: dict[str, float | None] = {"psnr": metrics.psnr(*pair), "ssim": metrics.ssim(*pair)}
+    if "alpha" in truth:
+        inside = metrics.inside(truth["alpha"])
+        found |= {"psnr_inside": metrics.psnr(*pair, inside), "ssim_inside": metrics.ssim(*pair, inside)}
     if lpips is not None:
         found["lpips"] = lpips(*pair)
     opacity = shown.get("opacity", np.ones_like(truth["rgb"][..., :1]))
@@ -201,6 +229,9 @@ def table(result: dict[str, Any]) -> str:
     """The means as text, a line each, with units."""
     trained = f", after {result['steps']} steps" if "steps" in result else ""
     lines = [f"{result['views']} {result['split']} views at {result['size'][0]}x{result['size'][1]}{trained}"]
+    if "exposure" in result:
+        lines.append("  exposure of each view fitted on one half of its picture, measured on the other")
+        lines.append(f"  {'PSNR as rendered, without this [dB]':<50}{result['exposure']['psnr_as_rendered']:>8.2f}")
     aligned = {name: value for name, value in result.get("aligned", {}).get("mean", {}).items() if name in ALIGNED_SHOWN}
     blocks = (("", result["mean"]), (", poses aligned", aligned), ("", result.get("mesh") or {}))
     for ending, values in blocks:

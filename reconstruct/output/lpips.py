@@ -62,11 +62,9 @@ class Lpips(eqx.Module):
 
     kernels: tuple[Float[Array, "outputs inputs size size"], ...]
     biases: tuple[Float[Array, " outputs"], ...]
-    shares: tuple[Float[Array, " outputs"], ...]
-    """Weight of each channel's squared difference, per layer; at least 0."""
+    shares: tuple[Float[Array, " outputs"], ...]  # weight of each channel's squared difference, per layer; at least 0
     file: str = eqx.field(static=True, default="")  # file of the weights
-    sha256: str = eqx.field(static=True, default="")
-    """Hash of that file: only values with the same hash are comparable."""
+    sha256: str = eqx.field(static=True, default="")  # hash of that file: only values with the same hash are comparable
 
     @classmethod
     def load(cls, path: Path) -> "Lpips":

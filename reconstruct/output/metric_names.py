@@ -7,6 +7,8 @@ from reconstruct.output.mesh import surface_distance
 _NAMES = (
     ("psnr",                          "PSNR",                                           "PSNR"),
     ("ssim",                          "SSIM",                                           "SSIM"),
+    ("psnr_inside",                   "PSNR inside the mask, less its edge",            "PSNR inside"),
+    ("ssim_inside",                   "SSIM inside the mask, less its edge",            "SSIM inside"),
     ("lpips",                         "LPIPS",                                          "LPIPS"),
     ("normal_mae_alpha_acc_deg",      "normals, weighted by opacity",                   "MAE (alpha × opacity)"),
     ("normal_mae_deg",                "normals, over the whole object",            "MAE (alpha)"),
@@ -26,7 +28,7 @@ _NAMES = (
 )  # fmt: skip
 NAMES = {key: name for key, name, _ in _NAMES}
 SHORT_NAMES = {key: short for key, _, short in _NAMES}
-HIGHER_IS_BETTER = frozenset({"psnr", "ssim", "diffuse_psnr", "specular_psnr", "f_score"})
+HIGHER_IS_BETTER = frozenset({"psnr", "ssim", "psnr_inside", "ssim_inside", "diffuse_psnr", "specular_psnr", "f_score"})
 
 
 def unit(key: str) -> str:

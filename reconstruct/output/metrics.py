@@ -16,10 +16,13 @@ Map = Float[np.ndarray, "height width 1"]
 _ANGLE = "mean angle between {} and true normals, weighted by {}"
 _WEIGHTS = ("true alpha times rendered opacity", "true alpha only")
 _LPIPS = "learned perceptual distance of the same images (Zhang et al. 2018): AlexNet, version 0.1, mean over pixels, summed over"
+_INSIDE = "of the same images inside the mask less its edge: pixels whose 11x11 window has a true alpha above 0.5 throughout"
 _PART = "PSNR of the {} part in clipped sRGB, over the object (true alpha > 0.5; everything if alpha is unknown)"
 DEFINITIONS = {
     "psnr": ("dB", "-10 log10 of the mean squared error of clipped sRGB, over white where the image has an alpha"),
     "ssim": ("", "structural similarity of the same images: Gaussian window 11x11, sigma 1.5, mean over pixels and channels"),
+    "psnr_inside": ("dB", f"PSNR {_INSIDE}"),
+    "ssim_inside": ("", f"structural similarity {_INSIDE}"),
     "lpips": ("", f"{_LPIPS} layers; lpips_weights has the SHA-256 of the weights"),
     "normal_mae_alpha_acc_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[0]) + "; normals from the density's gradient"),
     "normal_mae_deg": ("deg", _ANGLE.format("rendered", _WEIGHTS[1]) + "; normals from the density's gradient"),
@@ -34,6 +37,7 @@ DEFINITIONS = {
 }
 """Unit and meaning of each metric of a view."""
 
+WINDOW = 11  # width of the window of the structural similarity [px]
 BEST_MSE = 1e-10  # lower bound of the mean squared error: 100 dB
 
 
@@ -50,16 +54,30 @@ def psnr(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = No
     return float(-10 * np.log10(max(np.mean(error**2), BEST_MSE)))
 
 
-def ssim(rendered: Picture, truth: Picture) -> float | None:
-    """Structural similarity (Wang et al. 2004) of two images after clipping to 0..1; None below 11 pixels."""
+def ssim(rendered: Picture, truth: Picture, shown: NDArray[np.bool_] | None = None) -> float | None:
+    """Structural similarity (Wang et al. 2004) of two images after clipping to 0..1; None below 11 pixels.
+
+    Args:
+        shown: (height, width) pixels to average over; None for all whose window lies in the image.
+    """
     from skimage.metrics import structural_similarity
 
-    if min(truth.shape[:2]) < 11:
+    if min(truth.shape[:2]) < WINDOW or (shown is not None and not shown.any()):
         return None
     clipped = (np.clip(picture, 0, 1).astype(np.float64) for picture in (rendered, truth))
     options = {"data_range": 1.0, "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    similarity: Any = structural_similarity(*clipped, **options)
-    return float(similarity)
+    found: Any = structural_similarity(*clipped, full=True, **options)
+    return float(found[0] if shown is None else found[1][shown].mean())
+
+
+def inside(alpha: Map) -> NDArray[np.bool_]:
+    """(height, width) pixels of the object that no edge of its mask affects: a mask may be wrong there by a few pixels.
+
+    All of the pixel's window in `ssim` belongs to the object (alpha > 0.5); what is beyond the image counts as the object.
+    """
+    from scipy.ndimage import minimum_filter
+
+    return minimum_filter(alpha[..., 0] > 0.5, size=WINDOW, mode="constant", cval=1)
 
 
 def angles_deg(first: Picture, second: Picture) -> NDArray[np.float64]:

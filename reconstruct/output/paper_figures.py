@@ -26,8 +26,10 @@ from reconstruct.config import SurfaceConfig
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.scene.space import Space
 from reconstruct.surface.ball import ball_samples, shell_radii, sphere_directions
 from reconstruct.surface.first_surface import first_surface
 from reconstruct.surface.regularisers import direction_likeness
@@ -124,7 +126,7 @@ def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int]
     length = float(np.linalg.norm(direction))
     t = np.linspace(0.5, 1.5, SAMPLES).astype(np.float32)
     points = jnp.asarray(origin[:, None] + direction[:, None] * t)
-    evaluate = jax.jit(lambda field: _ray_weights(field, points, (t[1] - t[0]) * length, normalisation.bounded))
+    evaluate = jax.jit(lambda field: _ray_weights(field, points, (t[1] - t[0]) * length, normalisation.space))
     wanted = np.unique(np.geomspace(max(1, steps // 2 ** (STATES - 1)), steps, STATES).astype(int))
     seen, weights = [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -146,8 +148,8 @@ def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int]
     return seen, t * length, stacked, first
 
 
-def _ray_weights(field: Field, points, step: float, bounded: bool):
-    density = field.density(Cloud(points, None, bounded))
+def _ray_weights(field: Field, points, step: float, space: Space):
+    density = field.density(Cloud(points, None, space))
     return volume_weights(density[None], jnp.full((1, points.shape[1]), step))[0]
 
 
@@ -174,10 +176,11 @@ def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray
     """
     outward = sphere_directions(HEMISPHERE)
     outward = outward[outward @ normal > 0.02]
-    field, bounded = trained.model.field, trained.run.normalisation.bounded
-    _, material = field(Cloud(jnp.asarray(position, jnp.float32)[:, None], None, bounded))
+    field, space = trained.model.field, trained.run.normalisation.space
+    _, material = field(Cloud(jnp.asarray(position, jnp.float32)[:, None], None, space))
     repeated = Material.unstacked(jnp.repeat(material.stacked(), len(outward), axis=1))
-    shading = field.shade(repeated, jnp.asarray(-outward.T, jnp.float32))
+    viewdirs = jnp.asarray(-outward.T, jnp.float32)
+    shading = field.shade(repeated, viewdirs, light=Lit.towards(trained.run.facts.light, viewdirs))
     return {"outward": outward, "specular": np.asarray(shading.specular.T), "diffuse": np.asarray(material.diffuse[:, 0])}
 
 

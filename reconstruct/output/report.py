@@ -36,14 +36,13 @@ HELD_OUT = {"held_out_px": "corners on held-out views", "held_out_mm": "corners 
 HEADLINE = {
     "psnr": ("PSNR", 2),
     "ssim": ("SSIM", 3),
+    "psnr_inside": ("PSNR inside the mask", 2),
     "normal_mae_alpha_acc_deg": ("normals, mean error", 2),
     "depth_median_mm": ("depth, median error", 2),
 }
 """Name and digits of the metrics in the headline."""
-Measurement = tuple[str, Number, str]
-"""Name, value with its unit, meaning."""
-Pair = tuple[NDArray[np.floating] | None, NDArray[np.floating]]
-"""Truth, if it is known, and rendering."""
+Measurement = tuple[str, Number, str]  # name, value with its unit, meaning
+Pair = tuple[NDArray[np.floating] | None, NDArray[np.floating]]  # truth, if it is known, and rendering
 
 
 def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) -> dict[str, Any]:
@@ -65,7 +64,7 @@ def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) 
     with files.atomic_folder(out) as folder:
         with progress("rendering the report", len(chosen), "views") as shown:
             for index, view in enumerate(chosen):
-                truth, picture = read_truth(view, trained.camera(view)), trained.picture(view)
+                truth, picture = read_truth(view, trained.camera(view), trained.run.copies), trained.picture(view)
                 if index == 0:
                     images.write(folder / "strip.png", strip_of(truth, picture))
                 page.heading(f"view {view.name}")

@@ -10,6 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float16, Int, PRNGKeyArray
 
+from reconstruct.scene.frustum import Frustum
+from reconstruct.scene.space import Space
+
 UNKNOWN = 0.02
 """Optical depth of a step through a cell in which the field was not evaluated yet."""
 FAINTEST, OPAQUE = 1e-4, 1.0
@@ -33,16 +36,29 @@ class Occupancy(eqx.Module):
 
     @classmethod
     def create(
-        cls, key: PRNGKeyArray, *, grid: int, outer_grid: int, bounded: bool, possible: Bool[np.ndarray, " cells"] | None
+        cls,
+        key: PRNGKeyArray,
+        *,
+        grid: int,
+        outer_grid: int,
+        space: Space,
+        steps: int,
+        possible: Bool[np.ndarray, " cells"] | None,
     ) -> "Occupancy":
-        """All cells occupied, or those that are `possible`: of the inner grid where bounded, else of the outer one."""
-        inner, outer = grid**3, 0 if bounded else outer_grid**3
+        """All cells occupied, or those that are `possible`: of the only grid where there is one, else of the outer one.
+
+        Args:
+            steps: of a ray, where they are even in the map.
+        """
+        inner, outer = grid**3, 0 if space.single_grid else outer_grid**3
         cells = np.ones(inner + outer, bool)
-        if possible is not None and bounded:
+        if possible is not None and not outer:
             cells[:inner] = possible
-        if not bounded:
+        if outer:
             cells[:inner] = np.linalg.norm(cell_centres(grid, 1.0), axis=-1) < 1 + np.sqrt(3) / grid
         extent = np.full(inner + outer, 2 / grid, np.float32)
+        if isinstance(space, Frustum):
+            extent[:] = space.length_along(cell_centres(grid, 1.0)) * 2 * space.deep / steps
         if outer:
             radius = np.linalg.norm(cell_centres(outer_grid, 2.0), axis=-1)
             cells[inner:] = (radius > 1 - 2 * np.sqrt(3) / outer_grid) & (radius < 2)

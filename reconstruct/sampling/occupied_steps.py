@@ -22,7 +22,9 @@ from reconstruct.sampling.sampler import Batch, Sampled, Sampler
 from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
+from reconstruct.scene.space import BOX, Space
 
 UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
 """Every so many steps the field is evaluated in so many cells of the grid."""
@@ -45,7 +47,7 @@ class OccupiedSteps(Sampler):
     max_per_ray: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     """Steps of a ray through the object's box."""
-    bounded: bool = eqx.field(static=True)
+    space: Space = eqx.field(static=True)
     near: float = eqx.field(static=True)
     far: float = eqx.field(static=True)
     focused: focus.Focus | None = eqx.field(static=True)
@@ -64,22 +66,24 @@ class OccupiedSteps(Sampler):
     ) -> "OccupiedSteps":
         """With a full grid, less what is not `possible`."""
         sampler, normalisation = config.sampler, facts.normalisation
-        bounded = normalisation.bounded
+        space = normalisation.space
         half_box = config.field.half_box or facts.half_box
         candidates = sampler.candidates or (focus.CANDIDATES if facts.box_is_stated else 1)
-        focused = None if bounded or half_box is None or candidates == 1 else focus.Focus(half_box, candidates)
+        focused = None if space.single_grid or half_box is None or candidates == 1 else focus.Focus(half_box, candidates)
         return cls(
-            grid=Occupancy.create(key, grid=sampler.grid, outer_grid=sampler.outer_grid, bounded=bounded, possible=possible),
+            grid=Occupancy.create(
+                key, grid=sampler.grid, outer_grid=sampler.outer_grid, space=space, steps=sampler.steps, possible=possible
+            ),
             rays=sampler.rays,
             capacity=sampler.samples,
             max_per_ray=sampler.max_per_ray,
             steps=sampler.steps,
-            bounded=bounded,
+            space=space,
             near=normalisation.near,
             far=normalisation.far,
             focused=focused,
             empty_below=sampler.optical_depth if config.skip.empty_rays else 0.0,
-            settle=0.0 if bounded else sampler.settle,
+            settle=0.0 if space.bounded else sampler.settle,
         )
 
     @classmethod
@@ -91,12 +95,12 @@ class OccupiedSteps(Sampler):
             return None
         if normalisation.bounded:
             return cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale, slack=slack)
-        return cells_in_sight(views, normalisation, config.sampler.outer_grid)
+        return cells_in_sight(views, normalisation, config.sampler.grid if normalisation.frustum else config.sampler.outer_grid)
 
     @property
     def rays_drawn(self) -> int:
         """As configured; where every ray meets the surroundings, no more than the list holds."""
-        return self.rays if self.bounded else min(self.rays, self.capacity // self.max_per_ray)
+        return self.rays if self.space.bounded else min(self.rays, self.capacity // self.max_per_ray)
 
     @property
     def rays_kept(self) -> int:
@@ -115,11 +119,11 @@ class OccupiedSteps(Sampler):
 
     def steps_of(self, rays: Rays) -> Steps:
         """How rays are cut into steps."""
-        return Steps.of(rays, steps=self.steps, bounded=self.bounded, near=self.near, far=self.far)
+        return Steps.of(rays, steps=self.steps, space=self.space, near=self.near, far=self.far)
 
     def expected_depth(self, rays: Rays, jitter: Float[Array, " rays"]) -> Float[Array, "rays steps"]:
         """Optical depth that the grid expects in the steps of rays."""
-        return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.bounded)
+        return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
 
     def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
         """Random ones; among surroundings rather those that show the object."""
@@ -170,14 +174,14 @@ class OccupiedSteps(Sampler):
         count = rays.origins.shape[0]
         middle = jnp.full(count, 0.5)
         depth = barrier(self.expected_depth(rays, middle))
-        per_ray = min(self.max_per_ray, SHOWN_PER_RAY if self.bounded else 2 * SHOWN_PER_RAY)
+        per_ray = min(self.max_per_ray, SHOWN_PER_RAY if self.space.bounded else 2 * SHOWN_PER_RAY)
         samples, fits = self.packed(depth, rays, middle, middle, max(self.max_per_ray, per_ray * count))
         return Sampled(barrier(samples), Footprint(), fits)
 
     def met(self, batch: Batch, density: Float[Array, " n"]) -> Met:
         """Cells that samples lie in, and the densities found there."""
         assert batch.samples is not None
-        points, _ = cloud_of(batch.rays, batch.samples, bounded=self.bounded, footprint=Footprint()).contracted()
+        points, _ = cloud_of(batch.rays, batch.samples, space=self.space, footprint=Footprint()).mapped()
         return self.grid.cell(*points), jnp.where(batch.samples.valid, density, 0.0)
 
     def with_met(self, met: Met) -> "OccupiedSteps":
@@ -190,7 +194,7 @@ class OccupiedSteps(Sampler):
 
     def upkept(self, field: Field, key: PRNGKeyArray) -> "OccupiedSteps":
         """The field is evaluated in the next cells of the grid, and occupied cells are decided anew."""
-        density_of = lambda points: field.density(Cloud(points, None, bounded=True))  # noqa: E731
+        density_of = lambda points: field.density(Cloud(points, None, BOX))  # noqa: E731
         return eqx.tree_at(lambda s: s.grid, self, self.grid.updated(density_of, key, UPKEEP_CELLS, self.empty_below))
 
     def figures(self) -> dict[str, float]:
@@ -200,7 +204,7 @@ class OccupiedSteps(Sampler):
     @property
     def skips_rays(self) -> bool:
         """Where an object is all there is."""
-        return self.bounded
+        return self.space.bounded
 
     def meets(self, rays: Rays) -> Bool[Array, " rays"]:
         """Which rays have an occupied step."""
@@ -213,4 +217,7 @@ class OccupiedSteps(Sampler):
         size = self.grid.grid
         cells = np.asarray(self.grid.occupied[: size**3]).reshape(size, size, size)
         cells = np.asarray(binary_dilation(cells, np.ones((3, 3, 3))), bool)
+        if isinstance(self.space, Frustum):  # its cells are no box of the scene: each point is looked up by itself
+            points = jnp.stack(jnp.meshgrid(*(jnp.asarray(axis, jnp.float32) for axis in axes), indexing="ij"))
+            return cells.reshape(-1)[np.asarray(self.grid.cell(*self.space.mapped_coordinates(*points)))]
         return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]

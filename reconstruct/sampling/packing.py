@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from reconstruct.field.contraction import contract_coordinates
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.volume import sum_before
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import Space
 
 BLOCK = 32
 """Steps whose probabilities are summed by one product; the number of steps is a multiple of it."""
@@ -25,13 +25,12 @@ HIDDEN = 0.02
 
 
 def expected_depth(
-    occupancy: Occupancy, rays: Rays, steps: Steps, jitter: Float[Array, " n"], bounded: bool
+    occupancy: Occupancy, rays: Rays, steps: Steps, jitter: Float[Array, " n"], space: Space
 ) -> Float[Array, "n steps"]:
     """Optical depth that the grid expects in each step of each ray; zero in empty cells."""
     t = steps.at(jnp.arange(steps.count, dtype=jnp.float32) + jitter[:, None])
     x, y, z = (rays.origins[:, i, None] + t * rays.directions[:, i, None] for i in range(3))
-    if not bounded:
-        x, y, z = contract_coordinates(x, y, z)
+    x, y, z = space.mapped_coordinates(x, y, z)
     depth = occupancy.depth.at[occupancy.cell(x, y, z)].get(mode="promise_in_bounds").astype(jnp.float32)
     counts = (steps.front, steps.inside, steps.behind)
     has_length = (steps.enter > steps.near, steps.leave > steps.enter, steps.far > steps.leave)

@@ -16,6 +16,7 @@ from reconstruct.sampling.sampler import Batch, Sampled, Sampler
 from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
+from reconstruct.scene.space import Space
 
 
 class ProposedIntervals(Sampler):
@@ -25,7 +26,7 @@ class ProposedIntervals(Sampler):
     rays: int = eqx.field(static=True)
     counts: tuple[int, ...] = eqx.field(static=True)
     """Intervals of each proposal level, then of the final one."""
-    bounded: bool = eqx.field(static=True)
+    space: Space = eqx.field(static=True)
     spacing: Spacing
     frustum: str = eqx.field(static=True)
 
@@ -48,7 +49,7 @@ class ProposedIntervals(Sampler):
             proposals=proposals,
             rays=sampler.rays,
             counts=(*sampler.proposals, sampler.final),
-            bounded=facts.normalisation.bounded,
+            space=facts.normalisation.space,
             spacing=Spacing.of(facts.normalisation),
             frustum=sampler.frustum,
         )
@@ -109,7 +110,7 @@ class ProposedIntervals(Sampler):
         footprint = Footprint(self.frustum, turn)
 
         def density_at(proposal: Proposal, rays: Rays, tdist: Float[Array, "rays edges"]) -> Float[Array, "rays _"]:
-            cloud = cloud_of(rays, RaySamples.from_edges(tdist), bounded=self.bounded, footprint=footprint)
+            cloud = cloud_of(rays, RaySamples.from_edges(tdist), space=self.space, footprint=footprint)
             return proposal.density(cloud).reshape(tdist.shape[0], -1)
 
         edges, levels = propose(self.proposals, rays, self.spacing, self.counts, key, density_at)

@@ -16,6 +16,7 @@ from reconstruct.sampling.proposals import Level
 from reconstruct.sampling.samples import Footprint, RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
+from reconstruct.scene.space import Space
 
 
 class Batch(eqx.Module):
@@ -50,8 +51,8 @@ class Sampler(eqx.Module):
     differentiated. `look` serves pictures and leaves nothing to chance.
     """
 
-    bounded: eqx.AbstractVar[bool]
-    """Whether everything lies in the cube [-1, 1]^3."""
+    space: eqx.AbstractVar[Space]
+    """Where the field lives."""
 
     rules_out_space: ClassVar[bool]
     """Whether it knows empty cells, from masks and from training."""

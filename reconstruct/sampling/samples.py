@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from reconstruct.field.cloud import Cloud, gaussians_in_frustums, hexagons_in_frustums, points_on_rays
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import Space
 
 
 class RaySamples(eqx.Module):
@@ -65,12 +66,12 @@ class Footprint(eqx.Module):
     """Angle by which each ray's hexagons are turned about it [rad]."""
 
 
-def cloud_of(rays: Rays, samples: RaySamples, *, bounded: bool, footprint: Footprint) -> Cloud:
+def cloud_of(rays: Rays, samples: RaySamples, *, space: Space, footprint: Footprint) -> Cloud:
     """Places of the samples."""
     if footprint.kind == "point":
-        return points_on_rays(rays, samples.ray, samples.t, bounded)
+        return points_on_rays(rays, samples.ray, samples.t, space)
     if footprint.turn is None:
-        return gaussians_in_frustums(rays, samples.ray, samples.t, samples.length / 2, bounded)
+        return gaussians_in_frustums(rays, samples.ray, samples.t, samples.length / 2, space)
     centre, half = samples.padded(samples.t), samples.padded(samples.length) / 2
     edges = jnp.concatenate([centre - half, centre[:, -1:] + half[:, -1:]], -1)
-    return hexagons_in_frustums(rays, edges, footprint.turn, bounded)
+    return hexagons_in_frustums(rays, edges, footprint.turn, space)

@@ -4,7 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import Space
 
 FRONT, BEHIND = 32, 64
 """Steps between the near plane and the object's ball, and from there to the far plane, where there are surroundings."""
@@ -22,9 +24,13 @@ class Steps(eqx.Module):
     behind: int = eqx.field(static=True)
 
     @classmethod
-    def of(cls, rays: Rays, *, steps: int, bounded: bool, near: float, far: float) -> "Steps":
-        """Even steps through the object's cube (bounded) or unit ball; front and background around them otherwise."""
-        if bounded:
+    def of(cls, rays: Rays, *, steps: int, space: Space, near: float, far: float) -> "Steps":
+        """Even steps through the object's cube or unit ball, with front and background around the ball; even in disparity
+        where cameras share a frustum."""
+        if isinstance(space, Frustum):
+            first, last = jnp.full_like(rays.radii, near), jnp.full_like(rays.radii, far)
+            return cls(first, first, first, last, 0, 0, steps)
+        if space.bounded:
             enter, leave = box_interval(rays)
             enter = jnp.maximum(enter, near)
             leave = jnp.maximum(leave, enter)
@@ -51,12 +57,14 @@ class Steps(eqx.Module):
             near, enter, leave, far = (
                 v.at[ray].get(mode="promise_in_bounds") for v in (self.near, self.enter, self.leave, self.far)
             )
-        within = enter + (leave - enter) * ((u - self.front) / self.inside)
-        if not self.front:
+        within = enter + (leave - enter) * ((u - self.front) / self.inside) if self.inside else enter
+        if not self.behind:
             return within
-        before = near + (enter - near) * (u / self.front)
         v = jnp.clip((u - self.front - self.inside) / self.behind, 0, 1)
         beyond = 1 / ((1 - v) / jnp.maximum(leave, 1e-6) + v / jnp.maximum(far, 1e-6))  # even in disparity
+        if not self.front:
+            return beyond
+        before = near + (enter - near) * (u / self.front)
         return jnp.where(u < self.front, before, jnp.where(u < self.front + self.inside, within, beyond))
 
 

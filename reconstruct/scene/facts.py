@@ -3,13 +3,16 @@
 Where the configuration has a value of its own for one of these, that value counts.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.scene.frustum import Frustum
+from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
@@ -29,6 +32,10 @@ class SceneFacts:
     """Whether the scene states the object's box; else the pictures suggest it."""
     volume: float | None = None
     """Contracted space that can hold anything [scene unit^3]; None: not measured."""
+    log_gains: tuple[Vector, ...] | None = None
+    """Logarithm of each view's gain per colour, from matched points; None: not measured."""
+    light: LightFrame = STILL
+    """Where the lamps stand still, as it was decided."""
 
     @classmethod
     def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation, volume: float | None = None) -> "SceneFacts":
@@ -38,6 +45,10 @@ class SceneFacts:
             x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
             half_box = (x, y, z)
         return cls(normalisation, direction_of_cameras(views, normalisation), half_box, scene.box_is_stated, volume)
+
+    def with_gains(self, log: NDArray[np.float64]) -> "SceneFacts":
+        """The same with the (views, 3) log gains of its views."""
+        return replace(self, log_gains=tuple(tuple(gain) for gain in log.tolist()))
 
     def table_volume(self, config: Config) -> float | None:
         """Space that the encoding's tables are made for; None: full tables."""
@@ -51,5 +62,9 @@ class SceneFacts:
     def from_json(cls, content: dict[str, Any]) -> "SceneFacts":
         """Inverse of `to_json`. Raises KeyError, TypeError or ValueError where something is missing or unknown."""
         normalisation = {**content["normalisation"], "centre": tuple(content["normalisation"]["centre"])}
+        if frustum := normalisation.get("frustum"):
+            normalisation["frustum"] = Frustum.from_json(frustum)
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
-        return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation)})
+        gains = None if (v := content.get("log_gains")) is None else tuple(tuple(gain) for gain in v)
+        parts = {"normalisation": Normalisation(**normalisation), "log_gains": gains}
+        return cls(**{**content, **vectors, **parts, "light": LightFrame.from_json(content.get("light"))})

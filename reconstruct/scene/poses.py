@@ -123,13 +123,13 @@ def summary(run: Path) -> str:
 
 def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, float]:
     """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given."""
-    if not config.enabled:
+    if config.enabled is not True:
         return 0.0, 0.0
     _, _, position, angle, _, _ = config.sigma(normalisation.scale)
     return FURTHEST * position, FURTHEST * angle
 
 
-def over_white(pixels: Pixels, twists: Twists | None) -> tuple[np.ndarray, ...]:
-    """(origins, directions, radii, colour over white) of all given pixels, as the corrected cameras see them."""
+def over_white(pixels: Pixels, twists: Twists | None) -> tuple[Any, ...]:
+    """(origins, directions, radii, light or None, colour over white) of all given pixels, as the corrected cameras see them."""
     rays, colour = pixels.take(jnp.arange(pixels.directions.shape[0]))
     return pixels_over_white(moved(rays, twists), colour)

@@ -1,6 +1,7 @@
 """From a scene's views to rays in the normalised scene, and to the table of pixels that training draws from."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -11,11 +12,19 @@ from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
 from datasets.imaging import images
+from datasets.imaging.copies import Copies
+from datasets.imaging.downscale import streamed
+from datasets.imaging.reduced import READERS
 from datasets.scene import Scene, View
 from reconstruct.numerics.safe import safe_norm
+from reconstruct.scene.frustum import Frustum
+from reconstruct.scene.light import LightFrame
+from reconstruct.scene.space import BALL, BOX, Space
 
 BRIGHTEST = 6e4
 """Brighter colours are kept as this, which float16 can still hold."""
+WORTH_A_COPY = 2**22
+"""Pixels of a picture from which on its scaled copy is kept: smaller ones are decoded in a few hundredths of a second."""
 
 
 class Rays(eqx.Module):
@@ -27,6 +36,8 @@ class Rays(eqx.Module):
     """Radius of the pixel's cone at t = 1 [scene unit]: 2 / sqrt(12) of the pixel's width (Mip-NeRF, section 3)."""
     view: Int[Array, " n"] | None = None
     """Index of the training view; None outside training."""
+    light: Float[Array, "n 3 3"] | None = None
+    """Rotation from the scene's axes to those in which the lamps stand still; None where these are the scene's."""
 
     @property
     def speed(self) -> Float[Array, " n"]:
@@ -53,6 +64,8 @@ class Normalisation:
     """Furthest depth [scene unit]."""
     backdrop: bool = False
     """True where surroundings are allowed for although the pictures' background is blank."""
+    frustum: Frustum | None = None
+    """What the cameras see, where they all look the same way and it takes the place of the contraction."""
 
     @classmethod
     def of(cls, scene: Scene, *, backdrop: bool = False) -> "Normalisation":
@@ -64,13 +77,28 @@ class Normalisation:
         far = scene.far * scale if np.isfinite(scene.far) else 1e3
         return cls(tuple(((low + high) / 2).tolist()), scale, bounded, scene.near * scale, min(far, 1e3), backdrop)
 
+    @property
+    def space(self) -> Space:
+        """Where the field lives."""
+        return BOX if self.bounded else self.frustum or BALL
 
-def view_rays(view: View, normalisation: Normalisation, camera: Camera | None = None) -> tuple[NDArray, NDArray, NDArray]:
-    """All pixels of a view, row by row: origins, directions (n, 3) and radii (n,), float32, in the normalised scene."""
+
+def view_rays(
+    view: View, normalisation: Normalisation, camera: Camera | None = None, index: Int[np.ndarray, " n"] | None = None
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Origins, directions (n, 3) and radii (n,) of pixels of a view, float32, in the normalised scene.
+
+    Args:
+        camera: the view's, where another one than that of the file is wanted.
+        index: of the pixels, counted row by row; None: all of them.
+    """
     camera = camera or view.camera
     world_from_camera = view.world_from_camera
-    in_camera = camera.directions(camera.pixel_centres()).reshape(-1, 3)
-    directions = in_camera @ world_from_camera[:3, :3].T
+    if index is None:
+        centres = camera.pixel_centres().reshape(-1, 2)
+    else:
+        centres = np.stack([index % camera.width, index // camera.width], -1) + 0.5
+    directions = camera.directions(centres) @ world_from_camera[:3, :3].T
     origin = (world_from_camera[:3, 3] - normalisation.centre) * normalisation.scale
     radii = np.full(len(directions), 2 / np.sqrt(12) / np.sqrt(camera.fx * camera.fy))
     return np.broadcast_to(origin, directions.shape).astype(np.float32), directions.astype(np.float32), radii.astype(np.float32)
@@ -89,19 +117,29 @@ def scaled_camera(view: View, scale: float) -> Camera:
     return view.camera.scaled(max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))
 
 
-def read_scaled(view: View, scale: float) -> Float[np.ndarray, "height width channels"]:
-    """A view's picture (sRGB, straight alpha) at `scale` of its size, averaged over areas in linear light."""
-    picture = view.read()
-    if picture.shape[-1] == 4:  # what a mask hides may be anything, also nothing at all
-        picture = np.where(picture[..., 3:] == 0, np.float32(0), picture)
-    if not np.isfinite(picture).all():
-        from datasets.core.errors import DatasetError
+def pixel_counts(views: tuple[View, ...], scale: float) -> Int[np.ndarray, " views"]:
+    """Pixels of each view at `scale` of its size."""
+    cameras = [scaled_camera(view, scale) for view in views]
+    return np.array([camera.width * camera.height for camera in cameras], np.int64)
 
-        raise DatasetError("image holds values that are not finite", where=view.image, remedy="write it again")
+
+def stored_pixels(view: View, scale: float, copies: Copies | None = None) -> Shaped[np.ndarray, "height width channels"]:
+    """`read_scaled`, for `images.as_float`: perhaps integers, and read-only where it comes from `copies`."""
     camera = scaled_camera(view, scale)
-    if picture.shape[:2] != (camera.height, camera.width):
-        picture = images.resize(picture, camera.width, camera.height)
-    return picture
+    size = camera.width, camera.height
+    if copies is None or view.camera.width * view.camera.height < WORTH_A_COPY:
+        return view.read_resized(*size)
+    sources, how = [path for path in (view.image, view.mask) if path], "black is the object" if view.mask_inverted else ""
+    return copies.of(sources, *size, lambda: view.read_resized(*size), how=how)
+
+
+def read_scaled(view: View, scale: float, copies: Copies | None = None) -> Float[np.ndarray, "height width channels"]:
+    """A view's picture (sRGB, straight alpha) at `scale` of its size, averaged over areas in linear light.
+
+    Args:
+        copies: where large pictures are kept at this size, for the next time.
+    """
+    return np.array(images.as_float(stored_pixels(view, scale, copies)))
 
 
 def over(picture: Shaped[Any, "... channels"], background: float | Float[Any, "... 3"] = 1.0) -> Float[Any, "... 3"]:
@@ -112,9 +150,32 @@ def over(picture: Shaped[Any, "... channels"], background: float | Float[Any, ".
     return picture[..., :3] * alpha + (1 - alpha) * background
 
 
-def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[np.ndarray, ...]:
-    """(origins, directions, radii, colour over white) of pixels, on the host."""
-    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))
+def training_colours(stored: Shaped[np.ndarray, "*pixels channels"]) -> Float[np.ndarray, "n 4"]:
+    """Pixels of `stored_pixels` as training has them: sRGB and straight alpha, float16."""
+    channels = stored.shape[-1]
+    colours = np.ones((stored.size // channels, 4), np.float16)
+    flat = stored.reshape(-1, channels)
+    if stored.dtype == np.float32:
+        colours[:, :channels] = np.clip(flat, -BRIGHTEST, BRIGHTEST)
+    else:
+        steps = np.arange(np.iinfo(stored.dtype).max + 1, dtype=stored.dtype)
+        colours[:, :channels] = images.as_float(steps).astype(np.float16)[flat]
+    return colours
+
+
+def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[Any, ...]:
+    """(origins, directions, radii, light or None, colour over white) of pixels, on the host."""
+    light = None if rays.light is None else np.asarray(rays.light)
+    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), light, over(np.asarray(colour))
+
+
+def view_pixels(
+    view: View, normalisation: Normalisation, scale: float, copies: Copies | None, index: Int[np.ndarray, " n"] | None
+) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, "n 3"]]:
+    """Colours and directions of pixels of a view, as `Pixels` has them; `index` as of `view_rays`."""
+    stored = stored_pixels(view, scale, copies)
+    colours = stored if index is None else stored.reshape(-1, stored.shape[-1])[index]
+    return training_colours(colours), view_rays(view, normalisation, scaled_camera(view, scale), index)[1]
 
 
 class Pixels(eqx.Module):
@@ -126,26 +187,47 @@ class Pixels(eqx.Module):
     view: Int[Array, " pixels"]
     origins: Float[Array, "views 3"]
     radii: Float[Array, " views"]
+    light: Float[Array, "views 3 3"] | None = None
+    """See `Rays`."""
 
     @classmethod
-    def load(cls, views: tuple[View, ...], normalisation: Normalisation, scale: float, progress) -> "Pixels":
-        """Read all images of `views`, one at a time."""
-        colours, directions, owner, origins, radii = [], [], [], [], []
-        for index, view in enumerate(views):
-            picture = read_scaled(view, scale)
-            if picture.shape[-1] == 1:
-                picture = np.repeat(picture, 3, -1)
-            if picture.shape[-1] == 3:
-                picture = np.concatenate([picture, np.ones_like(picture[..., :1])], -1)
-            origin, direction, radius = view_rays(view, normalisation, scaled_camera(view, scale))
-            colours.append(np.clip(picture.reshape(-1, 4), -BRIGHTEST, BRIGHTEST).astype(np.float16))
-            directions.append(direction)
-            owner.append(np.full(len(direction), index, np.int32))
-            origins.append(origin[0])
-            radii.append(radius[0])
+    def load(
+        cls,
+        views: tuple[View, ...],
+        normalisation: Normalisation,
+        scale: float,
+        progress,
+        *,
+        copies: Copies | None = None,
+        chosen: Sequence[Int[np.ndarray, " _"]] | None = None,
+    ) -> "Pixels":
+        """Read the pixels of `views`, as many pictures at a time as there are cores.
+
+        Args:
+            copies: where large pictures are kept, see `read_scaled`.
+            chosen: of each view, the pixels that are wanted, counted row by row; None: all of them.
+        """
+        cameras = [scaled_camera(view, scale) for view in views]
+        whole = chosen or [None] * len(views)
+        counts = pixel_counts(views, scale) if chosen is None else np.array([len(index) for index in chosen])
+        colour, direction = np.empty((counts.sum(), 4), np.float16), np.empty((counts.sum(), 3), np.float32)
+        parts = streamed(
+            lambda part: view_pixels(part[0], normalisation, scale, copies, part[1]),
+            zip(views, whole, strict=True),
+            workers=READERS,
+        )
+        for part, end, count in zip(parts, np.cumsum(counts), counts, strict=True):
+            colour[end - count : end], direction[end - count : end] = part
             progress.advance()
-        colour, direction, view = (jnp.asarray(np.concatenate(parts)) for parts in (colours, directions, owner))
-        return cls(colour, direction, view, jnp.asarray(np.stack(origins)), jnp.asarray(np.stack(radii)))
+        owner = np.repeat(np.arange(len(views), dtype=np.int32), counts)
+        first = [view_rays(view, normalisation, camera, np.zeros(1, int)) for view, camera in zip(views, cameras, strict=True)]
+        origins, radii = (np.concatenate([rays[i] for rays in first]) for i in (0, 2))
+        return cls(*(jnp.asarray(array) for array in (colour, direction, owner, origins, radii)))
+
+    def lit(self, light: LightFrame, views: tuple[View, ...]) -> "Pixels":
+        """The same pixels of these views, with their lamps' frame."""
+        found = light.of_views(views)
+        return self if found is None else replace(self, light=jnp.asarray(found))
 
     def held_out(self, count: int) -> tuple["Pixels", "Pixels"]:
         """The pixels without up to `count` random ones (a hundredth of all at most), and those; always the same ones."""
@@ -154,17 +236,18 @@ class Pixels(eqx.Module):
         rest = np.setdiff1d(np.arange(total), held)
 
         def part(index: Int[np.ndarray, " n"]) -> Pixels:
-            return Pixels(self.colour[index], self.directions[index], self.view[index], self.origins, self.radii)
+            return replace(self, colour=self.colour[index], directions=self.directions[index], view=self.view[index])
 
         return part(rest), part(held)
 
-    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray, ...]:
-        """(origins, directions, radii, colour over white) of some pixels."""
+    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[Any, ...]:
+        """(origins, directions, radii, light or None, colour over white) of some pixels."""
         return pixels_over_white(*self.take(jnp.asarray(index)))
 
     def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
         """Rays and colours (float32) of the given pixels."""
         get = lambda a, i: a.at[i].get(mode="promise_in_bounds")  # noqa: E731
         view = get(self.view, index)
-        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view), view)
+        light = None if self.light is None else get(self.light, view)
+        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view), view, light)
         return rays, get(self.colour, index).astype(jnp.float32)

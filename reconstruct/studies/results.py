@@ -22,10 +22,8 @@ class Row:
     scene: str
     label: str
     values: dict[str, float | None]
-    stands_on: str | None = None
-    """Side of the box that the object stands on, if the mesh was cut accordingly."""
-    deviations: dict[str, float] = field(default_factory=dict)
-    """Standard deviations over seeds by metric; empty for one seed."""
+    stands_on: str | None = None  # side of the box that the object stands on, if the mesh was cut accordingly
+    deviations: dict[str, float] = field(default_factory=dict)  # standard deviations over seeds by metric; empty for one seed
     seeds: int = 1
 
     def sample(self, name: str) -> Sample | None:

@@ -14,8 +14,8 @@ from reconstruct.output.mesh import surface_distance
 from reconstruct.output.metric_names import HIGHER_IS_BETTER, SHORT_NAMES, column_heading, definition, mesh_note
 from reconstruct.studies.results import Row
 
-COLUMNS = ("psnr", "ssim", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
-"""Default columns: the paper's, with the normal error in both of its definitions."""
+COLUMNS = ("psnr", "ssim", "psnr_inside", "ssim_inside", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
+"""Default columns: the paper's, with the normal error in both of its definitions, and pictures also inside the mask."""
 
 
 def chosen_columns(rows: Sequence[Row], wanted: Sequence[str] = ()) -> list[str]:
@@ -39,7 +39,7 @@ def shown(row: Row, column: str) -> str:
     value = row.values.get(column)
     if value is None:
         return "–"
-    digits = 3 if column in ("ssim", "lpips", "disparity_rmse", "f_score", "seconds") else 2
+    digits = 3 if column in ("ssim", "ssim_inside", "lpips", "disparity_rmse", "f_score", "seconds") else 2
     return f"{value:.{digits}f}" + (f" ± {row.deviations[column]:.{digits}f}" if column in row.deviations else "")
 
 

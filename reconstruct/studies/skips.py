@@ -37,8 +37,7 @@ class Result:
     applied: bool  # whether the skip applied to the scene
     psnr: tuple[float, float]  # kept, skipped [dB]
     normal_mae_deg: tuple[float, float] | None  # kept, skipped; None without true normals
-    step_ms: tuple[float, float]
-    """Kept, skipped: time of a step, from the fastest tenth of the training."""
+    step_ms: tuple[float, float]  # kept, skipped: time of a step, from the fastest tenth of the training
 
     @property
     def cost_db(self) -> float:

@@ -93,13 +93,15 @@ def _summary(result: dict[str, Any], out: Path) -> str:
     """Skips, time and quality of a finished training."""
     from reconstruct.training.skipping import record
 
-    skipped = "".join(f"  {line}\n" for line in record.left_out([record.Skip(**skip) for skip in result["skips"]]))
+    skips = [record.Skip(**skip) for skip in result["skips"]]
+    skipped = "".join(f"  {line}\n" for line in record.left_out(skips))
     if skipped:
         skipped = f"skipped, because this scene does not need it (every decision: {out / record.SKIPS}):\n{skipped}"
+    beside = "".join(f"learned beside the model: {line}\n" for line in record.learned(skips))
     known = {"training rays": result["psnr_train"], "held-out pixels": result["psnr_unseen"]}
     quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
     preparation, compilation = result["preparation_s"], result["compilation_s"]
     return (
-        f"{skipped}trained {result['steps']} steps in {result['training_s']:.0f} s "
+        f"{skipped}{beside}trained {result['steps']} steps in {result['training_s']:.0f} s "
         f"(plus {preparation:.0f} s to read, {compilation:.0f} s to compile): {quality}\n{out}"
     )

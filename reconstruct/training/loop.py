@@ -17,14 +17,18 @@ import numpy as np
 
 from datasets.core.console import hint, progress
 from datasets.core.errors import UsageError
+from datasets.core.files import refuse_existing
 from datasets.core.space import require_room
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
+from reconstruct.convergence import figures_of, warn_early
 from reconstruct.errors import ReconstructError
 from reconstruct.rendering.pictures import Renderer
-from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.rendering.probe import Probe, held_out_psnr
+from reconstruct.run import CHECKPOINTS, Run, copies_beside
 from reconstruct.scene import poses
+from reconstruct.scene.pool import Pool
 from reconstruct.scene.rays import Pixels
 from reconstruct.surface.second_pass import second_pass_period
 from reconstruct.training import distributed
@@ -55,11 +59,12 @@ class Training:
     one_step: Step
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
+    probe: Probe | None
     clock: Clock
     renderer: Renderer
     held: Pixels | None = None
     """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
+    pool: Pool | None = None  # what renews `pixels`, where they are only a part of all
     skips: list[record.Skip] = field(default_factory=list)
     """What is left out, and why."""
     events: EventLog | None = None
@@ -82,6 +87,8 @@ class Training:
         second = surface.enabled and count >= until_due
         start, seed = time.perf_counter(), jnp.asarray(self.run.config.train.seed, jnp.int32)
         scalars = (jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))
+        if self.pool is not None:
+            self.pixels = self.pool.renewed(self.pixels, clock.step)
         self.state, terms = self._advance(self.state, self.pixels, seed, *scalars)
         clock.since_look += count
         if self.state.model.sampler.upkeep_due(clock.since_look, clock.progress):
@@ -138,12 +145,10 @@ class Training:
         line: dict[str, Any] = {"step": self.clock.step, "seconds": seconds, "progress": done}
         if "mse" in terms:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
-        held = None if self.held is None else poses.over_white(self.held, model.poses)
-        for name, pixels in {"psnr_unseen": self.probe, "psnr_held_out": held}.items():
-            if pixels is not None:
-                *rays, target = pixels
-                rendered = self.renderer.rays(model, *rays)["rgb"]
-                line[name] = -10 * float(np.log10(max(np.mean((rendered - target) ** 2), 1e-10)))
+        if self.probe is not None:
+            line["psnr_unseen"] = self.probe.psnr(model, self.renderer)
+        if self.held is not None:
+            line["psnr_held_out"] = held_out_psnr(self.held, model, self.renderer)
         line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
         line |= model.sampler.figures()
         self.run.append_log(line)
@@ -254,8 +259,8 @@ def _loop(training: Training) -> None:
                 line = training.look(terms)
                 next_look = clock.progress + 1 / LOOKS
                 stopped = bool(distributed.decided(training.exhausted))
-                known = {"PSNR": "psnr_train", "unseen": "psnr_unseen"}
-                shown.note(", ".join(f"{name} {line[key]:.1f} dB" for name, key in known.items() if key in line))
+                warn_early(training.run.log())
+                shown.note(figures_of(line))
             if said[:, 1].any():
                 training.save()
                 raise KeyboardInterrupt
@@ -283,12 +288,10 @@ def start(
     scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None = None, start_from: Run | None = None
 ) -> Training:
     """A training that is about to begin, its run written into `out`; see `train`."""
-    from datasets.core.files import refuse_existing
-
     refuse_existing(out)
     known = None if start_from is None else start_from.facts
     normalisation = normalisation_of(scene, config) if known is None else known.normalisation
-    prepared = prepare(scene, config, normalisation, known)
+    prepared = prepare(scene, config, normalisation, known, copies=copies_beside(out))
     config, state = prepared.step.config, prepared.state
     about = {
         "scene_name": scene.name,
@@ -322,7 +325,7 @@ def _continued(fresh: TrainState, run: Run) -> TrainState:
 def _resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
     """The training of a run from its newest checkpoint on; from its first step where it was killed before there was one."""
     run = Run.open(out)
-    prepared = prepare(scene, run.config, run.normalisation, run.facts, fresh=False)
+    prepared = prepare(scene, run.config, run.normalisation, run.facts, fresh=False, copies=run.copies)
     state, clock, source = prepared.state, {"seconds": 0.0}, run.content.get("from")
     if checkpoint.steps(run.path / CHECKPOINTS):
         state, clock = checkpoint.load(run.path / CHECKPOINTS, state)
@@ -343,5 +346,6 @@ def _require_room(out: Path, state: TrainState) -> None:
 
 
 def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:
-    renderer = Renderer(run.normalisation)
-    return Training(run, prepared.step, state, prepared.pixels, prepared.probe, clock, renderer, prepared.held, skips)
+    step, _, pixels, probe, held, pool, _ = prepared
+    renderer = Renderer(run.normalisation, light=run.facts.light)
+    return Training(run, step, state, pixels, probe, clock, renderer, held, pool, skips)

@@ -25,6 +25,8 @@ from reconstruct.training.schedules import late
 
 Terms = dict[str, Float[Array, ""]]
 
+SATURATED = 254.5 / 255
+"""sRGB from which a channel of eight bits is clipped."""
 BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
 
@@ -58,14 +60,16 @@ class Objective:
         rays, terms = batch.rays, {}
         moving = followed(rays, model.poses)  # poses follow the picture; where else the field is looked at is data
         found = model.sampler.sampled(batch, sample_key)
-        cloud = cloud_of(moving, found.samples, bounded=self.place.bounded, footprint=found.footprint)
+        cloud = cloud_of(moving, found.samples, space=self.place.space, footprint=found.footprint)
         rendered, density = _rendered(model, moving, found.samples, cloud)
         if model.poses is not None and self.pose_prior:
             terms |= pose_term(model.poses / jnp.array(self.pose_sigma), self.pose_prior)
         if model.per_image is not None:
-            rendered = rendered.exposed((model.per_image - jnp.mean(model.per_image, 0))[rays.view])
+            rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
-        terms |= photometric(rendered, batch.colour, background, batch.used, self.weights.charbonnier)
+        terms |= photometric(
+            rendered, batch.colour, background, batch.used, self.weights.charbonnier, model.per_image is not None
+        )
         terms |= self.ray_terms(model, rendered, density, found, progress)
         surface = jax.lax.stop_gradient(find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays))
         terms |= surface_point_terms(model.field, rays, surface, self.weights, self.place)
@@ -98,9 +102,16 @@ def photometric(
     background: Float[Array, "rays 3"],
     used: Bool[Array, " rays"],
     width: float,
+    clips: bool = False,
 ) -> Terms:
-    """Charbonnier loss and mean square error of the rays that were rendered."""
+    """Charbonnier loss and mean square error of the rays that were rendered.
+
+    Args:
+        clips: whether exposure differs, so that a saturated channel tells no more than the least light that it had.
+    """
     error = rendered.over(background) - over(colour, background)
+    if clips:
+        error = jnp.where((colour[:, :3] > SATURATED) & (colour[:, 3:] > SATURATED), jnp.minimum(error, 0.0), error)
     count = jnp.maximum(jnp.sum(used), 1)
     share = used[:, None] / (3 * count)
     return {"photometric": jnp.sum(losses.charbonnier(error, width) * share), "mse": jnp.sum(error * error * share)}

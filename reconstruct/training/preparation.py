@@ -5,25 +5,31 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
-from datasets.core.console import progress
-from datasets.scene import Scene
+from datasets.core.console import hint, progress
+from datasets.imaging.copies import Copies
+from datasets.scene import Scene, View
 from reconstruct.config import Config
+from reconstruct.rendering.probe import Probe
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene import poses
 from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.pool import Pool
 from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.scene.reading import held_out, training_pixels
 from reconstruct.training import distributed
 from reconstruct.training.batches import Division
 from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
+from reconstruct.training.skipping.gains import gains_between
+from reconstruct.training.skipping.lamps import decided_light
+from reconstruct.training.skipping.matched import matches_of
 from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
+from reconstruct.training.skipping.refinement import with_poses
 from reconstruct.training.step import Step, TrainState
-
-PROBE = 4096
-"""Pixels of test views that each line of the log measures; never trained on, and not part of the training's time."""
 
 
 class Prepared(NamedTuple):
@@ -33,55 +39,75 @@ class Prepared(NamedTuple):
     """For the configuration as it was decided."""
     state: TrainState
     pixels: Pixels
-    probe: tuple[np.ndarray, ...] | None
-    """Pixels of test views: (origins, directions, radii, colour over white); None where there are no such views."""
+    probe: Probe | None
+    """Pixels of test views; None where there are no such views."""
     held: Pixels | None
     """Pixels of training views that are never trained on, where an early stop is decided by them."""
+    pool: Pool | None
+    """What renews `pixels`, where they are only a part of all."""
     skips: list[record.Skip]
 
 
 def prepare(
-    scene: Scene, config: Config, normalisation: Normalisation, known: SceneFacts | None = None, *, fresh: bool = True
+    scene: Scene,
+    config: Config,
+    normalisation: Normalisation,
+    known: SceneFacts | None = None,
+    *,
+    fresh: bool = True,
+    copies: Copies | None = None,
 ) -> Prepared:
     """Read the scene's pictures, measure it, decide on the configuration, and make fresh weights.
 
     Args:
         known: what an earlier training measured, which also decided the model's sizes; None: measure the scene.
         fresh: decide what is left out, and take as many rays per step as there is memory for.
+        copies: where large pictures are kept for the next time.
     """
     views = lenses(scene.split("train"), config)
-    with progress("reading images", len(views), "images") as shown:
-        pixels = Pixels.load(views, normalisation, config.scale, shown)
-    kind = sampler_type(config.sampler)
-    possible = kind.possible_cells(config, pixels, views, normalisation, poses.slack(config.poses, normalisation))
+    pixels, pool = training_pixels(views, normalisation, config.scale, copies)
+    matches = matches_of(scene, views, config) if fresh else None
+    config, refined = with_poses(config, matches, scene, normalisation)
+    possible = _possible_cells(config, pixels, pool, views, normalisation)
     skips: list[record.Skip] = []
     facts = known
     if fresh:
-        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale)
+        gains = None if matches is None else gains_between(matches)
+        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains)
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
+        skips.append(refined)
         if known is None:
-            config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
+            light, lamps = decided_light(views, pixels, normalisation, possible, config)
+            skips.append(lamps)
+            if light.moves:
+                hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")
+            config, facts = lean, replace(SceneFacts.of(scene, views, normalisation, evidence.volume), light=light)
+            if gains is not None and config.train.per_image != "none":
+                facts = facts.with_gains(gains.log_gains_of(views))
     assert facts is not None, "a training that is not fresh knows its scene"
     held = None
     if config.train.patience:
-        pixels, held = pixels.held_out(PROBE)
-    if fresh and kind.memory_grows_with_rays:
+        pixels, held = held_out(pixels, pool)
+    pixels, held = (each and each.lit(facts.light, views) for each in (pixels, held))
+    if fresh and sampler_type(config.sampler).memory_grows_with_rays:
         config = fitted(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
     state = step.initial(jax.random.key(config.train.seed), possible, len(views))
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
-    return Prepared(step, state, pixels, _probe(scene, config, normalisation), held, skips)
+    if pool is not None:
+        pool = replace(pool, rays=state.model.sampler.rays_drawn * config.train.accumulate)
+    return Prepared(step, state, pixels, Probe.of(scene, config, normalisation, copies, facts.light), held, pool, skips)
 
 
-def _probe(scene: Scene, config: Config, normalisation: Normalisation) -> tuple[np.ndarray, ...] | None:
-    """Random pixels of a few test views: (origins, directions, radii, colour over white)."""
-    views = [view for view in scene.views if view.split == "test"]
-    if not views:
-        return None
-    views = tuple(views[:: max(1, len(views) // 4)][:4])
-    with progress("reading unseen pixels", len(views), "images") as shown:
-        pixels = Pixels.load(views, normalisation, config.scale, shown)
-    index = np.random.default_rng(0).choice(pixels.directions.shape[0], min(PROBE, pixels.directions.shape[0]), replace=False)
-    return pixels.over_white(index)
+def _possible_cells(
+    config: Config, pixels: Pixels, pool: Pool | None, views: tuple[View, ...], normalisation: Normalisation
+) -> NDArray[np.bool_] | None:
+    """See `Sampler.possible_cells`; from small pictures where there are too many pixels to hold."""
+    if pool is not None and normalisation.bounded:
+        config = config.model_copy(update={"scale": pool.overview_scale})
+        with progress("reading masks", len(views), "images") as shown:
+            pixels = Pixels.load(views, normalisation, config.scale, shown)
+    slack = poses.slack(config.poses, normalisation)
+    return sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, slack)

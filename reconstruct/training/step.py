@@ -57,7 +57,7 @@ class Step:
     def of(cls, config: Config, facts: SceneFacts) -> "Step":
         """As configured, on one device."""
         frustum = sampler_type(config.sampler).frustum_of(config.sampler)
-        place = Place(facts.normalisation.bounded, extended=frustum != "point")
+        place = Place(facts.normalisation.space, extended=frustum != "point")
         return cls(
             config,
             facts,

@@ -1,18 +1,21 @@
 import json
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
-
-def calib(*arguments):
-    """Run the command as a person does."""
-    code = "import sys; from calib.cli import main; sys.argv[0] = 'calib'; main()"
-    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+from calib.cli import main
 
 
 @pytest.fixture(scope="module")
-def handeye(recorded, tmp_path_factory):
+def calib(run_inside):
+    """Runs the command inside this process."""
+    return partial(run_inside, main, "calib")
+
+
+@pytest.fixture(scope="module")
+def handeye(calib, recorded, tmp_path_factory):
     """(finished command, its output file)."""
     out = tmp_path_factory.mktemp("calib") / "calibration.json"
     return calib("handeye", recorded[0], "--out", out), out
@@ -26,14 +29,14 @@ def test_handeye_writes_a_calibration_and_says_what_it_found(handeye):
     assert json.loads(out.read_text())["format"] == "koala-calibration"
 
 
-def test_verify_reads_it(handeye, recorded):
+def test_verify_reads_it(calib, handeye, recorded):
     result = calib("verify", recorded[0], "--calibration", handeye[1], "--json")
     assert result.returncode == 0, result.stderr
     found = json.loads(result.stdout)
     assert found["views"] == 11 and 0 < found["rms_mm"] < 0.5
 
 
-def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
+def test_intrinsics_then_handeye_with_them(calib, recorded, tmp_path):
     first = calib("intrinsics", recorded[0], "--out", tmp_path / "camera.json", "--json")
     assert first.returncode == 0, first.stderr
     assert json.loads(first.stdout)["residuals"]["views_used"] == 11 and "flange_from_camera" not in json.loads(first.stdout)
@@ -61,27 +64,27 @@ def test_intrinsics_then_handeye_with_them(recorded, tmp_path):
         (["refine", "{tmp}/nowhere", "--out", "{tmp}/scene"], "nowhere"),
     ],
 )
-def test_misuse_is_one_line_and_exit_code_2(recorded, tmp_path, arguments, message):
+def test_misuse_is_one_line_and_exit_code_2(calib, recorded, tmp_path, arguments, message):
     result = calib(*(a.format(tmp=tmp_path, recording=recorded[0]) for a in arguments))
     assert result.returncode == 2
     assert message in result.stderr and len(result.stderr.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_file_is_not_overwritten(handeye, recorded):
+def test_an_existing_file_is_not_overwritten(calib, handeye, recorded):
     before = handeye[1].read_bytes()
     result = calib("handeye", recorded[0], "--out", handeye[1])
     assert result.returncode == 2 and "already exists" in result.stderr
     assert handeye[1].read_bytes() == before
 
 
-def test_joint_offsets_need_joint_angles_of_this_arm(recorded, tmp_path):
+def test_joint_offsets_need_joint_angles_of_this_arm(calib, recorded, tmp_path):
     result = calib("handeye", recorded[0], "--joint-deg", "0.05", "--out", tmp_path / "c.json")
     assert result.returncode == 1 and "joint angles are not those of the poses" in result.stderr
     assert not (tmp_path / "c.json").exists()
 
 
-def test_a_board_is_printed(tmp_path):
+def test_a_board_is_printed(calib, tmp_path):
     result = calib(
         "board",
         "--kind",
@@ -98,7 +101,7 @@ def test_a_board_is_printed(tmp_path):
     assert json.loads(result.stdout)["page_mm"] == [140.0, 124.0] and "<rect" in (tmp_path / "b.svg").read_text()
 
 
-def test_report_is_a_page_about_a_stored_calibration(handeye, recorded, tmp_path):
+def test_report_is_a_page_about_a_stored_calibration(calib, handeye, recorded, tmp_path):
     before = handeye[1].read_bytes()
     result = calib("report", handeye[1], "--out", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
@@ -107,7 +110,7 @@ def test_report_is_a_page_about_a_stored_calibration(handeye, recorded, tmp_path
     assert missing.returncode == 2 and "--recording" in missing.stderr and not (tmp_path / "other.html").exists()
 
 
-def test_plan_writes_a_trajectory(recorded, tmp_path):
+def test_plan_writes_a_trajectory(calib, recorded, tmp_path):
     result = calib("plan", recorded[0], "--count", "3", "--grow-mm", "100", "--out", tmp_path / "next.yaml", "--json")
     assert result.returncode == 0, result.stderr
     found = json.loads(result.stdout)
@@ -115,14 +118,14 @@ def test_plan_writes_a_trajectory(recorded, tmp_path):
     assert (tmp_path / "next.yaml").read_text().count("quaternion_wxyz") == 3
 
 
-def test_compare_prints_a_row_per_method(recorded):
+def test_compare_prints_a_row_per_method(calib, recorded):
     result = calib("compare", recorded[0])
     assert result.returncode == 0, result.stderr
     assert all(f"| {name} |" in result.stdout for name in ("park", "shah", "refinement, all views"))
 
 
 @pytest.mark.slow
-def test_bench_measures_a_few_points(tmp_path):
+def test_bench_measures_a_few_points(calib, tmp_path):
     result = calib("bench", "--quick", "--trials", "2", "--out", tmp_path / "bench")
     assert result.returncode == 0, result.stderr
     assert "within 10% of the bound" in result.stdout and (tmp_path / "bench" / "bench.csv").is_file()

@@ -1,16 +1,17 @@
 """The command as a person meets it: output, exit codes 0, 1 and 2, one line on errors."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from datasets.cli import main
 from datasets.formats import SIZED, WRITERS, koala
 from datasets.scene import Scene
 
@@ -20,15 +21,13 @@ def command(*arguments: object, before: str = "pass") -> list[str]:
     return [sys.executable, "-c", f"{before}\nfrom datasets.cli import main; main()", *map(str, arguments)]
 
 
-def run(*arguments: object, before: str = "pass", **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(*arguments, before=before),
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, **environment},
-        check=False,
-    )
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture
+def run(run_inside: Run) -> Run:
+    """Runs the command inside this process."""
+    return partial(run_inside, main, "datasets")
 
 
 @pytest.fixture
@@ -37,15 +36,16 @@ def saved(make_scene: Callable[..., Scene], tmp_path: Path) -> Path:
     return tmp_path / "koala" / "little"
 
 
-def test_info_as_text_and_json(saved: Path) -> None:
+def test_info_as_text_and_json(run: Run, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = run("info", saved)
     assert text.returncode == 0 and "6 train, 3 test; 96x72 px" in text.stdout and "near, far" in text.stdout
-    found = json.loads(run("info", "koala/little", "--json", KOALA_DATA=str(saved.parent.parent)).stdout)
+    monkeypatch.setenv("KOALA_DATA", str(saved.parent.parent))
+    found = json.loads(run("info", "koala/little", "--json").stdout)
     assert found["views"]["train"] == 6 and found["far"] is None
 
 
 @pytest.mark.parametrize("layout", ["blender", "llff"])
-def test_export_says_what_is_lost_and_never_overwrites(saved: Path, tmp_path: Path, layout: str) -> None:
+def test_export_says_what_is_lost_and_never_overwrites(run: Run, saved: Path, tmp_path: Path, layout: str) -> None:
     done = run("export", saved, "--format", layout, "--out", tmp_path / "out", "--json")
     assert done.returncode == 0 and json.loads(done.stdout)["views"] == 9 and "koala.json" in json.loads(done.stdout)["limits"]
     assert run("check", tmp_path / "out").stdout == "nothing is wrong\n"
@@ -110,7 +110,7 @@ def test_names_are_looked_up_in_the_data_root_first(saved: Path, tmp_path: Path,
         find("koala/gold_hed")
 
 
-def test_check_fails_where_something_is_wrong(saved: Path) -> None:
+def test_check_fails_where_something_is_wrong(run: Run, saved: Path) -> None:
     (saved / "images" / "001.png").unlink()
     failed = run("check", saved)
     assert failed.returncode == 1 and "001.png: no such image" in failed.stdout and "1 errors, 0 warnings" in failed.stdout
@@ -127,13 +127,15 @@ def test_check_fails_where_something_is_wrong(saved: Path) -> None:
         (("inf",), 2, "inf"),
     ],
 )
-def test_a_usage_error_is_one_line_and_exit_code_2(saved: Path, arguments: tuple[str, ...], code: int, words: str) -> None:
+def test_a_usage_error_is_one_line_and_exit_code_2(
+    run: Run, saved: Path, arguments: tuple[str, ...], code: int, words: str
+) -> None:
     failed = run(*(argument.format(scene=saved) for argument in arguments))
     assert failed.returncode == code and words in failed.stderr
     assert len(failed.stderr.strip().splitlines()) == 1 and "Traceback" not in failed.stderr
 
 
-def test_a_broken_file_is_one_line_and_exit_code_1(saved: Path) -> None:
+def test_a_broken_file_is_one_line_and_exit_code_1(run: Run, saved: Path) -> None:
     (saved / "cameras.json").write_text("{")
     failed = run("info", saved)
     assert failed.returncode == 1 and "not valid JSON" in failed.stderr and len(failed.stderr.strip().splitlines()) == 1
@@ -148,7 +150,8 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Sc
         "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))"
     )
-    failed = run("export", tmp_path / "scene", "--format", "blender", "--out", tmp_path / "o" / "x", before=small_files)
+    words = command("export", tmp_path / "scene", "--format", "blender", "--out", tmp_path / "o" / "x", before=small_files)
+    failed = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert failed.returncode == 1 and "Traceback" not in failed.stderr and "error:" in failed.stderr
     assert list((tmp_path / "o").iterdir()) == []
 

@@ -18,6 +18,43 @@ def test_a_mask_becomes_the_alpha(make_scene: Callable[..., Scene]) -> None:
     assert np.array_equal(picture[..., :3], images.read(view.image)) and view.read_image().shape[-1] == 3
 
 
+@pytest.mark.parametrize(
+    "stored",
+    [
+        lambda disc: disc * 255,
+        lambda disc: disc * 1,
+        lambda disc: np.stack([disc * 255, disc * 0, disc * 0], -1),
+        lambda disc: np.stack([disc * 0 + 200, disc * 255], -1),
+        lambda disc: np.stack([disc * 0 + 90] * 3 + [disc * 255], -1),
+        lambda disc: np.stack([disc * 255] * 3 + [disc * 0 + 255], -1),
+        lambda disc: np.repeat(np.repeat(disc * 255, 2, 0), 2, 1),
+    ],
+    ids=["grey", "labels", "red", "grey and alpha", "cut out", "opaque", "twice the size"],
+)
+def test_masks_of_all_kinds_read_alike(make_scene: Callable[..., Scene], stored: Callable[[np.ndarray], np.ndarray]) -> None:
+    view = make_scene(mask=True).views[0]
+    disc = (view.read_mask()[..., 0] > 0).astype(np.uint8)
+    assert view.mask is not None and 0.1 < disc.mean() < 0.9
+    images.write(view.mask, stored(disc).astype(np.uint8))
+    assert np.array_equal(view.read_mask()[..., 0], disc) and np.array_equal(view.read()[..., 3], disc)
+    assert np.array_equal(replace(view, mask_inverted=True).read_mask()[..., 0], 1 - disc)
+    for changed in (view, replace(view, mask_inverted=True)):  # what training reads
+        whole = changed.read()
+        assert np.array_equal(images.as_float(changed.read_resized(96, 72))[..., 3], whole[..., 3])
+        small = images.resize(np.where(whole[..., 3:] > 0, whole, 0), 48, 36)
+        assert np.abs(changed.read_resized(48, 36) - small).max() < 1e-6
+
+
+def test_masks_of_another_shape_are_refused(make_scene: Callable[..., Scene]) -> None:
+    view = make_scene(mask=True).views[0]
+    assert view.mask is not None
+    images.write(view.mask, np.zeros((96, 72), np.uint8))
+    with pytest.raises(DatasetError, match="it is 72x96, its camera says 96x72"):
+        view.read_mask()
+    with pytest.raises(UsageError, match="view has no mask"):
+        replace(view, mask=None).read_mask()
+
+
 def test_sizes_are_compared(make_scene: Callable[..., Scene]) -> None:
     view = make_scene().views[0]
     images.write(view.truth["depth"], np.zeros((72, 95, 1), np.float32))

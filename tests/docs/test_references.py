@@ -95,6 +95,8 @@ def test_the_code_on_extending_runs(tmp_path: Path) -> None:
 SMALL = [
     "encoding.levels=2",
     "encoding.log2_size=10",
+    "field.spatial_width=8",
+    "field.view_width=8",
     "sampler.grid=16",
     "sampler.rays=64",
     "sampler.samples=1024",

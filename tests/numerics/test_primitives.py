@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
-from reconstruct.field.contraction import contract, contraction_scale, pull_back
 from reconstruct.field.encodings.directional import integrated_directional_encoding, view_encoding
 from reconstruct.field.encodings.frequencies import Frequencies
 from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
@@ -25,7 +24,9 @@ from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, saf
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.sampling.packing import draw_probability
 from reconstruct.sampling.steps import Steps
+from reconstruct.scene.contraction import contract, contraction_scale, pull_back
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import BALL, BOX
 from reconstruct.surface import first_surface, regularisers
 from reconstruct.training import losses
 from reconstruct.training.schedules import encoding_blur, learning_rate
@@ -93,14 +94,14 @@ def frustums(t: jax.Array, half: jax.Array) -> Any:
     """Mean and deviation along and across of frustums of a ray along z, as multiples of their distance."""
     one = jnp.ones((1,), t.dtype)
     rays = Rays(jnp.zeros((1, 3), t.dtype), jnp.asarray([[0.0, 0, 1]], t.dtype), 1e-3 * one)
-    cloud = gaussians_in_frustums(rays, jnp.zeros(t.shape, jnp.int32), t, half, True)
+    cloud = gaussians_in_frustums(rays, jnp.zeros(t.shape, jnp.int32), t, half, BOX)
     return cloud.points[2] / (t + half), cloud.scale[0] / (t + half), cloud.scale[2] / (t + half)
 
 
 def steps_of(directions: jax.Array, near: float) -> Any:
     """Where a ray through the cube is cut, from a camera four units away that looks along `directions`."""
     rays = Rays(-4 * directions, directions, jnp.ones(directions.shape[0], directions.dtype))
-    steps = Steps.of(rays, steps=32, bounded=False, near=near, far=1e3)
+    steps = Steps.of(rays, steps=32, space=BALL, near=near, far=1e3)
     return steps.at(jnp.broadcast_to(jnp.arange(0, steps.count + 1, 8, dtype=directions.dtype), (directions.shape[0], 17)))
 
 

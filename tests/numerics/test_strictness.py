@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.contraction import contract, contraction_scale, pull_back
 from reconstruct.field.encodings.directional import integrated_directional_encoding
 from reconstruct.models import load_config
 from reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_linear
@@ -17,8 +16,10 @@ from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, res
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.rendering.model import Model, render
 from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from reconstruct.scene.contraction import contract, contraction_scale, pull_back
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.scene.space import BALL
 from reconstruct.surface import ball, first_surface, regularisers
 from reconstruct.surface.first_surface import find_surfaces
 from reconstruct.surface.second_pass import Place
@@ -97,7 +98,7 @@ def rays_of(count: int) -> Rays:
 def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
     """A small model, and a compiled function of (model, edges of 16 rays' intervals) to ((total, terms), gradient)."""
     config = load_config(overrides=[*SMALL, f"field.shading={request.param}"])
-    rays, place = rays_of(16), Place(bounded=False)
+    rays, place = rays_of(16), Place(BALL)
     step = Step.of(config, FACTS)
     regularisers = replace(step.second_pass, place=place)
 

@@ -21,6 +21,7 @@ from reconstruct.config import Config
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.models import load_config
 from reconstruct.numerics.safe import srgb_from_linear
 from reconstruct.output.trained_model import TrainedModel
@@ -30,6 +31,7 @@ from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
+from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
@@ -59,7 +61,9 @@ class Ball(Field):
         density, material = self(cloud)
         return density, material, material.normals_pred
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         """As `Field.shade`: the same light in all directions."""
         specular = jnp.broadcast_to(jnp.asarray(SPECULAR, jnp.float32)[:, None], viewdirs.shape)
         return Shading(srgb_from_linear(material.diffuse + specular), specular)
@@ -170,8 +174,14 @@ def painted(ball: TrainedModel) -> TrainedModel:
     return replace(ball, model=replace(ball.model, field=solid))
 
 
+@pytest.fixture(scope="session")
+def renderer(ball_scene: tuple[Scene, Path]) -> Renderer:
+    """One for all models of the ball, which is compiled once."""
+    return Renderer(Normalisation.of(ball_scene[0]))
+
+
 @pytest.fixture
-def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> TrainedModel:
+def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer: Renderer) -> TrainedModel:
     """The ball in place of a trained model, its occupancy grid holding the cells near the surface."""
     run = make_run(checkpointed=False)
     model = Model.create(jax.random.key(0), run.config, run.facts)
@@ -180,10 +190,10 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run]) -> Traine
     distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
     radius = RADIUS * run.normalisation.scale
     occupancy = Occupancy.create(
-        jax.random.key(0), grid=grid, outer_grid=8, bounded=True, possible=np.abs(distance - radius) < 3 / grid
+        jax.random.key(0), grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid
     )
     field = model.field
     solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
-    assert run.normalisation.bounded
-    return TrainedModel(run, ball_scene[0], model, 0, Renderer(run.normalisation))
+    assert run.normalisation.bounded and run.normalisation == renderer.normalisation
+    return TrainedModel(run, ball_scene[0], model, 0, renderer)

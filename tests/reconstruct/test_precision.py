@@ -17,6 +17,7 @@ from reconstruct.rendering.model import render
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels, Rays
+from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step, TrainState
 
 STEPS = 80
@@ -86,7 +87,7 @@ def test_colours_are_those_of_single_precision(both: dict[str, tuple[TrainState,
     aims = rng.uniform(-0.4, 0.4, (200, 3))
     rays = Rays(*(jnp.asarray(values, jnp.float32) for values in (origins, aims - origins, np.full(200, 0.01))))
     samples = RaySamples.from_edges(jnp.broadcast_to(jnp.linspace(0.5, 1.5, 65), (200, 65)))
-    cloud = points_on_rays(rays, samples.ray, samples.t, bounded=True)
+    cloud = points_on_rays(rays, samples.ray, samples.t, space=BOX)
     shown = {name: render(computed_in(name, field), rays, samples, cloud)[0] for name in both}
     assert np.asarray(shown["float32"].opacity).max() > 0.4, "something is seen"
     apart = np.abs(np.asarray(shown["bfloat16"].over(jnp.ones(3)) - shown["float32"].over(jnp.ones(3))))

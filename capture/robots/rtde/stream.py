@@ -22,7 +22,6 @@ class RtdeStream:
     """The connection. After an error or a closed socket `connected` is False for good.
 
     Args:
-        host: address of the controller.
         outputs: variables to receive.
         inputs: variables to send; the lists get the numbers 1, 2, ... for `send`.
         frequency: samples asked of the controller [Hz].

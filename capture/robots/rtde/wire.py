@@ -12,8 +12,7 @@ from typing import Any
 PROTOCOL_VERSION, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA, TEXT = (ord(letter) for letter in "VvOISPUM")
 VERSIONS = (1, 2)
 
-MAX_DATA = 2**16 - 5
-"""Bytes of values that fit into a packet."""
+MAX_DATA = 2**16 - 5  # bytes of values that fit into a packet
 
 _CODES = {"BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d"}
 _CODES |= {"VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i"}

@@ -20,8 +20,7 @@ from capture.sim.controller.arm import Arm
 from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
 from capture.sim.controller.session import CYCLE_HZ
 
-ONLY_HOST = "127.0.0.1"
-"""The only loopback address that macOS has by default."""
+ONLY_HOST = "127.0.0.1"  # the only loopback address that macOS has by default
 
 
 def _random_host() -> str:

@@ -15,16 +15,13 @@ from capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
 from capture.sim.controller.tempo import Tempo
 from datasets import pose
 
-SAFETY_DECELERATION = 10.0
-"""Of the fastest joint when the arm is stopped for safety [rad/s^2]."""
-PAUSE_S = 0.3
-"""A paused motion slows down on its path within this time, and speeds up within it when it is resumed [s]."""
+SAFETY_DECELERATION = 10.0  # of the fastest joint when the arm is stopped for safety [rad/s^2]
+PAUSE_S = 0.3  # a paused motion slows down on its path within this time, and speeds up within it when it is resumed [s]
 RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
 """After a stop the joints oscillate, which the encoders measure: frequency, decay time, and amplitude [rad per rad/s^2]."""
 FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
 """Tubes, gears and bracket bend as well, which no encoder measures: as above."""
-QUIET_S = 0.36
-"""This long after a stop both have decayed to less than a hundredth, and count as zero [s]."""
+QUIET_S = 0.36  # this long after a stop both have decayed to less than a hundredth, and count as zero [s]
 
 
 class RobotMode(IntEnum):

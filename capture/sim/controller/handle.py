@@ -43,8 +43,7 @@ class ControllerHandle:
     def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
         """Send one request to the side channel and return its reply; `capture.sim.controller.side_channel.ACTIONS` lists them.
 
-        Raises:
-            SimulationError: the controller has ended, or does not know the request.
+        Raises SimulationError: the controller has ended, or does not know the request.
         """
         with self._lock:
             try:

@@ -21,8 +21,7 @@ from capture.sim.controller.handle import ControllerHandle
 from datasets.core.errors import UsageError
 
 START_TIMEOUT_S = 20.0
-HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
-"""Joint angles at the start: stretched upwards [rad]."""
+HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)  # joint angles at the start: stretched upwards [rad]
 HANGING_HOME = (0.0, -np.pi, 0.0, -np.pi / 2, 0.0, 0.0)
 """The same for a hanging arm: stretched along the ceiling, out of the way [rad]."""
 BUILT_MM, BUILT_DEG = 0.5, 0.05

@@ -110,33 +110,3 @@ class Chain:
     def at(self, time: float) -> tuple[Joints, Joints, Joints]:
         """(6,) angles, speeds and accelerations at `time`."""
         return self.first.at(time) if time < self.first.duration else self.second.at(time - self.first.duration)
-
-
-@dataclass(frozen=True)
-class Line:
-    """The flange's tool point on a straight line: `path` gives the joint angles at a share 0..1 of `distance` [m]."""
-
-    path: NDArray[np.float64]
-    """(n, 6) angles at even shares of the line."""
-    distance: float
-    speed: float
-    acceleration: float
-
-    @property
-    def duration(self) -> float:
-        """Of the whole motion [s]."""
-        ramp, cruise = trapezoid_times(self.distance, self.speed, self.acceleration)
-        return 2 * ramp + cruise
-
-    def at(self, time: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds (by difference) and zero accelerations at `time`."""
-        step = 1e-3
-        now = self._angles(time)
-        return now, (self._angles(time + step) - self._angles(time - step)) / (2 * step), np.zeros(6)
-
-    def _angles(self, time: float) -> Joints:
-        travelled = Move(np.zeros(1), np.full(1, self.distance), self.speed, self.acceleration).at(time)[0][0]
-        share = travelled / max(self.distance, 1e-12)
-        position = share * (len(self.path) - 1)
-        index = min(int(position), len(self.path) - 2)
-        return self.path[index] + (position - index) * (self.path[index + 1] - self.path[index])

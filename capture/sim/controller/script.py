@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from capture import kinematics
 from capture.kinematics import Joints, pose_from_six, six_from_pose
 from capture.sim.controller.arm import Arm, Safety
-from capture.sim.controller.profiles import Line
 from datasets import pose
 
 log = logging.getLogger(__name__)
 READY, DONE, END = 1, 2, 255
-REGISTERS = 48
-"""Of each kind and direction."""
-MAX_PROGRAM = 1 << 18
-"""Bytes; the vendor's program has 50,000, and a path adds 100 per point."""
+REGISTERS = 48  # of each kind and direction
+MAX_PROGRAM = 1 << 18  # bytes; the vendor's program has 50,000, and a path adds 100 per point
 EVERY_CYCLE = frozenset({58})
 """Commands that are carried out in every cycle while they are in the register, and never answered with done."""
 _OFFSET = re.compile(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d{1,20})")
@@ -172,21 +169,6 @@ def _move(program: ControlProgram, goal: Joints) -> Generator[None] | None:
         raise ProgramError("a motion leads out of reach")
     speed, acceleration = program.arguments(6, 2)
     program.arm.move_to(goal, speed, acceleration, program.now)
-    return _motion(program)
-
-
-def _move_to_pose(program: ControlProgram) -> Generator[None] | None:
-    return _move(program, _inverse(program, program.arm.target(program.now)[0]))
-
-
-def _move_line(program: ControlProgram) -> Generator[None] | None:
-    speed, acceleration = np.maximum(program.arguments(6, 2), 1e-3)
-    path, distance = _line(program, program.arm.target(program.now)[0], program.arguments(0, 6))
-    program.arm.begin(Line(path, distance, speed, acceleration), program.now)
-    return _motion(program)
-
-
-def _motion(program: ControlProgram) -> Generator[None] | None:
     if program.int_argument(1):
         program.report_operation(running=True, started=True)
         return None
@@ -218,9 +200,9 @@ def _has_inverse(program: ControlProgram) -> bool:
         return False
 
 
-def _inverse(program: ControlProgram, near: Joints, tcp: Joints | None = None) -> Joints:
-    """Joint angles nearest to `near` that bring the tool point to a pose (None: the first argument) with the true links."""
-    base_from_flange = pose_from_six(program.arguments(0, 6) if tcp is None else tcp) @ pose.inverse(program.arm.flange_from_tcp)
+def _inverse(program: ControlProgram, near: Joints) -> Joints:
+    """Joint angles nearest to `near` that bring the tool point to the pose in the first argument with the true links."""
+    base_from_flange = pose_from_six(program.arguments(0, 6)) @ pose.inverse(program.arm.flange_from_tcp)
     branches = kinematics.inverse(base_from_flange)
     if not len(branches):
         raise ProgramError("the inverse kinematics of a pose has no solution")
@@ -234,24 +216,9 @@ def _inverse(program: ControlProgram, near: Joints, tcp: Joints | None = None) -
     return joints
 
 
-def _line(program: ControlProgram, start: Joints, tcp: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """(n, 6) joint angles along the straight line of the tool point to a pose, and its length [m]."""
-    begin, end = program.arm.base_from_tcp(start), pose_from_six(tcp)
-    turn, way = pose.rotation_vector(begin[:3, :3].T @ end[:3, :3]), end[:3, 3] - begin[:3, 3]
-    length = float(np.linalg.norm(way))
-    path, count = [start], max(int(length / 0.005), 8)
-    for share in np.linspace(0, 1, count + 1)[1:]:
-        between = begin[:3, :3] @ pose.from_rotation_vector(turn * share)[:3, :3]
-        path.append(_inverse(program, path[-1], np.concatenate([begin[:3, 3] + share * way, pose.rotation_vector(between)])))
-        if np.abs(path[-1] - path[-2]).max() > 0.5:
-            raise ProgramError("a straight line passes a singularity")
-    return np.array(path), max(length, float(np.linalg.norm(turn)) * 0.1, 1e-6)
-
-
 ACTIONS: dict[int, Callable[[ControlProgram], "Generator[None] | None"]] = {
     **dict.fromkeys((1, 4), lambda at: _move(at, at.arguments(0, 6))),
-    2: _move_to_pose,
-    3: _move_line,
+    2: lambda at: _move(at, _inverse(at, at.arm.target(at.now)[0])),
     **dict.fromkeys((15, 16), _stop),
     **dict.fromkeys((33, 34), lambda at: _stop(at, asynchronous=at.int_argument(1))),
     29: _set_tcp,

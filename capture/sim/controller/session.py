@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from capture.sim.controller.server import ControllerServer
 
 CYCLE_HZ = 500
-MAX_UNREAD = 1 << 20
-"""A client that leaves this many bytes unread is cut off."""
+MAX_UNREAD = 1 << 20  # a client that leaves this many bytes unread is cut off
 
 
 class Session:

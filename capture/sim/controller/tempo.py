@@ -7,10 +7,8 @@ from dataclasses import dataclass
 class Tempo:
     """Seconds of a profile per second of the clock: `first` at the time `since`, changing evenly to `last` within `ramp_s`."""
 
-    phase_s: float
-    """Where in the profile the motion is at `since` [s]."""
-    since: float
-    """Controller's time [s]."""
+    phase_s: float  # where in the profile the motion is at `since` [s]
+    since: float  # controller's time [s]
     first: float
     last: float
     ramp_s: float = 0.0

@@ -12,10 +12,8 @@ from capture.sim.laboratory.scenes import TABLE_SIZE
 from datasets import pose
 from datasets.board import Board
 
-INK, PAPER = 0.04, 0.95
-"""Radiance of black and white, relative to the lamps."""
-BORDER = 0.012
-"""White paper around the squares [m]."""
+INK, PAPER = 0.04, 0.95  # radiance of black and white, relative to the lamps
+BORDER = 0.012  # white paper around the squares [m]
 
 
 @cache
@@ -30,8 +28,7 @@ class BoardPicture:
     target: Board
     table_from_board: NDArray[np.float64]
     seed: int
-    centre: tuple[float, float]
-    """Middle of the table [m]."""
+    centre: tuple[float, float]  # middle of the table [m]
 
     @cached_property
     def _markers(self) -> NDArray[np.float32]:

@@ -17,8 +17,7 @@ from datasets.camera_model import Camera
 from datasets.imaging.images import srgb_from_linear, to_uint8
 
 Picture = NDArray[np.floating]
-MARGIN = 1
-"""Pixels that the pinhole picture extends beyond the border of the camera, for interpolation."""
+MARGIN = 1  # pixels that the pinhole picture extends beyond the border of the camera, for interpolation
 
 
 @dataclass(frozen=True)
@@ -26,10 +25,8 @@ class Lens:
     """Resamples pinhole pictures to the distorted pixels of `camera`."""
 
     camera: Camera
-    supersampling: int = 2
-    """Pixels of the pinhole picture per pixel of the camera, along each axis."""
-    taps: int = 3
-    """Each pixel averages taps x taps samples, so that edges are as soft as on a sensor."""
+    supersampling: int = 2  # pixels of the pinhole picture per pixel of the camera, along each axis
+    taps: int = 3  # each pixel averages taps x taps samples, so that edges are as soft as on a sensor
 
     @cached_property
     def _corners(self) -> NDArray[np.float64]:
@@ -92,12 +89,9 @@ def strips(pinhole: Camera, pixels: int) -> Iterator[tuple[slice, Camera]]:
 class Sensor:
     """An image sensor: from light to pixel values."""
 
-    full_well: float = 8000.0
-    """Electrons of one sensor pixel at saturation."""
-    read_noise: float = 6.0
-    """Standard deviation of the read noise of one sensor pixel [electrons]."""
-    saturation: float = 1.5
-    """Radiance that fills the well in `reference_us` at 0 dB."""
+    full_well: float = 8000.0  # electrons of one sensor pixel at saturation
+    read_noise: float = 6.0  # standard deviation of the read noise of one sensor pixel [electrons]
+    saturation: float = 1.5  # radiance that fills the well in `reference_us` at 0 dB
     reference_us: float = 10000.0
 
     def expose(

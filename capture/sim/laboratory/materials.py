@@ -17,10 +17,8 @@ class Matt:
 class Metal:
     """A rough metal."""
 
-    name: str
-    """Name in the renderer's table of measured metals: Au, Ag, Al, Cu, Cr (for steel)."""
-    roughness: float
-    """Microfacet alpha: 0.03 is a mirror, 0.05 polished, 0.3 brushed."""
+    name: str  # name in the renderer's table of measured metals: Au, Ag, Al, Cu, Cr (for steel)
+    roughness: float  # microfacet alpha: 0.03 is a mirror, 0.05 polished, 0.3 brushed
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,7 @@ class Plastic:
 class Glass:
     """A clear and smooth refracting material."""
 
-    refraction: float
-    """Refractive index: 1.52 for crown glass, 1.544 for quartz."""
+    refraction: float  # refractive index: 1.52 for crown glass, 1.544 for quartz
 
 
 Material = Matt | Metal | Plastic | Glass

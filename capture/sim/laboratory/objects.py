@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from capture.sim.laboratory.materials import Glass, Material, Matt, Metal, Plastic
 
-Part = tuple[str, trimesh.Trimesh, Material, bool]
-"""Name, mesh, material, and whether the mesh carries smooth normals."""
-SECTIONS = 96
-"""Number of sides of round parts."""
+Part = tuple[str, trimesh.Trimesh, Material, bool]  # name, mesh, material, and whether the mesh carries smooth normals
+SECTIONS = 96  # number of sides of round parts
 
 
 def shiny_ball() -> list[Part]:

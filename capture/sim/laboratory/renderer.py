@@ -13,16 +13,12 @@ from capture.sim.laboratory.renderer_variant import variant
 from capture.sim.laboratory.scenes import Item, Stage
 from datasets.camera_model import Camera
 
-MAX_DEPTH = 3
-"""Edges of a light path: camera - object - table - light."""
-CLEAR_DEPTH = 8
-"""The same with glass, which light enters and leaves several times."""
+MAX_DEPTH = 3  # edges of a light path: camera - object - table - light
+CLEAR_DEPTH = 8  # the same with glass, which light enters and leaves several times
 SAMPLER = "multijitter"
 """Correlated stratification: at 16 samples per pixel 4 dB less noise than independent ones, for the same time."""
-PATHS_AT_ONCE = 4_000_000
-"""Larger pictures are rendered in strips, which keeps the vectorised variant below 1 GB."""
-MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Mitsuba's cameras have x left, y up, z forward."""
+PATHS_AT_ONCE = 4_000_000  # larger pictures are rendered in strips, which keeps the vectorised variant below 1 GB
+MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's cameras have x left, y up, z forward
 BASE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
 """Mitsuba's surroundings have their zenith along y."""
 
@@ -31,14 +27,10 @@ BASE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 
 class Surfaces:
     """The first surface along one ray per pixel of a pinhole."""
 
-    hit: NDArray[np.bool_]
-    """(h, w) whether the ray hits something."""
-    is_object: NDArray[np.bool_]
-    """(h, w) whether it hits the object."""
-    normals: NDArray[np.float32]
-    """(h, w, 3) unit, outward, in the table's frame."""
-    depth: NDArray[np.float32]
-    """(h, w) along z of the camera [m]; 0 without a hit."""
+    hit: NDArray[np.bool_]  # (h, w) whether the ray hits something
+    is_object: NDArray[np.bool_]  # (h, w) whether it hits the object
+    normals: NDArray[np.float32]  # (h, w, 3) unit, outward, in the table's frame
+    depth: NDArray[np.float32]  # (h, w) along z of the camera [m]; 0 without a hit
 
 
 class Renderer:

@@ -12,8 +12,7 @@ import sys
 from functools import cache
 
 FAST, SURE = "llvm_ad_rgb", "scalar_rgb"
-TRIAL_S = 60.0
-"""Time limit of the trial."""
+TRIAL_S = 60.0  # time limit of the trial
 _log = logging.getLogger(__name__)
 
 

@@ -31,10 +31,8 @@ class Item:
     name: str
     mesh: trimesh.Trimesh
     material: Material
-    uv: NDArray[np.float32] | None = None
-    """(vertices, 2) texture coordinates, for a texture."""
-    smooth: bool = False
-    """Whether the mesh has its own normals."""
+    uv: NDArray[np.float32] | None = None  # (vertices, 2) texture coordinates, for a texture
+    smooth: bool = False  # whether the mesh has its own normals
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,8 @@ class Stage:
 
     name: str
     items: tuple[Item, ...]
-    room: NDArray[np.float32]
-    """(h, 2h, 3) radiance of the surroundings, see `textures.room`."""
-    parts: int = 1
-    """Number of items that form the object."""
+    room: NDArray[np.float32]  # (h, 2h, 3) radiance of the surroundings, see `textures.room`
+    parts: int = 1  # number of items that form the object
 
     @property
     def transparent(self) -> bool:

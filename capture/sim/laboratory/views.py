@@ -23,10 +23,8 @@ from datasets.core.errors import UsageError
 Maps = dict[str, NDArray[np.floating]]
 SAMPLES = 9
 """Light paths per pixel of the supersampled pinhole picture, four times as many per pixel of the image: noise of 38 dB."""
-FULL_SAMPLES = 4
-"""The same without binning, where the sensor noise of a pixel is higher."""
-FINE = 2
-"""Samples of the true surfaces per pixel of the pinhole picture, along each axis."""
+FULL_SAMPLES = 4  # the same without binning, where the sensor noise of a pixel is higher
+FINE = 2  # samples of the true surfaces per pixel of the pinhole picture, along each axis
 RAYS_AT_ONCE = 4_000_000
 
 
@@ -74,8 +72,7 @@ class ObjectView:
     """An object in the laboratory, rendered."""
 
     stage: Stage
-    samples: int
-    """Light paths per pixel of the pinhole picture."""
+    samples: int  # light paths per pixel of the pinhole picture
     _newest: NDArray[np.float32] | None = None
 
     @cached_property

@@ -38,8 +38,7 @@ KERNELS = {
     "optax/": "optimiser",
 }
 """Kernel by a module on the stack; the innermost listed one decides."""
-CONTAINERS = frozenset({"while", "conditional", "call"})
-"""Instructions whose time is that of the instructions inside them."""
+CONTAINERS = frozenset({"while", "conditional", "call"})  # instructions whose time is that of the instructions inside them
 
 
 class Part(NamedTuple):

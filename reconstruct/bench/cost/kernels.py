@@ -25,9 +25,9 @@ from reconstruct.rendering.model import Model, composite, sample_weights
 from reconstruct.sampling.occupied_steps import OccupiedSteps
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.scene.space import BOX
 
-BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)
-"""An object in the cube [-1, 1]^3, seen from four away."""
+BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)  # an object in the cube [-1, 1]^3, seen from four away
 OCCUPIED = 0.03  # radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]
 
 
@@ -196,7 +196,7 @@ class Bench:
         """Random points of the shell, as many as a step has samples."""
         direction = jax.random.normal(jax.random.key(1), (3, self.config.sampler.samples))
         radius = 0.6 + OCCUPIED * jax.random.uniform(jax.random.key(2), (self.config.sampler.samples,), minval=-1)
-        return Cloud(direction / jnp.linalg.norm(direction, axis=0) * radius, None, True)
+        return Cloud(direction / jnp.linalg.norm(direction, axis=0) * radius, None, BOX)
 
 
 def _bytes(leaf: Any) -> int:

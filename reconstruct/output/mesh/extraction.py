@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 RESOLUTION = 256  # grid points along the longest side of the box
 LEVEL = 0.5  # share of light that a stretch of surface material as long as 1/128 of the box absorbs
-FOLLOWED = 1 / 24
-"""Share of the box's longest side over which predicted normals are believed more than the density."""
+FOLLOWED = 1 / 24  # share of the box's longest side over which predicted normals are believed more than the density
 SMALLEST_PART = 0.05  # pieces with less than this share of the largest piece's area are noise
 
 

@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 from datasets.core.console import progress
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.scene.light import LightFrame
+from reconstruct.scene.space import Space
 
 CHUNK = 1 << 17  # points evaluated at once
-Axes = tuple[NDArray[np.float64], ...]
-"""Coordinates of the grid points along x, y and z [scene unit]."""
+Axes = tuple[NDArray[np.float64], ...]  # coordinates of the grid points along x, y and z [scene unit]
 
 
 def grid_axes(trained: TrainedModel, resolution: int) -> Axes:
@@ -34,28 +36,29 @@ def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y 
         wanted = np.ones(tuple(len(axis) for axis in axes), bool)
     density = np.zeros(wanted.shape, np.float32)
     index = np.flatnonzero(wanted)
-    field, bounded = trained.model.field, trained.run.normalisation.bounded
+    field, space = trained.model.field, trained.run.normalisation.space
     with progress("sampling density", len(index) / 1e6, "million points") as bar:
         for start in range(0, len(index), CHUNK):
             part = index[start : start + CHUNK]
             places = np.unravel_index(part, wanted.shape)
             points = _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
-            density.reshape(-1)[part] = np.asarray(_density(field, points, bounded))[: len(part)]
+            density.reshape(-1)[part] = np.asarray(_density(field, points, space))[: len(part)]
             bar.advance(len(part) / 1e6)
     return density
 
 
 def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
     """(n, 3) sRGB of points [scene unit] viewed along their normals: diffuse and specular, as metals have no diffuse part."""
-    field, bounded = trained.model.field, trained.run.normalisation.bounded
-    values = _by_chunks(lambda part, facing: _colour(field, part, facing, bounded), points, normals)
+    field, facts = trained.model.field, trained.run.facts
+    space, frame = facts.normalisation.space, facts.light
+    values = _by_chunks(lambda part, facing: _colour(field, part, facing, space, frame), points, normals)
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def predicted_normals(trained: TrainedModel, points: NDArray) -> NDArray[np.float32]:
     """(n, 3) unit normals that the model predicts at points [scene unit]."""
-    field, bounded = trained.model.field, trained.run.normalisation.bounded
-    return _by_chunks(lambda part: _normals(field, part, bounded), points)
+    field, space = trained.model.field, trained.run.normalisation.space
+    return _by_chunks(lambda part: _normals(field, part, space), points)
 
 
 def _by_chunks(function: Callable[..., Float[Array, "3 n"]], *arrays: NDArray) -> NDArray[np.float32]:
@@ -75,17 +78,20 @@ def _padded(points: NDArray) -> Float[Array, "3 n"]:
 
 
 @compiled
-def _density(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[Array, " n"]:
-    return field.density(Cloud(points, None, bounded))
+def _density(field: Field, points: Float[Array, "3 n"], space: Space) -> Float[Array, " n"]:
+    return field.density(Cloud(points, None, space))
 
 
 @compiled
-def _colour(field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
-    _, material = field(Cloud(points, None, bounded))
-    return field.shade(material, -normals).rgb
+def _colour(
+    field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], space: Space, frame: LightFrame
+) -> Float[Array, "3 n"]:
+    _, material = field(Cloud(points, None, space))
+    light = Lit.towards(frame, -normals)
+    return field.shade(field.lit(material, light), -normals, light=light).rgb
 
 
 @compiled
-def _normals(field: Field, points: Float[Array, "3 n"], bounded: bool) -> Float[Array, "3 n"]:
-    _, material = field(Cloud(points, None, bounded))
+def _normals(field: Field, points: Float[Array, "3 n"], space: Space) -> Float[Array, "3 n"]:
+    _, material = field(Cloud(points, None, space))
     return normalise(material.normals_pred, axis=0)

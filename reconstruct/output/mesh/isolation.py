@@ -8,10 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 SIDES = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "-+")  # sides of a box, in the order of its axes
-CORE = (0.5, 0.25, 0.125)
-"""Minimum depth of the object's core, as shares of the largest depth, tried in this order."""
-TABLE_TOP = 1 / 128
-"""Largest height of a reconstructed table top above its side of the box, in the longest side of the grid."""
+CORE = (0.5, 0.25, 0.125)  # minimum depth of the object's core, as shares of the largest depth, tried in this order
+TABLE_TOP = 1 / 128  # largest height of a reconstructed table top above its side of the box, in the longest side of the grid
 
 
 def fill_interior(density: Float[np.ndarray, "x y z"], threshold: float) -> Float[np.ndarray, "x y z"]:

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
 
 READABLE = (".ply", ".glb", ".obj", ".stl")
 MAX_BYTES = 2**30
-MAX_VERTICES = 2**25
-"""Most vertices of a GLB file with every placed copy counted."""
-MAX_COLUMNS = 64
-"""Most properties of a vertex or face in a PLY file."""
+MAX_VERTICES = 2**25  # most vertices of a GLB file with every placed copy counted
+MAX_COLUMNS = 64  # most properties of a vertex or face in a PLY file
 
 
 def read(path: Path, *, process: bool = False) -> "trimesh.Trimesh":

@@ -18,8 +18,7 @@ from jaxtyping import Float, Int
 from reconstruct.errors import ReconstructError
 
 CREASE = 0.25  # slope of the mesh against its normals at which an edge counts half
-COTANGENTS = (0.05, 3.0)
-"""Bounds of an edge's cotangent weight: obtuse triangles must not make it negative, nor needles dominate."""
+COTANGENTS = (0.05, 3.0)  # bounds of an edge's cotangent weight: obtuse triangles must not make it negative, nor needles dominate
 TOLERANCE = 1e-4  # relative residual of the solution
 STEPS = 10_000  # maximum number of conjugate gradient steps; 300 are usual
 ROUNDS = 20  # maximum number of rounds to correct folded triangles; few are needed

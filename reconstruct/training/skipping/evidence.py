@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 
 from datasets.scene import Scene, View
 from reconstruct.sampling.occupancy import cell_centres
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
+from reconstruct.training.skipping.gains import Differences
 
 PLACES = 2000
 """Places of the object at which footprints are measured."""
-BALL, CONTRACTED = 4 / 3 * np.pi, 4 / 3 * np.pi * 8
-"""Volume of the object's ball where there are surroundings, and of all space once it is contracted [scene unit^3]."""
+CUBE, BALL, CONTRACTED = 8.0, 4 / 3 * np.pi, 4 / 3 * np.pi * 8
+"""Volume of the cube, the object's ball where there are surroundings, and of all space once it is contracted [scene unit^3]."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +33,25 @@ class Evidence:
     """Share of the grid's cells that can hold anything: inside the masks, or in sight of enough cameras."""
     bent: int
     """Views through a lens that distorts."""
+    frustum: Frustum | None
+    """What the cameras see, where they all look the same way."""
     poses: str
     """Where the poses come from."""
+    object_known: bool = True
+    """Whether masks or the scene's box say what the object is."""
+    gains: Differences | None = None
+    """Exposure and white balance of the views; None: not measured."""
 
     @property
     def volume(self) -> float:
         """Space that can hold anything, contracted [scene unit^3]."""
-        return 8 * self.possible if self.bounded else BALL + (CONTRACTED - BALL) * self.possible
+        around = self.frustum is None and not self.bounded
+        return BALL + (CONTRACTED - BALL) * self.possible if around else CUBE * self.possible
+
+    @property
+    def everything(self) -> int:
+        """All space, contracted [scene unit^3]."""
+        return round(CUBE if self.bounded or self.frustum else CONTRACTED)
 
 
 def evidence_of(
@@ -47,6 +61,7 @@ def evidence_of(
     normalisation: Normalisation,
     possible: NDArray[np.bool_] | None,
     scale: float,
+    gains: Differences | None = None,
 ) -> Evidence:
     """Look at a scene.
 
@@ -59,11 +74,12 @@ def evidence_of(
     if not bounded:  # surroundings may come as near as anything does
         smallest = min([smallest, *(pixel_width(view, scale) * normalisation.near for view in views)])
     share = 1.0 if possible is None else float(possible.mean())
-    if not bounded and possible is not None:
+    if not normalisation.space.single_grid and possible is not None:
         outside = np.linalg.norm(cell_centres(round(len(possible) ** (1 / 3)), 2.0), axis=-1)
         share = float(possible[(outside > 1) & (outside < 2)].mean())
     return Evidence(
         bounded=bounded,
+        frustum=normalisation.frustum,
         views=len(views),
         transparent=float(np.mean(np.asarray(pixels.colour[:, 3]) < 0.01)),
         smallest=smallest,
@@ -71,6 +87,8 @@ def evidence_of(
         possible=share,
         bent=sum(not view.camera.is_pinhole for view in views),
         poses=str(scene.provenance.get("format", "the scene's files")),
+        object_known=bounded or scene.box_is_stated,
+        gains=gains,
     )
 
 

@@ -11,6 +11,7 @@ from reconstruct.field.encodings.tables import fitting_sizes, resolutions_betwee
 from reconstruct.models import merged_config
 from reconstruct.sampling.create import sampler_type
 from reconstruct.sampling.steps import BEHIND, FRONT
+from reconstruct.scene.frustum import frustum_of
 from reconstruct.scene.rays import Normalisation
 from reconstruct.training.skipping.evidence import Evidence
 from reconstruct.training.skipping.pilot import MATTE
@@ -23,6 +24,12 @@ PATIENCE = 0.2
 WORTH_DB = 0.1
 """A branch that brings the pilot less than this is not worth having [dB]."""
 
+UNREGULARISED = {
+    "surface": {"enabled": False},
+    "losses": {"orientation": 0.0, "predicted_normals": 3e-4, "density_normals": 0.0, "hollowness": 0.0},
+}
+"""Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
+
 Decision = tuple[Config, Skip]
 
 
@@ -31,7 +38,10 @@ def normalisation_of(scene: Scene, config: Config) -> Normalisation:
     found = Normalisation.of(scene)
     if found.bounded and not config.skip.surroundings:
         return Normalisation.of(replace(scene, background="scene"), backdrop=True)
-    return found
+    if found.bounded or scene.box_is_stated or not config.skip.contraction:
+        return found
+    views = scene.split("train")
+    return replace(found, frustum=frustum_of(views, found.centre, found.scale, found.near, found.far))
 
 
 def lenses(views: tuple[View, ...], config: Config) -> tuple[View, ...]:
@@ -48,15 +58,17 @@ def plan(found: Evidence, config: Config, pilot: Callable[[], float]) -> tuple[C
     Args:
         pilot: trains a little with and without a reflection; returns the gain [dB]. Called only where it is asked for.
     """
-    skips = [_surroundings(found, config), _empty_rays(found, config)]
-    for rule in (_fine_levels, _table_size, _multisampling):
+    skips = [_surroundings(found, config), _contraction(found, config), _empty_rays(found, config)]
+    for rule in (_regularisers, _fine_levels, _table_size, _multisampling):
         config, skip = rule(found, config)
         skips.append(skip)
     config, skip = _reflection(config, pilot)
     skips.append(skip)
     skips.append(_consistent_passes(config))
     config, skip = _converged(config)
-    return config, [*skips, skip, _distortion(found, config), _structure_from_motion(found)]
+    skips += [skip, _distortion(found, config), _structure_from_motion(found)]
+    config, skip = _exposure(found, config)
+    return config, [*skips, skip]
 
 
 def _surroundings(found: Evidence, config: Config) -> Skip:
@@ -70,12 +82,31 @@ def _surroundings(found: Evidence, config: Config) -> Skip:
     return Skip.of("surroundings", skipped, evidence, saving)
 
 
+def _contraction(found: Evidence, config: Config) -> Skip:
+    skipped = found.bounded or found.frustum is not None
+    if found.frustum is not None:
+        evidence = f"all cameras look the same way: {np.rad2deg(np.arctan(found.frustum.across)):.0f} deg hold all that they see"
+    elif found.bounded:
+        evidence = "there are no surroundings"
+    else:
+        evidence = "cameras look different ways, or at a stated box" if config.skip.contraction else "forced"
+    return Skip.of("contraction", skipped, evidence, "resolution where no camera looks; steps in front and behind")
+
+
 def _empty_rays(found: Evidence, config: Config) -> Skip:
     if not sampler_type(config.sampler).rules_out_space:
         return Skip.of("empty_rays", False, "proposals have no grid", "nothing")
     by = "masks rule out" if found.bounded else "too few cameras see"
     evidence = f"{by} {1 - found.possible:.0%} of the space" if config.skip.empty_rays else "forced"
     return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in there, and rays that meet nothing else")
+
+
+def _regularisers(found: Evidence, config: Config) -> Decision:
+    skipped = not found.object_known and config.skip.regularisers
+    if skipped:
+        config = merged_config(config, UNREGULARISED)
+    evidence = "masks or the scene's box say what the object is" if found.object_known else "nothing says what the object is"
+    return config, Skip.of("regularisers", skipped, evidence, "the second pass, and the normals of first surfaces")
 
 
 def _fine_levels(found: Evidence, config: Config) -> Decision:
@@ -99,7 +130,7 @@ def _table_size(found: Evidence, config: Config) -> Decision:
     resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
     sizes = fitting_sizes(resolutions, encoding.log2_size, found.volume)
     rows, full = sum(2**size for size in sizes), encoding.levels * 2**encoding.log2_size
-    evidence = f"{found.volume:.2g} of {8 if found.bounded else 34} cubic units can hold anything"
+    evidence = f"{found.volume:.2g} of {found.everything} cubic units can hold anything"
     skipped = rows < full and config.skip.table_size  # the encoding takes its volume from the scene's facts then
     return config, Skip.of("table_size", skipped, evidence, f"{1 - rows / full:.0%} of the tables and of their optimiser's work")
 
@@ -156,3 +187,12 @@ def _structure_from_motion(found: Evidence) -> Skip:
     return Skip.of(
         "structure_from_motion", True, f"poses from {found.poses}; {ELSEWHERE['structure_from_motion']}", "matching the views"
     )
+
+
+def _exposure(found: Evidence, config: Config) -> Decision:
+    wanted, gains = config.train.per_image, found.gains
+    if wanted == "auto":
+        wanted = "none" if gains is None else gains.needed
+        config = merged_config(config, {"train": {"per_image": wanted}})
+    evidence = "not measured" if gains is None else gains.words()
+    return config, Skip.of("exposure", wanted == "none", evidence, NOTHING_MORE)

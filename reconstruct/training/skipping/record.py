@@ -13,11 +13,16 @@ NAMES = tuple(SkipConfig.model_fields)
 """What can be forced."""
 NOTHING_MORE = "nothing more"
 """Saving of what the model would not have done anyway."""
-ELSEWHERE = {"structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them"}
-"""What a person may look for in the list although training has no part in it, and where it is decided."""
+ELSEWHERE = {
+    "structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them",
+    "moving_lamps": "where lamps stand still is set by light.frame: world, camera or turntable",
+}
+"""What is on the list although no setting of `skip` decides it, and where it is decided."""
 
 COSTS = {
     "surroundings": "none: 1.9 and 2.2 dB better on two scenes",
+    "contraction": "none: 1.0 dB better on one scene",
+    "regularisers": "none: 0.4 to 2.4 dB better on three scenes; normals are worse",
     "empty_rays": "none: 1.5 and 2.8 dB better on two scenes",
     "fine_levels": "0.17 dB better to 0.12 dB worse on three scenes",
     "table_size": "0.42 dB better to 0.30 dB and 2 deg worse on three scenes",
@@ -26,11 +31,16 @@ COSTS = {
     "consistent_passes": "not measured; normals may drift apart between passes",
     "converged": "0.15 dB better to 1.78 dB worse where it stopped a training",
     "distortion": "none: the same figures",
+    "moving_lamps": "none where lamps stand still",
     "structure_from_motion": "none in training",
+    "exposure": "TODO",
+    "poses": "TODO",
 }
 """Price of each skip; docs/skipping.md has the figures."""
 PLAIN = {
     "surroundings": "what is around the object",
+    "contraction": "space where no camera looks",
+    "regularisers": "regularisers of a surface that nobody names",
     "empty_rays": "empty space",
     "fine_levels": "detail that is finer than a pixel can show",
     "table_size": "memory for more places than there are",
@@ -41,6 +51,13 @@ PLAIN = {
     "distortion": "straightening pictures that are straight",
 }
 """What is left out, in words for everybody; what a training does not decide is not among it."""
+
+
+LEARNED = {
+    "exposure": ("a gain of each picture's light", "train.per_image=colour"),
+    "poses": ("a correction of each picture's pose", "poses.enabled=true"),
+}
+"""What is learned beside the model where a scene needs it: in words for everybody, and the setting that forces it."""
 
 
 @dataclass(frozen=True)
@@ -73,18 +90,23 @@ def left_out(skips: Sequence[Skip]) -> list[str]:
     return [f"{PLAIN[skip.name]}: {skip.evidence}; saves {skip.saving}" for skip in listed]
 
 
+def learned(skips: Sequence[Skip]) -> list[str]:
+    """A line for each thing that is learned beside the model: what and why."""
+    return [f"{LEARNED[skip.name][0]}: {skip.evidence}" for skip in skips if skip.name in LEARNED and not skip.skipped]
+
+
 def forced(names: Sequence[str]) -> list[str]:
     """Overrides of the configuration that keep the named things from being skipped.
 
     Raises:
-        UsageError: there is no such skip, or it is not decided by a training.
+        UsageError: there is no such skip, or it is decided elsewhere.
     """
     for name in names:
         if name in ELSEWHERE:
-            raise UsageError(f"training has no part in {name}", where="--no-skip", why=ELSEWHERE[name])
-        if name not in NAMES:
-            raise UsageError(f"there is no skip '{name}'", where="--no-skip", remedy=nearest(name, NAMES))
-    return [f"skip.{name}=false" for name in names]
+            raise UsageError(f"{name} is decided elsewhere", where="--no-skip", why=ELSEWHERE[name])
+        if name not in (*NAMES, *LEARNED):
+            raise UsageError(f"there is no skip '{name}'", where="--no-skip", remedy=nearest(name, (*NAMES, *LEARNED)))
+    return [LEARNED[name][1] if name in LEARNED else f"skip.{name}=false" for name in names]
 
 
 def write(run: Path, skips: Sequence[Skip]) -> None:

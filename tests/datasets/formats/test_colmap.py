@@ -10,6 +10,7 @@ from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
 from datasets.formats import colmap, detect, koala, llff, load_scene, save_scene
 from datasets.formats.colmap_files import read_model
+from datasets.formats.finding import models
 from datasets.scene import Scene
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -17,7 +18,7 @@ pycolmap = pytest.importorskip("pycolmap")
 
 def files_of(folder: Path) -> list[Path]:
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    return [folder / (name + suffix) for name in colmap.NEEDED]
+    return [folder / (name + suffix) for name in models.NEEDED]
 
 
 def errors_px(model: "pycolmap.Reconstruction") -> np.ndarray:
@@ -110,8 +111,8 @@ def test_a_model_is_preferred_to_poses_bounds(make_scene: Callable[..., Scene], 
     scene = load_scene(tmp_path / "out", images="images_4")
     assert scene.views[0].camera == lens.scaled(24, 18) and any("poses_bounds.npy is not used" in note for note in scene.notes)
     assert load_scene(tmp_path / "out", format="llff").views[0].camera.is_centred
-    for index in range(9):
-        (tmp_path / "out" / "images" / f"{index:03d}.png").rename(tmp_path / "out" / "images" / f"other{index}.png")
+    for path in sorted((tmp_path / "out").glob("images*/*")):
+        path.rename(path.with_name(f"other{path.name}"))
     assert detect(tmp_path / "out") == "llff"
 
 

@@ -88,11 +88,66 @@ def test_an_opaque_alpha_is_no_mask(transforms: Callable[..., Path]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("stated", "there", "moved"),
+    [
+        ("./images/{:02d}.png", "images/{:02d}.png", False),
+        ("images\\{:02d}.png", "images/{:02d}.png", False),
+        (".\\rgb\\{:02d}.png", "rgb/{:02d}.png", False),
+        ("images/{:02d}", "images/{:02d}.PNG", False),
+        ("images/{:02d}.jpg", "images/{:02d}.png", False),
+        ("{:02d}.png", "{:02d}.png", False),
+        ("images/{:02d}.png", "images_2/{:02d}.png", True),
+        ("train/{:02d}.png", "rgb/{:02d}.png", True),
+    ],
+)
+def test_images_are_found_where_they_are(transforms: Callable[..., Path], stated: str, there: str, moved: bool) -> None:
+    folder = transforms()
+    before = [view.read() for view in load_scene(folder).views]
+    content = json.loads((folder / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        frame["file_path"] = stated.format(index)
+        (folder / there.format(index)).parent.mkdir(exist_ok=True)
+        (folder / f"images/{index:02d}.png").rename(folder / there.format(index))
+    if not any((folder / "images").iterdir()):
+        (folder / "images").rmdir()
+    (folder / "transforms.json").write_text(json.dumps(content))
+    scene = load_scene(folder)
+    assert [np.array_equal(view.read(), old) for view, old in zip(scene.views, before, strict=True)] == [True] * 10
+    assert any("images are taken from" in note for note in scene.notes) == moved
+
+
+def test_a_drive_is_outside_the_folder(transforms: Callable[..., Path]) -> None:
+    with pytest.raises(DatasetError, match="leaves the folder"):
+        load_scene(transforms(frames=[{"file_path": "C:\\photos\\a.png"}]))
+
+
+def test_each_frame_may_have_its_own_lens(transforms: Callable[..., Path]) -> None:
+    folder = transforms(drop=("fl_x", "fl_y", "cx", "cy", "w", "h"))
+    content = json.loads((folder / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        frame |= {"fl_x": 50.0 + index, "fl_y": 51.0, "cx": 20.0, "cy": 15.0, "w": 40, "h": 30, "k1": 0.01 * index, "k4": 0}
+        frame["camera_model"] = "OPENCV_FISHEYE" if index == 3 else "SIMPLE_RADIAL"
+    (folder / "transforms.json").write_text(json.dumps(content))
+    cameras = [view.camera for view in load_scene(folder).views]
+    assert [camera.fx for camera in cameras] == [50.0 + index for index in range(10)]
+    assert [camera.k1 for camera in cameras] == [0.01 * index for index in range(10)]
+    assert [camera.fisheye for camera in cameras] == [index == 3 for index in range(10)]
+
+
+def test_masks_of_a_blender_file_are_read(transforms: Callable[..., Path], tmp_path: Path) -> None:
+    images.write(tmp_path / "mask.png", np.uint8(255 * (np.arange(40) > 30) * np.ones((30, 1))))
+    folder = transforms(frame={"mask_path": ".\\mask.png"})
+    (folder / "transforms.json").rename(folder / "transforms_train.json")
+    scene = load_scene(folder)
+    assert scene.background == "white" and scene.provenance["format"] == "blender" and scene.views[0].read().shape[-1] == 4
+
+
+@pytest.mark.parametrize(
     ("content", "words"),
     [
         ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not supported"),
         ({"camera_model": 7}, "camera model 7 is not supported"),
-        ({"k4": 0.1}, "distortion k4 is not supported"),
+        ({"k4": 0.1}, "k4 = 0.1 as the fourth radial coefficient is not supported.*datasets undistort"),
         ({"drop": ("fl_x", "fl_y")}, "no focal length"),
         ({"fl_x": float("nan")}, "not finite"),
         ({"fl_x": "wide"}, "camera is not complete"),

@@ -8,6 +8,7 @@ import pytest
 
 from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import load_scene
+from datasets.imaging import images
 from datasets.scene import Scene
 from datasets.structure.bounds import corners
 
@@ -121,3 +122,22 @@ def test_dtu_scales_its_matrices_and_sees_its_object(real_data: Folder) -> None:
             theirs = (projected[:2] / projected[2] + 0.5) / 2  # OpenCV's origin, twice the size
             assert np.abs(view.camera.project(local) - theirs).max() < 0.3  # skew of the file's matrices is left out
     assert view.read().shape == (600, 800, 4)
+
+
+def test_dtu_with_other_names_and_inverted_masks(real_data: Folder, tmp_path: Path) -> None:
+    """Links to the set's own images under other names; twelve of its masks, white around the object, at half their size."""
+    source, linked = real_data("dtu_scan37"), tmp_path / "scan37"
+    before = load_scene(source)
+    (linked / "masks").mkdir(parents=True)
+    (linked / "cameras_large.npz").symlink_to(source / "cameras_large.npz")
+    (tmp_path / "photographs").mkdir()
+    for view in before.views[::4]:
+        (tmp_path / "photographs" / f"{view.name}{view.image.suffix.upper()}").symlink_to(view.image)
+        images.write(linked / "masks" / f"{view.name}.jpg", 1 - images.resize(view.read_mask(), 400, 300, srgb=False))
+    (linked / "images").symlink_to(tmp_path / "photographs")
+    after = load_scene(linked)
+    assert after.background == "white" and any("object in black" in note for note in after.notes)
+    for view, old in zip(after.views, before.views[::4], strict=True):
+        assert view.name == old.name and view.camera == old.camera
+        assert np.abs(view.world_from_camera - old.world_from_camera).max() < 1e-9
+        assert np.abs(view.read()[..., 3] - old.read()[..., 3]).mean() < 0.02  # edges at half the size

@@ -8,17 +8,17 @@ from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.scene import View
 from datasets.structure import bounds
-from datasets.structure.hull import visual_hull
+from datasets.structure.hull import UNEXPLAINED, _hull_within, _silhouette, visual_hull
 
 AXES, CENTRE = np.array([0.9, 0.5, 0.3]), np.array([1.0, 2.0, 3.0])
 
 
-def draw_masks(views: list[View], folder: Path, camera: Camera) -> list[View]:
+def draw_masks(views: list[View], folder: Path, camera: Camera, axes: np.ndarray = AXES) -> list[View]:
     """The views with exact masks of an ellipsoid."""
     drawn = []
     for view in views:
-        origin = (view.world_from_camera[:3, 3] - CENTRE) / AXES
-        rays = camera.directions(camera.pixel_centres()) @ view.world_from_camera[:3, :3].T / AXES
+        origin = (view.world_from_camera[:3, 3] - CENTRE) / axes
+        rays = camera.directions(camera.pixel_centres()) @ view.world_from_camera[:3, :3].T / axes
         b, a, c = rays @ origin, (rays**2).sum(-1), origin @ origin - 1
         path = folder / f"{view.name}.png"
         images.write(path, np.uint8(255 * (b * b > a * c)))
@@ -41,6 +41,25 @@ def test_hull_holds_the_object_and_little_else(camera_ring, tmp_path: Path, lens
     assert near <= depths.min() < near + 0.3 and far - 0.3 < depths.max() <= far
     loose = bounds.depth_range(views, hull.box)
     assert near >= loose[0] and far <= loose[1]  # corners of a box stick out
+
+
+def test_box_grows_where_the_object_goes_on_beyond_the_pictures(camera_ring, tmp_path: Path) -> None:
+    """A rod of 1.8 units that sticks out of pictures of 1 unit, and out of the box that is searched first."""
+    rod = np.array([0.9, 0.15, 0.15])
+    views = draw_masks(camera_ring(), tmp_path, Camera(128, 96, 520, 520, 64, 48), rod)
+    start = bounds.visible_box(views)
+    assert start[0, 0] > CENTRE[0] - rod[0] + 0.1, "premise: the box ends before the object does"
+    hull, silhouettes = visual_hull(views, start), [_silhouette(view) for view in views]
+    within = _hull_within(silhouettes, start, 4, 48)
+    assert within is not None and within.unexplained(silhouettes) > UNEXPLAINED >= hull.unexplained(silhouettes)
+    assert (hull.box[0, 0] < start[0, 0] - 0.1) and (hull.box[1, 0] > start[1, 0] + 0.1)
+
+
+def test_the_wrong_mask_of_one_view_leaves_the_box(camera_ring, tmp_path: Path) -> None:
+    views = draw_masks(camera_ring(count=24), tmp_path, Camera(128, 96, 110, 110, 64, 48))
+    images.write(tmp_path / "black.png", np.zeros((96, 128), np.uint8))
+    hull = visual_hull([replace(views[0], mask=tmp_path / "black.png"), *views[1:]], bounds.visible_box(views))
+    assert (hull.box[0] <= CENTRE - AXES).all() and (hull.box[1] >= CENTRE + AXES).all()
 
 
 def test_masks_that_exclude_everything_leave_the_box(camera_ring, tmp_path: Path) -> None:

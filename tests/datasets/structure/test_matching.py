@@ -11,7 +11,7 @@ from datasets.structure.matching import Features, match
 
 def features(descriptors: np.ndarray) -> Features:
     unit = (descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)).astype(np.float32)
-    return Features(np.zeros((len(unit), 3)), unit, np.zeros(len(unit), np.float32), 1e-3)
+    return Features(np.zeros((len(unit), 3)), unit, np.zeros((len(unit), 3), np.float32), 1e-3)
 
 
 def test_matches_are_mutual_and_clear() -> None:

@@ -24,7 +24,9 @@ def made(points: np.ndarray, count: int = 6) -> tuple[Matches, np.ndarray]:
     for matrix in matrices:
         local = (points - matrix[:3, 3]) @ matrix[:3, :3]
         features.append(
-            Features(local / local[:, 2:], np.zeros((len(points), 128), np.float32), np.ones(len(points), np.float32), 1 / 600)
+            Features(
+                local / local[:, 2:], np.zeros((len(points), 128), np.float32), np.ones((len(points), 3), np.float32), 1 / 600
+            )
         )
     index = np.stack([np.arange(len(points))] * 2, axis=1)
     pairs = tuple((i, j, index) for i in range(count) for j in range(i + 1, count))

@@ -54,3 +54,15 @@ def test_other_columns_are_refused(tmp_path: Path) -> None:
     (tmp_path / "records.csv").write_text("scene,psnr\nball,20\n")
     with pytest.raises(DatasetError, match="columns differ"):
         Records(tmp_path / "records.csv").rows()
+
+
+def test_records_from_before_a_metric_are_read_but_not_continued(tmp_path: Path, make_row: Callable) -> None:
+    records = Records(tmp_path / "records.csv")
+    records.append(make_row(psnr=20.0))
+    lines = [line.split(",") for line in records.path.read_text().splitlines()]
+    place = lines[0].index("psnr_inside")
+    records.path.write_text("".join(",".join(line[:place] + line[place + 1 :]) + "\n" for line in lines))
+    (row,) = records.rows()
+    assert row["psnr"] == 20.0 and row["psnr_inside"] is None and row["ssim_inside"] is None
+    with pytest.raises(DatasetError, match="psnr_inside"):
+        records.append(make_row())

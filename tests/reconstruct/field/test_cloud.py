@@ -12,9 +12,10 @@ from reconstruct.field.cloud import (
     hexagons_in_frustums,
     points_on_rays,
 )
-from reconstruct.field.contraction import contract, contraction_scale
 from reconstruct.field.encodings.lattice import PermutohedralLattice
+from reconstruct.scene.contraction import contract, contraction_scale
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import BOX
 
 HEXAGONS = jax.jit(hexagons_in_frustums, static_argnums=3)
 
@@ -39,7 +40,7 @@ def test_hexagons_match_the_frustum_s_mean_and_covariance(t0: float, t1: float) 
     rays, turns = some_rays(), 12
     repeated = jax.tree.map(lambda a: jnp.repeat(a, turns, 0), rays)
     turn = jnp.tile(jnp.arange(turns) * 2 * np.pi / turns, 5)
-    cloud = HEXAGONS(repeated, jnp.broadcast_to(jnp.array([t0, t1]), (5 * turns, 2)), turn, True)
+    cloud = HEXAGONS(repeated, jnp.broadcast_to(jnp.array([t0, t1]), (5 * turns, 2)), turn, BOX)
     assert cloud.group == 6
     points = np.asarray(cloud.points, np.float64).T.reshape(5, turns, 6, 3)
     mean_t, var_t, var_r = frustum_moments(t0, t1, 0.05)
@@ -58,7 +59,7 @@ def test_hexagons_match_the_frustum_s_mean_and_covariance(t0: float, t1: float) 
 
 def test_gaussians_are_as_wide_as_their_distance_asks() -> None:
     rays = some_rays()
-    cloud = HEXAGONS(rays, jnp.broadcast_to(jnp.array([1.0, 1.5, 2.5]), (5, 3)), jnp.zeros(5), True)
+    cloud = HEXAGONS(rays, jnp.broadcast_to(jnp.array([1.0, 1.5, 2.5]), (5, 3)), jnp.zeros(5), BOX)
     t = (
         np.sum((np.asarray(cloud.points).T.reshape(5, 12, 3) - rays.origins[:, None]) * rays.directions[:, None], -1)
         / np.sum(rays.directions**2, -1)[:, None]
@@ -82,7 +83,7 @@ def test_perpendicular_vectors_are_orthonormal() -> None:
 
 def test_points_lie_on_their_rays() -> None:
     rays = some_rays()
-    cloud = points_on_rays(rays, jnp.array([2, 0, 2]), jnp.array([1.0, 2.0, 3.0]), True)
+    cloud = points_on_rays(rays, jnp.array([2, 0, 2]), jnp.array([1.0, 2.0, 3.0]), BOX)
     expected = np.asarray(rays.origins)[[2, 0, 2]] + np.array([[1.0], [2], [3]]) * np.asarray(rays.directions)[[2, 0, 2]]
     np.testing.assert_allclose(cloud.points.T, expected, atol=1e-6)
     assert cloud.scale is None
@@ -100,7 +101,7 @@ def test_features_are_averaged_over_groups_in_contracted_space() -> None:
     assert jacobian.shape == (4, 3, 3)
 
 
-@pytest.mark.parametrize("group", [1, 6])
+@pytest.mark.parametrize("group", [pytest.param(1, marks=pytest.mark.slow), 6])
 def test_points_that_are_followed_get_the_gradient_of_the_features(group: int) -> None:
     """Against the analytic derivative to the scene's coordinates, inside and outside the unit ball; elsewhere points are data."""
     lattice = PermutohedralLattice.create(jax.random.key(0), levels=2, features=2, log2_size=8, coarsest=2.0, finest=4.0)
@@ -122,7 +123,7 @@ def test_one_gaussian_has_the_frustum_s_mean_and_variances(t0: float, t1: float)
     """Mean, and the diagonal of the covariance, of a uniform conical frustum by numerical integration."""
     rays = some_rays()
     middle, half = jnp.full(5, (t0 + t1) / 2), jnp.full(5, (t1 - t0) / 2)
-    cloud = jax.jit(gaussians_in_frustums, static_argnums=4)(rays, jnp.arange(5), middle, half, True)
+    cloud = jax.jit(gaussians_in_frustums, static_argnums=4)(rays, jnp.arange(5), middle, half, BOX)
     mean_t, var_t, var_r = frustum_moments(t0, t1, 0.05)
     origins, directions = (np.asarray(a, np.float64) for a in (rays.origins, rays.directions))
     np.testing.assert_allclose(cloud.points.T, origins + mean_t * directions, atol=3e-6)

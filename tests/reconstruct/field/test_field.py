@@ -6,6 +6,7 @@ import pytest
 from reconstruct.config import EncodingConfig, FieldConfig
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.scene.space import BALL, BOX
 
 ENCODING = EncodingConfig(levels=3, features=2, log2_size=10, coarsest=2, finest=8)
 FIELD = FieldConfig(spatial_width=16, bottleneck=4, view_width=16, ide_degree=3)
@@ -33,9 +34,9 @@ def test_normals_point_against_the_density_s_differences(field: Field, bounded: 
     """
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.9, 0.9, (3, 600)) if bounded else rng.normal(size=(3, 600)) * 2
-    density, _, normals = with_normals(field, Cloud(jnp.asarray(points, jnp.float32), None, bounded))
+    density, _, normals = with_normals(field, Cloud(jnp.asarray(points, jnp.float32), None, BOX if bounded else BALL))
     step = 4e-4
-    raw = jax.jit(lambda p: jnp.log(field.density(Cloud(p, None, bounded))))
+    raw = jax.jit(lambda p: jnp.log(field.density(Cloud(p, None, BOX if bounded else BALL))))
     here = np.asarray(raw(jnp.asarray(points, jnp.float32)))
     gradient, usable = np.zeros((3, 600)), np.ones(600, bool)
     for axis in range(3):

@@ -13,6 +13,7 @@ from datasets.scene import View
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.output import evaluate
 from reconstruct.output.trained_model import TrainedModel
 
@@ -26,6 +27,7 @@ def test_a_model_that_is_the_truth_scores_as_one(ball: TrainedModel) -> None:
     found = result["mean"]
     assert result["views"] == 2 and result["size"] == [48, 40] and result["split"] == "test"
     assert found["psnr"] > 25 and found["ssim"] > 0.93
+    assert found["psnr_inside"] > found["psnr"] and found["ssim_inside"] > found["ssim"], "the rim is where a ray is a pixel"
     assert found["normal_mae_alpha_acc_deg"] < 1.5 and found["normal_pred_mae_deg"] < 1.5
     assert found["depth_median_mm"] < STEP_MM and found["depth_rmse_mm"] < 5 * STEP_MM
     assert found["disparity_rmse"] < 5e-3
@@ -54,7 +56,9 @@ class Walled(Field):
     def __call__(self, cloud: Cloud) -> tuple[jax.Array, Material]:
         return self.density(cloud), self.inner(cloud)[1]
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         return self.inner.shade(material, viewdirs, normals)
 
 
@@ -99,7 +103,19 @@ def test_picture_is_laid_over_white_and_gives_the_alpha(ball: TrainedModel) -> N
 def test_without_truth_only_the_picture_is_compared(ball: TrainedModel) -> None:
     view: View = ball.scene.split("train")[0]
     found = evaluate.compare(vars(ball.picture(view)), evaluate.read_truth(view, view.camera), metric=True)
-    assert set(found) == {"psnr", "ssim"}
+    assert set(found) == {"psnr", "ssim", "psnr_inside", "ssim_inside"}
+
+
+def test_errors_at_the_edge_of_a_mask_do_not_count_inside() -> None:
+    """A disc that is drawn 3 px too small: the picture suffers, its inside does not."""
+    rows, columns = np.mgrid[:64, :64] - 31.5
+    disc = lambda radius: np.float32(rows**2 + columns**2 < radius**2)[..., None]  # noqa: E731
+    truth = {"rgb": 1 - 0.5 * np.repeat(disc(20), 3, -1), "alpha": disc(20)}
+    found = evaluate.compare({"rgb": 1 - 0.5 * np.repeat(disc(17), 3, -1)}, truth, metric=False)
+    assert found["psnr"] < 20 and found["psnr_inside"] == 100
+    assert found["ssim"] < 0.95 and found["ssim_inside"] > found["ssim"]
+    known = evaluate.compare({"rgb": truth["rgb"]}, {"rgb": truth["rgb"]}, metric=False)
+    assert "psnr_inside" not in known, "without a mask nothing is inside it"
 
 
 def test_mean_leaves_out_what_a_view_lacks() -> None:
@@ -122,3 +138,25 @@ def test_normals_that_nobody_predicts_are_not_measured() -> None:
     up = np.broadcast_to(np.array([0, 0, 1], np.float32), (4, 4, 3))
     found = evaluate.compare({"rgb": up, "normals": up, "normals_pred": 0 * up}, {"rgb": up, "normals": up}, metric=False)
     assert found["normal_mae_deg"] == 0 and "normal_pred_mae_deg" not in found
+
+
+def test_exposure_of_unseen_views_is_fitted_where_training_views_have_gains(ball: TrainedModel) -> None:
+    """Pictures of 1.8 times the light and another white balance: as good as the true ones, and said so."""
+    before = evaluate.evaluate(ball)
+    injured = []
+    for view in ball.scene.views:
+        picture = images.read(view.image)
+        light = images.linear_from_srgb(picture[..., :3]) * np.array([1.8, 1.5, 1.3])
+        path = ball.run.path / f"{view.name}_bright.png"
+        images.write(path, np.concatenate([images.srgb_from_linear(light).clip(0, 1), picture[..., 3:]], -1))
+        injured.append(replace(view, image=path))
+    bright = replace(ball, scene=ball.scene.with_views(tuple(injured)))
+    with_gains = replace(bright, model=replace(ball.model, per_image=jnp.zeros((4, 3))))
+    fixed, exposed = evaluate.evaluate(bright), evaluate.evaluate(with_gains)
+    assert "exposure" not in fixed and "log_gains" not in fixed["per_view"][0]
+    assert fixed["mean"]["psnr"] < before["mean"]["psnr"] - 3, "the premise: exposure is seen"
+    assert exposed["mean"]["psnr"] > before["mean"]["psnr"]  # a brighter ball differs less from white, so its rim errs less
+    assert exposed["exposure"]["psnr_as_rendered"] == pytest.approx(fixed["mean"]["psnr"], abs=1e-6)
+    for view in exposed["per_view"]:
+        np.testing.assert_allclose(view["log_gains"], [np.log([1.8, 1.5, 1.3])] * 2, atol=0.05)
+    assert "one half" in exposed["exposure"]["definitions"]["exposure"] and "one half" in evaluate.table(exposed)

@@ -45,6 +45,27 @@ def test_ssim_is_that_of_an_explicit_gaussian_window() -> None:
     assert metrics.ssim(first, second) == pytest.approx(everywhere[5:-5, 5:-5].mean(), abs=1e-10)
 
 
+def test_inside_is_where_a_window_fits_into_the_mask() -> None:
+    alpha = np.zeros((30, 40, 1), np.float32)
+    alpha[4:25, 20:] = 0.6
+    found = metrics.inside(alpha)
+    assert found[9:20, 25:].all() and found.sum() == 11 * 15, "5 px from the edge; what is beyond the picture may be the object"
+    assert not metrics.inside(np.full((30, 40, 1), 0.4)).any()
+
+
+def test_chosen_pixels_alone_count() -> None:
+    """An error of 0.1 on the left half only."""
+    shown = np.zeros((16, 40), bool)
+    shown[:, :14] = True
+    wrong = np.where(np.arange(40)[:, None] < 20, 0.4, 0.5) * np.ones((16, 1, 3))
+    assert metrics.psnr(wrong, np.full((16, 40, 3), 0.5), shown) == pytest.approx(20, abs=1e-5)
+    assert metrics.psnr(wrong, np.full((16, 40, 3), 0.5), np.roll(shown, 26, 1)) == 100
+    left, right = (metrics.ssim(wrong, np.full((16, 40, 3), 0.5), np.roll(shown, by, 1)) for by in (0, 26))
+    assert left == pytest.approx((2 * 0.4 * 0.5 + 1e-4) / (0.16 + 0.25 + 1e-4), abs=1e-5) and right == pytest.approx(1)
+    nothing = np.zeros((16, 40), bool)
+    assert metrics.ssim(wrong, wrong, nothing) is None and metrics.psnr(wrong, wrong, nothing) is None
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-4, 30.0, 90.0, 179.999, 180.0])
 def test_angles_are_accurate_at_both_ends(angle: float) -> None:
     turned = np.array([np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle)), 0])

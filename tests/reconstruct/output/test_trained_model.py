@@ -25,20 +25,17 @@ def test_a_run_opens_although_its_masks_are_not_read_again(make_run: Callable[..
     assert all(np.array_equal(a, b) for a, b in pairs)
 
 
-def test_pictures_have_the_size_of_the_training(make_run: Callable[..., Run], small_config) -> None:
+def test_pictures_have_the_size_of_the_training_and_warming_up_compiles_what_they_need(
+    make_run: Callable[..., Run], small_config
+) -> None:
     trained = TrainedModel.open(make_run(small_config.model_copy(update={"scale": 0.5})).path)
-    picture = trained.picture(trained.scene.split("test")[0])
-    assert picture.rgb.shape == (20, 24, 3) and picture.depth.shape == (20, 24, 1)
-    assert all(np.isfinite(values).all() for values in vars(picture).values())
-
-
-def test_warming_up_compiles_what_pictures_need(make_run: Callable[..., Run]) -> None:
-    trained = TrainedModel.open(make_run().path)
     view = trained.scene.split("test")[0]
     trained.warm_up(view)
     compiled = set(trained.renderer._compiled)
-    trained.picture(view)
+    picture = trained.picture(view)
     assert set(trained.renderer._compiled) == compiled != set()
+    assert picture.rgb.shape == (20, 24, 3) and picture.depth.shape == (20, 24, 1)
+    assert all(np.isfinite(values).all() for values in vars(picture).values())
 
 
 def test_what_is_not_a_run_is_said_so(make_run: Callable[..., Run], tmp_path: Path) -> None:

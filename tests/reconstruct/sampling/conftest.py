@@ -8,6 +8,7 @@ import pytest
 
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import BALL, BOX
 
 
 def _some_rays(count: int, seed: int = 0, distance: float = 3.0) -> Rays:
@@ -22,7 +23,7 @@ def _some_rays(count: int, seed: int = 0, distance: float = 3.0) -> Rays:
 
 
 def _steps_of(rays: Rays, bounded: bool, steps: int = 64) -> Steps:
-    return Steps.of(rays, steps=steps, bounded=bounded, near=0.05, far=100.0)
+    return Steps.of(rays, steps=steps, space=BOX if bounded else BALL, near=0.05, far=100.0)
 
 
 @pytest.fixture

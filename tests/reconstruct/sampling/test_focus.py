@@ -8,6 +8,7 @@ import numpy as np
 from reconstruct.sampling import focus
 from reconstruct.sampling.occupancy import Occupancy, cell_centres
 from reconstruct.scene.rays import Rays
+from reconstruct.scene.space import BALL
 
 GRID, HALF_BOX, RADIUS = 32, (0.5, 0.4, 0.6), 0.3
 CELL = np.sqrt(3) / GRID
@@ -16,7 +17,7 @@ CELL = np.sqrt(3) / GRID
 
 def opaque(solid: np.ndarray) -> Occupancy:
     """A grid with opaque matter in the given inner cells, and in all that are around them."""
-    fresh = Occupancy.create(jax.random.key(0), grid=GRID, outer_grid=8, bounded=False, possible=None)
+    fresh = Occupancy.create(jax.random.key(0), grid=GRID, outer_grid=8, space=BALL, steps=32, possible=None)
     cells = np.concatenate([solid, np.ones(len(fresh.extent) - len(solid), bool)])
     return eqx.tree_at(lambda o: o.density, fresh, jnp.full(len(cells), 1e3)).with_occupied(jnp.asarray(cells))
 

@@ -1,8 +1,12 @@
 from collections.abc import Callable
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from datasets.scene import Scene
+from reconstruct.sampling import hull
 from reconstruct.sampling.hull import cells_in_masks
 from reconstruct.sampling.occupancy import cell_centres
 from reconstruct.scene.rays import Normalisation, Pixels
@@ -30,6 +34,24 @@ def test_masks_leave_what_they_all_show(make_scene: Callable[..., Scene]) -> Non
     assert cells[distance < 0.06].all(), "nothing that every mask shows may be ruled out"
     assert not cells[distance > 0.15].any()
     assert 0.05 < cells.mean() < 0.9
+
+
+def test_one_wrong_mask_rules_nothing_out(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(mask=True)
+    normalisation, pixels = Normalisation.of(scene), pixels_of(scene)
+    spoilt = eqx.tree_at(lambda p: p.colour, pixels, jnp.where((pixels.view == 2)[:, None], 0, pixels.colour))
+    world = cell_centres(16, 1.0) / normalisation.scale + normalisation.centre
+    cells = cells_in_masks(spoilt, scene.views, normalisation, 16, 1.0)
+    assert cells is not None and cells[np.linalg.norm(world, axis=-1) < 0.06].all() and not cells.all()
+
+
+def test_blocks_change_nothing(make_scene: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_scene(mask=True)
+    found = []
+    for block in (1, 4):
+        monkeypatch.setattr(hull, "BLOCK", block)
+        found.append(cells_in_masks(pixels_of(scene), scene.views, Normalisation.of(scene), 32, 1.0))
+    np.testing.assert_array_equal(*found)
 
 
 def test_views_without_masks_rule_nothing_out(make_scene: Callable[..., Scene]) -> None:

@@ -4,8 +4,6 @@ import struct
 import sys
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import pytest
 
 from datasets.core.errors import UsageError
@@ -14,7 +12,7 @@ from reconstruct.config import Config
 from reconstruct.models import merged_config
 from reconstruct.run import Run
 from reconstruct.training.event_log import event_log, scalars_of
-from reconstruct.training.loop import Training, train
+from reconstruct.training.loop import train
 
 LINE = {
     "step": 16,
@@ -100,16 +98,8 @@ def test_nothing_is_written_where_nobody_wants_it(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_training_writes_every_figure_of_its_log(
-    ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def chunk(training: Training) -> dict[str, jax.Array]:
-        """Two steps, in place of steps that have to be compiled."""
-        training.clock.step += 2
-        return {"mse": jnp.asarray(0.01 / training.clock.step), "photometric": jnp.asarray(0.1), "decay": jnp.asarray(1e-9)}
-
-    monkeypatch.setattr(Training, "compile", lambda training: 0.0)
-    monkeypatch.setattr(Training, "chunk", chunk)
+@pytest.mark.usefixtures("two_steps_at_once")
+def test_a_training_writes_every_figure_of_its_log(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Path) -> None:
     scene, folder = ball_scene
     config = merged_config(small_config, {"train": {"steps": 6, "tensorboard": True}})
     train(scene.with_views(scene.split("train")), folder, config, tmp_path / "run")

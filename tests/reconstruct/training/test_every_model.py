@@ -96,7 +96,7 @@ def stored(table: dict[str, list[float]]) -> dict[str, dict[str, float]]:
     return {name: {str(block): values[block] for block in RTOL} for name, values in table.items()}
 
 
-ALWAYS = ("surfnerf", "surfnerf_voxels", "refnerf", "mipnerf", "finetune")
+ALWAYS = ("surfnerf", "surfnerf_voxels", "mipnerf")
 """Models that between them use every encoding, appearance and pass; the others are other combinations of these."""
 
 

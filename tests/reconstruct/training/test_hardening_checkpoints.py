@@ -13,6 +13,7 @@ from datasets.core.errors import KoalaError
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
+from reconstruct.models import merged_config
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
@@ -79,14 +80,11 @@ def test_a_checkpoint_without_a_file_is_passed_over_or_refused_in_one_line(tmp_p
         assert int(checkpoint.load(tmp_path, state(0))[0].step) == 1
 
 
+@pytest.mark.usefixtures("two_steps_at_once")
 def test_a_training_killed_before_its_first_checkpoint_is_started_over_by_resume(
     ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Path
 ) -> None:
-    tree = small_config.model_dump()
-    tree["train"]["steps"] = 2
-    tree["sampler"] |= {"rays": 128, "samples": 2048}
-    tree["surface"] |= {"enabled": False}
-    config = Config.model_validate(tree)
+    config = merged_config(small_config, {"train": {"steps": 2}})
     start(*ball_scene, config, tmp_path / "run")  # and no more: the process is killed here
     assert Run.open(tmp_path / "run").path.is_dir() and not (tmp_path / "run" / CHECKPOINTS).exists()
     result = train(*ball_scene, config, tmp_path / "run", resume=True)

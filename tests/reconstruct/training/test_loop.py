@@ -93,7 +93,7 @@ def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_
     ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene, folder = ball_scene
-    training = start(scene, folder, config, tmp_path / "run")
+    training = start(scene, folder, merged_config(config, {"surface": {"enabled": False}}), tmp_path / "run")
     once = eqx.tree_at(lambda s: s.skipped, training.state, jnp.asarray(1, jnp.int32))
     before, training.state = training.state, once
     training._report_faults(1, {"photometric": jnp.ones(())})

@@ -12,11 +12,13 @@ from reconstruct.config import LossConfig, SurfaceConfig
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.models import load_config
 from reconstruct.rendering.model import Model, Rendered
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.scene.space import BOX
 from reconstruct.surface import second_pass
 from reconstruct.surface.first_surface import Surface
 from reconstruct.surface.second_pass import Place, SecondPass
@@ -43,7 +45,9 @@ class HalfSpace(Field):
         material = Material(some, some, some[:1], some * columns(PREDICTED), jnp.zeros((0, count)))
         return jnp.where(z <= 0, 10.0, 0.0), material, normals
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         specular = jnp.broadcast_to(jnp.maximum(-viewdirs[2], 0.0), viewdirs.shape)
         return Shading(2 * specular, specular)
 
@@ -131,16 +135,16 @@ def test_decay_sums_levels_and_proposals() -> None:
 def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
     """The density's normal is z, the predicted one (0, 0.6, -0.8): |n - n'|^2 = 0.36 + 3.24 = 3.6, and it faces away: 0.8^2."""
     wanted = weights(orientation=0.1, predicted_normals=3e-4, density_normals=1e-4)
-    found = objective.surface_point_terms(half_space(), rays, surface, wanted, Place(bounded=True))
+    found = objective.surface_point_terms(half_space(), rays, surface, wanted, Place(BOX))
     np.testing.assert_allclose(found["predicted_normals"], 0.8 * (3e-4 + 1e-4) * 3.6, rtol=1e-5)
     np.testing.assert_allclose(found["orientation"], 0.1 * 0.8 * 0.64, rtol=1e-5)
-    alone = objective.surface_point_terms(half_space("view"), rays, surface, wanted, Place(bounded=True))
+    alone = objective.surface_point_terms(half_space("view"), rays, surface, wanted, Place(BOX))
     assert alone.keys() == {"orientation"} and float(alone["orientation"]) == 0, "nothing is predicted, and z faces the camera"
-    assert objective.surface_point_terms(half_space(), rays, surface, weights(), Place(bounded=True)) == {}
+    assert objective.surface_point_terms(half_space(), rays, surface, weights(), Place(BOX)) == {}
 
 
 WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)
-REGULARISERS = SecondPass(Place(bounded=True), WANTED)
+REGULARISERS = SecondPass(Place(BOX), WANTED)
 
 
 def with_changes(**changes: float) -> SecondPass:
@@ -183,3 +187,16 @@ def test_regularisers_without_a_weight_are_not_computed(rays: Rays, surface: Sur
     directional = with_changes(density=0.0, normal=0.0).terms(half_space(), rays, surface, jax.random.key(0))
     assert spatial.keys() == {"density_smoothness", "normal_consistency"}
     assert directional.keys() == {"lambertian_bias", "specular_variation"}
+
+
+def test_a_saturated_channel_tells_no_more_than_the_least_light() -> None:
+    """Red is above the clipped value, green below it; the second ray is half transparent, and counts as it is."""
+    seen = rendered([[1.0], [1.0]], [[1.2, 0.8, 0.5], [1.2, 0.8, 0.5]])
+    colour = jnp.array([[1.0, 1.0, 0.5, 1.0], [1.0, 1.0, 0.5, 0.5]])
+    background, used = jnp.ones((2, 3)), jnp.ones(2, bool)
+    error = np.array([[0.2, -0.2, 0.0], [0.2, -0.2, -0.25]])
+    plain = objective.photometric(seen, colour, background, used, 1e-3)["mse"]
+    np.testing.assert_allclose(plain, np.mean(error**2), rtol=1e-5)
+    clipped = objective.photometric(seen, colour, background, used, 1e-3, True)["mse"]
+    error[0, 0] = 0
+    np.testing.assert_allclose(clipped, np.mean(error**2), rtol=1e-5)

@@ -143,7 +143,7 @@ np.testing.assert_allclose(grid4, grid, rtol=1e-3)
 """
 
 
-@pytest.mark.parametrize("world", ["bounded", "among surroundings"])
+@pytest.mark.parametrize("world", [pytest.param("bounded", marks=pytest.mark.slow), "among surroundings"])
 def test_four_devices_come_to_the_result_of_one(world: str) -> None:
     """Three steps: sums over rays in another order, which Adam's normalisation makes larger: hence a thousandth, not 1e-6."""
     small = models.merged(SMALL, {"field": {"half_box": [0.5, 0.5, 0.5]}, "sampler": {"candidates": 4}})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from capture.sim.controller.profiles import Chain, Line, Move, Stop, trapezoid_times
+from capture.sim.controller.profiles import Chain, Move, Stop, trapezoid_times
 
 START, GOAL = np.zeros(6), np.array([1.2, -0.6, 0.3, 0, 0, 0.1])
 
@@ -46,10 +46,3 @@ def test_a_chain_is_continuous():
     _, angles, speeds = _sampled(chain)
     assert np.abs(np.diff(angles, axis=0)).max() < 1e-3 and np.abs(np.diff(speeds, axis=0)).max() < 2e-3
     np.testing.assert_allclose(angles[-1], GOAL)
-
-
-def test_a_line_passes_its_points_and_ends():
-    path = np.linspace(START, GOAL, 9)
-    line = Line(path, 0.4, 0.2, 1.0)
-    np.testing.assert_allclose(line.at(line.duration)[0], GOAL)
-    np.testing.assert_allclose(line.at(line.duration / 2)[0], GOAL / 2, atol=1e-12)

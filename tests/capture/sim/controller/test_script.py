@@ -61,23 +61,6 @@ def test_tool_offset_and_pose():
     np.testing.assert_allclose(program.output_doubles[:3], reported[:3, 3])
 
 
-def test_a_straight_line_is_straight():
-    program = _program()
-    program.arm = Arm(0, np.array([0.2, -1.2, 1.4, -1.8, -1.5, 0.1]), 0.0, 0.0)
-    start = program.arm.base_from_tcp(program.arm.target(0.0)[0])[:3, 3]
-    _order(program, 43)
-    pose = np.array(program.output_doubles[:6])
-    _order(program, 0)
-    goal = np.add(pose, [0.05, -0.1, 0.08, 0, 0, 0])
-    _order(program, 3, [*goal, 0.1, 1.0], flag=1)
-    end = program.arm.profile.duration
-    for share in (0.3, 0.6, 1.0):
-        point = program.arm.base_from_tcp(program.arm.target(share * end)[0])[:3, 3] - start
-        direction = (goal - pose)[:3] / np.linalg.norm((goal - pose)[:3])
-        assert np.linalg.norm(point - direction * (point @ direction)) < 1e-4  # joints are interpolated over 5 mm
-    assert np.linalg.norm(point) > 0.13
-
-
 def test_a_pose_out_of_reach_ends_the_program():
     program = _program()
     _order(program, 46, [2.0, 0, 0, 0, 0, 0])

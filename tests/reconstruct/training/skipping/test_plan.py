@@ -6,16 +6,20 @@ import pytest
 
 from datasets.camera_model import Camera
 from datasets.scene import Scene
+from datasets.structure.exposure import ExposureGains
 from reconstruct.config import Config
 from reconstruct.field.encodings.create import create_encoding
 from reconstruct.models import load_config
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, view_rays
 from reconstruct.training.skipping.evidence import Evidence
+from reconstruct.training.skipping.gains import Differences
 from reconstruct.training.skipping.plan import lenses, normalisation_of, plan
 from reconstruct.training.skipping.record import NAMES, Skip
 
-FOUND = Evidence(bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, poses="koala-scene")
+FOUND = Evidence(
+    bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, frustum=None, poses="koala-scene"
+)
 
 
 def planned(found: Evidence = FOUND, gain: float = 3.0, **skip: bool) -> tuple[Config, dict[str, Skip]]:
@@ -32,14 +36,14 @@ def never() -> float:
 
 def test_every_skip_is_decided_with_evidence_saving_and_cost() -> None:
     _, skips = planned()
-    assert set(skips) == {*NAMES, "structure_from_motion"}
+    assert set(skips) == {*NAMES, "exposure", "structure_from_motion"}
     for skip in skips.values():
         assert skip.evidence and skip.saving and skip.cost
 
 
 def test_a_disabled_skip_changes_nothing() -> None:
     names = dict.fromkeys(NAMES, False)
-    base = load_config(overrides=[f"skip.{name}=false" for name in names])
+    base = load_config(overrides=["train.per_image=none", *(f"skip.{name}=false" for name in names)])
     config, skips = plan(FOUND, base, never)
     assert config == base
     assert not any(skip.skipped for skip in skips if skip.name in names and skip.name not in ("surroundings", "multisampling"))
@@ -106,3 +110,29 @@ def test_the_long_way_to_undistort_a_pinhole_gives_the_same_rays(make_scene: Cal
         np.testing.assert_allclose(one, other, atol=1e-7)
     bent = replace(first, camera=replace(Camera(96, 72, 90.0, 90.0, 48.0, 36.0), k1=-0.1))
     assert lenses((bent,), load_config(overrides=["skip.distortion=false"]))[0] is not None
+
+
+def gains_of(log: list[list[float]]) -> Differences:
+    """Gains that are sure."""
+    names = tuple(f"{index:02d}" for index in range(len(log)))
+    return Differences(ExposureGains(names, np.array(log), np.full((len(log), 3), 0.01), np.full(len(log), 500)))
+
+
+@pytest.mark.parametrize(("log", "chosen"), [
+    ([[0.0] * 3, [0.2] * 3], "none"),
+    ([[0.0] * 3, [0.6] * 3], "exposure"),
+    ([[0.0] * 3, [0.6, 0.5, 0.2]], "colour"),
+    (None, "none"),
+])  # fmt: skip
+def test_gains_are_learned_where_views_differ(log: list[list[float]] | None, chosen: str) -> None:
+    found = replace(FOUND, gains=None if log is None else gains_of(log))
+    config, skips = planned(found)
+    assert config.train.per_image == chosen and skips["exposure"].skipped == (chosen == "none")
+
+
+def test_what_a_person_sets_is_learned_whatever_was_found() -> None:
+    found = replace(FOUND, gains=gains_of([[0.0] * 3, [0.6] * 3]))
+    for chosen in ("none", "exposure", "colour"):
+        config, skips = plan(found, load_config(overrides=[f"train.per_image={chosen}"]), never)
+        assert config.train.per_image == chosen
+        assert {skip.name: skip.skipped for skip in skips}["exposure"] == (chosen == "none")

@@ -25,9 +25,9 @@ def test_decisions_survive_the_file_as_a_plain_list(tmp_path: Path) -> None:
 
 
 def test_names_are_forced_by_overrides_that_the_configuration_knows() -> None:
-    config = load_config(overrides=record.forced(record.NAMES))
-    assert not any(config.skip.model_dump().values())
-    assert set(record.COSTS) == {*SkipConfig.model_fields, *record.ELSEWHERE}
+    config = load_config(overrides=record.forced([*record.NAMES, *record.LEARNED]))
+    assert not any(config.skip.model_dump().values()) and config.train.per_image == "colour"
+    assert set(record.COSTS) == {*SkipConfig.model_fields, *record.LEARNED, *record.ELSEWHERE}
 
 
 @pytest.mark.parametrize(("name", "answer"), [("fine_level", "fine_levels"), ("structure_from_motion", "calib refine")])
@@ -44,6 +44,12 @@ def test_a_person_reads_what_was_left_out_why_and_what_it_saved_and_nothing_else
         "comparing normals that agree already: all run; saves passes",
     ]
     assert not any(name in line for line in record.left_out(SKIPS) for name in record.NAMES), "words, and no names of settings"
+
+
+def test_a_person_reads_what_is_learned_beside_the_model() -> None:
+    on, off = (Skip.of("exposure", skipped, "3 of 9 views are brighter", record.NOTHING_MORE) for skipped in (False, True))
+    assert record.learned([*SKIPS, on]) == ["a gain of each picture's light: 3 of 9 views are brighter"]
+    assert record.learned([*SKIPS, off]) == [] and record.left_out([on, off]) == []
 
 
 def test_every_skip_has_words_for_everybody() -> None:

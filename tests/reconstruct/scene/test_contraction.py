@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.field.contraction import contract, contract_coordinates, contraction_scale, pull_back
+from reconstruct.scene.contraction import contract, contract_coordinates, contraction_scale, pull_back
 
 
 def reference(points: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import pytest
 import strace
 from artefacts import ARTEFACTS, Artefact, sources_of_scene
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parents[3]
 MOST = 100
 """Where an artefact has more distinct states, `make test` tries some, spread over all of them."""
 SHARE = 10

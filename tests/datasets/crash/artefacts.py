@@ -31,7 +31,7 @@ from datasets.recording import Frame, Recording
 
 Report = Callable[[str], None]
 CAMERA = Camera(16, 12, 20.0, 20.0, 8.0, 6.0)
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parents[3]
 STEPS, EVERY = 4, 2
 
 

@@ -1,0 +1,29 @@
+"""What a training reads of its scene's pictures before it starts."""
+
+from datasets.core.console import progress
+from datasets.imaging.copies import Copies
+from datasets.scene import View
+from reconstruct.scene.pool import Pool
+from reconstruct.scene.rays import Normalisation, Pixels
+
+HELD = 4096
+"""Pixels of training views that are held out, at most."""
+
+
+def training_pixels(
+    views: tuple[View, ...], normalisation: Normalisation, scale: float, copies: Copies | None = None
+) -> tuple[Pixels, Pool | None]:
+    """The pixels to draw from, and what renews them where they are only a part of all."""
+    pool = Pool(views, normalisation, scale, copies)
+    with progress("reading images", len(views), "images") as shown:
+        if pool.is_needed:
+            return pool.pixels(shown), pool
+        return Pixels.load(views, normalisation, scale, shown, copies=copies), None
+
+
+def held_out(pixels: Pixels, pool: Pool | None) -> tuple[Pixels, Pixels]:
+    """The pixels to train on, and some that are never trained on."""
+    if pool is None:
+        return pixels.held_out(HELD)
+    with progress("reading held-out pixels", len(pool.views), "images") as shown:
+        return pixels, pool.held_out(shown)

@@ -1,0 +1,24 @@
+"""What views of a scene see in common: the evidence for gains and for poses."""
+
+import numpy as np
+
+from datasets.core.console import progress
+from datasets.scene import Scene, View
+from datasets.structure import matching
+from datasets.structure.matching import Matches
+from reconstruct.config import Config
+
+VIEWS = 60
+"""Views that are compared, at most."""
+SIDE = 400
+"""Longest side of the images in which views are compared [px]."""
+
+
+def matches_of(scene: Scene, views: tuple[View, ...], config: Config) -> Matches | None:
+    """Matches between neighbouring views, where the configuration leaves something to be decided by them, or begins with it."""
+    if config.train.per_image == "none" and config.poses.enabled != "auto":
+        return None
+    chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))]
+    matrices = np.stack([view.world_from_camera for view in chosen])
+    with progress("comparing views", len(chosen), "images") as shown:
+        return matching.matched(chosen, matching.pairs_of(matrices, scene.box.mean(0)), side=SIDE, done=shown.advance)
