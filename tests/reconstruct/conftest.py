@@ -21,6 +21,7 @@ from reconstruct.config import Config
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.models import load_config
 from reconstruct.numerics import compiling
 from reconstruct.numerics.safe import srgb_from_linear
@@ -64,7 +65,9 @@ class Ball(Field):
         density, material = self(cloud)
         return density, material, material.normals_pred
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         """As `Field.shade`: the same light in all directions."""
         specular = jnp.broadcast_to(jnp.asarray(SPECULAR, jnp.float32)[:, None], viewdirs.shape)
         return Shading(srgb_from_linear(material.diffuse + specular), specular)
