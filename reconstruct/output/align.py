@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from datasets.scene import View
 from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.exposure import exposed, fitted
 from reconstruct.rendering.model import Model, render
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.poses import corrected
@@ -60,7 +61,12 @@ class Aligner:
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
         origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
         rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))
-        twist, steps = self._solved(rays, colour[chosen])
+        target = colour[chosen]
+        if (gains := trained.model.per_image) is not None:
+            shown, behind = trained.renderer.rays(trained.model, origins, directions, radii), trained.renderer.behind[0]
+            log_gain = fitted(shown["rgb"], shown["opacity"], target, behind, gains.shape[1])
+            target = exposed(target, shown["opacity"], behind, -log_gain)  # as the model's exposure would have it
+        twist, steps = self._solved(rays, target)
         pose = corrected(view.world_from_camera, twist, trained.run.normalisation.scale)
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)
 

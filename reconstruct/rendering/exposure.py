@@ -4,6 +4,7 @@ A gain multiplies linear light. The value of a clipped channel is a lower bound 
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -41,7 +42,7 @@ def across_halves(
         The colours, and the log gains fitted on the first half and on the other.
     """
     rgb, opacity = np.asarray(rendered["rgb"]), np.asarray(rendered["opacity"])
-    fits = [_fitted(rgb[half], opacity[half], truth[half], behind, gains) for half in (left, ~left)]
+    fits = [fitted(rgb[half], opacity[half], truth[half], behind, gains) for half in (left, ~left)]
     chosen = np.where(left[..., None], fits[1], fits[0])
     return exposed(rgb, opacity, behind, chosen), [fit.tolist() for fit in fits]
 
@@ -54,7 +55,7 @@ def exposed(rgb: Colours, opacity: Float[np.ndarray, "*pixels 1"], behind: float
     return (np.minimum(srgb_from_linear(light), 1) * opacity + (1 - opacity) * behind).astype(np.float32)
 
 
-def _fitted(
+def fitted(
     rgb: Float[np.ndarray, "n 3"], opacity: Float[np.ndarray, "n 1"], truth: Float[np.ndarray, "n 3"], behind: float, gains: int
 ) -> NDArray[np.float64]:
     """(gains,) log gains with the least squared error in sRGB; zero where there is nothing to fit."""
@@ -68,6 +69,7 @@ def _fitted(
         error = lambda log_gain: float(  # noqa: E731
             np.mean((exposed(rgb[:, colours], opacity, behind, log_gain) - truth[:, colours]) ** 2)
         )
-        return float(minimize_scalar(error, bounds=(-FURTHEST, FURTHEST), method="bounded", options={"xatol": 1e-3}).x)
+        best: Any = minimize_scalar(error, bounds=(-FURTHEST, FURTHEST), method="bounded", options={"xatol": 1e-3})
+        return float(best.x)
 
     return np.array([found(colours) for colours in groups])

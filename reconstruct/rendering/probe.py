@@ -51,7 +51,8 @@ class Probe(NamedTuple):
         as_drawn = np.argsort(np.argsort(owner, kind="stable"), kind="stable")
         cameras = [scaled_camera(view, config.scale) for view in views]
         left = np.concatenate([left_half(camera.height, camera.width).ravel() for camera in cameras])
-        return cls(*pixels.over_white(as_drawn), owner.astype(np.int32), left[index])
+        origins, directions, radii, colour = pixels.over_white(as_drawn)
+        return cls(origins, directions, radii, colour, owner.astype(np.int32), left[index])
 
     def psnr(self, model: Model, renderer: Renderer) -> float:
         """PSNR [dB]; where views have gains, each half of a picture with the exposure that fits the other."""
