@@ -7,7 +7,7 @@ from datasets.core.findings import Finding
 from datasets.structure.light_frame import light_frames
 
 LEAST = 0.12
-"""Least share of the variation of colours that a moving frame explains beyond the world's; real scenes in still light reach 0.02."""
+"""Least share of the variation of colours that a moving frame explains beyond the world's; still light reaches 0.02."""
 CERTAIN = 4.0
 """Least margin in standard deviations."""
 WORDS = {"camera": "the light moves with the camera", "turntable": "the object turns before a light that stands still"}
