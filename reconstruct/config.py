@@ -204,12 +204,28 @@ class PoseConfig(Schema):
         return (self.sigma_m * scale,) * 3 + (self.sigma_rad,) * 3
 
 
+class LightConfig(Schema):
+    """Where lamps stand still, for models that reflect; docs/photographs.md has an example."""
+
+    frame: Literal["auto", "world", "camera", "turntable"] = setting(
+        "auto",
+        "Lamps stand still about the object, ride on the camera, or stand still with the camera before an object that turns; "
+        "auto: as the pictures say.",
+    )
+    axis: tuple[float, float, float] | None = setting(
+        None, "Turntable: the axis of rotation, in the scene's axes; none: measured from the cameras."
+    )
+
+
 class SkipConfig(Schema):
     """What may be left out where a scene does not need it. Each is decided on evidence; docs/skipping.md has the costs."""
 
     surroundings: bool = setting(True, "Contraction and background, where pictures carry an alpha.")
     contraction: bool = setting(
         True, "The contraction, where all cameras look the same way: the frustum that they see takes its place."
+    )
+    regularisers: bool = setting(
+        False, "Regularisers of shape and normals, where neither masks nor the scene's box say what the object is."
     )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
     fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
@@ -235,6 +251,7 @@ class Config(Schema):
     train: TrainConfig = TrainConfig()
     skip: SkipConfig = SkipConfig()
     poses: PoseConfig = PoseConfig()
+    light: LightConfig = LightConfig()
 
     def with_surroundings(self) -> "Config":
         """The configuration for a scene that is more than its object's box."""

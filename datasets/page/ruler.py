@@ -1,4 +1,4 @@
-"""A ruler on the page of a scene: the distance between two points that are clicked, and the option that makes it a known length."""
+"""A ruler on the page of a scene: the distance between two clicked points, and the option that makes it a known length."""
 
 import shlex
 

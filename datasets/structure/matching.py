@@ -84,7 +84,7 @@ def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32
 
     shrink = max(1.0, max(picture.shape[:2]) / side)
     width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
-    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> Features:
@@ -113,10 +113,10 @@ def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
     light = np.nan_to_num(images.linear_from_srgb(picture[..., :3]), nan=0.0)  # behind a mask there may be anything
     if picture.shape[-1] == 3:
-        return cv2.GaussianBlur(light, (0, 0), BLUR_PX)
+        return np.asarray(cv2.GaussianBlur(light, (0, 0), BLUR_PX), np.float32)
     alpha = np.clip(picture[..., 3:], 0, 1)
     share = cv2.GaussianBlur(alpha, (0, 0), BLUR_PX)[..., None]
-    return cv2.GaussianBlur(light * alpha, (0, 0), BLUR_PX) / np.maximum(share, 1e-3)
+    return np.asarray(cv2.GaussianBlur(light * alpha, (0, 0), BLUR_PX) / np.maximum(share, 1e-3), np.float32)
 
 
 def match(first: Features, second: Features) -> NDArray[np.int64]:

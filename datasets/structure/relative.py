@@ -16,7 +16,7 @@ ROUNDS = 10
 
 def robust_median(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Median of (n, k) values along the first axis, and its standard deviation from the median absolute deviation, both (k,)."""
-    middle = np.median(values, axis=0)
+    middle = np.asarray(np.median(values, axis=0), np.float64)
     spread = 1.4826 * np.median(np.abs(values - middle), axis=0)
     return middle, 1.2533 * spread / np.sqrt(len(values))  # a median's deviation is 1.2533 times a mean's
 

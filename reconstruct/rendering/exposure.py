@@ -4,6 +4,7 @@ A gain multiplies linear light. The value of a clipped channel is a lower bound 
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -68,6 +69,7 @@ def _fitted(
         error = lambda log_gain: float(  # noqa: E731
             np.mean((exposed(rgb[:, colours], opacity, behind, log_gain) - truth[:, colours]) ** 2)
         )
-        return float(minimize_scalar(error, bounds=(-FURTHEST, FURTHEST), method="bounded", options={"xatol": 1e-3}).x)
+        best: Any = minimize_scalar(error, bounds=(-FURTHEST, FURTHEST), method="bounded", options={"xatol": 1e-3})
+        return float(best.x)
 
     return np.array([found(colours) for colours in groups])

@@ -59,8 +59,9 @@ def cells_in_masks(
 def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: int, needed: int = 3) -> NDArray[np.bool_]:
     """(grid^3,) True for cells of the surroundings that cameras can place.
 
-    All that any camera sees of a common frustum. Around an object: nearer than the furthest camera, a cell must be in the picture of `needed` cameras: what fewer see cannot be
-    triangulated, and would only be a cloud before a lens. Further out, one camera is enough.
+    In a common frustum these are all that any camera sees. Around an object, a cell nearer than the furthest camera must be in
+    the pictures of `needed` cameras: what fewer see cannot be triangulated, and would only be a cloud before a lens. Further
+    out, one camera is enough.
     """
     if normalisation.frustum is not None:
         mapped = cell_centres(grid, 1.0)

@@ -14,7 +14,7 @@ from reconstruct.training.skipping.gains import Differences
 PLACES = 2000
 """Places of the object at which footprints are measured."""
 CUBE, BALL, CONTRACTED = 8.0, 4 / 3 * np.pi, 4 / 3 * np.pi * 8
-"""Volume of the cube, of the object's ball where there are surroundings, and of all space once it is contracted [scene unit^3]."""
+"""Volume of the cube, the object's ball where there are surroundings, and of all space once it is contracted [scene unit^3]."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class Evidence:
     """What the cameras see, where they all look the same way."""
     poses: str
     """Where the poses come from."""
+    object_known: bool = True
+    """Whether masks or the scene's box say what the object is."""
     gains: Differences | None = None
     """Exposure and white balance of the views; None: not measured."""
 
@@ -85,6 +87,7 @@ def evidence_of(
         possible=share,
         bent=sum(not view.camera.is_pinhole for view in views),
         poses=str(scene.provenance.get("format", "the scene's files")),
+        object_known=bounded or scene.box_is_stated,
         gains=gains,
     )
 

@@ -30,7 +30,7 @@ class Differences:
     @property
     def known(self) -> NDArray[np.bool_]:
         """(views,) whether a view was compared with others, in all colours."""
-        return np.isfinite(self.gains.log_gains).all(1)
+        return np.all(np.isfinite(self.gains.log_gains), axis=1, keepdims=True)[:, 0]
 
     @property
     def brighter(self) -> NDArray[np.bool_]:

@@ -24,6 +24,12 @@ PATIENCE = 0.2
 WORTH_DB = 0.1
 """A branch that brings the pilot less than this is not worth having [dB]."""
 
+UNREGULARISED = {
+    "surface": {"enabled": False},
+    "losses": {"orientation": 0.0, "predicted_normals": 3e-4, "density_normals": 0.0, "hollowness": 0.0},
+}
+"""Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
+
 Decision = tuple[Config, Skip]
 
 
@@ -53,7 +59,7 @@ def plan(found: Evidence, config: Config, pilot: Callable[[], float]) -> tuple[C
         pilot: trains a little with and without a reflection; returns the gain [dB]. Called only where it is asked for.
     """
     skips = [_surroundings(found, config), _contraction(found, config), _empty_rays(found, config)]
-    for rule in (_fine_levels, _table_size, _multisampling):
+    for rule in (_regularisers, _fine_levels, _table_size, _multisampling):
         config, skip = rule(found, config)
         skips.append(skip)
     config, skip = _reflection(config, pilot)
@@ -93,6 +99,14 @@ def _empty_rays(found: Evidence, config: Config) -> Skip:
     by = "masks rule out" if found.bounded else "too few cameras see"
     evidence = f"{by} {1 - found.possible:.0%} of the space" if config.skip.empty_rays else "forced"
     return Skip.of("empty_rays", config.skip.empty_rays, evidence, "samples in there, and rays that meet nothing else")
+
+
+def _regularisers(found: Evidence, config: Config) -> Decision:
+    skipped = not found.object_known and config.skip.regularisers
+    if skipped:
+        config = merged_config(config, UNREGULARISED)
+    evidence = "masks or the scene's box say what the object is" if found.object_known else "nothing says what the object is"
+    return config, Skip.of("regularisers", skipped, evidence, "the second pass, and the normals of first surfaces")
 
 
 def _fine_levels(found: Evidence, config: Config) -> Decision:

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,28 @@ def test_integers_give_the_same_bits_as_floats(
     found = view.read_resized(*size)
     assert found.dtype == (np.float32 if size != (WIDTH, HEIGHT) or (mask and kind == np.uint16) else kind)
     np.testing.assert_array_equal(images.as_float(found), plainly(view, *size))
+
+
+@pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (24, 16)])
+@pytest.mark.parametrize("variant", ["inverted", "labels", "alpha", "other size", "jpeg", "16 bits"])
+def test_every_variant_of_masks_is_read_as_a_mask(tmp_path: Path, variant: str, size: tuple[int, int]) -> None:
+    disc = np.hypot(*(np.indices((HEIGHT, WIDTH)) - [[[30]], [[50]]])) < 20
+    mask = np.uint8(disc * 255)
+    mask[30, 50] = 77
+    stored = {
+        "labels": np.uint8(disc),
+        "alpha": np.stack([np.full_like(mask, 255)] * 3 + [mask], -1),
+        "other size": mask[::2, ::2],
+        "16 bits": mask.astype(np.uint16) * 257,
+    }.get(variant, mask)
+    path = tmp_path / ("m.jpg" if variant == "jpeg" else "m.png")
+    images.write(path, stored)
+    images.write(tmp_path / "a.png", RANDOM.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8))
+    view = replace(viewed(tmp_path / "a.png", path), mask_inverted=variant == "inverted")
+    found = images.as_float(view.read_resized(*size))
+    np.testing.assert_array_equal(found, plainly(view, *size))
+    inside = found[size[1] * 31 // HEIGHT, size[0] * 53 // WIDTH, 3]
+    assert (inside == 0) if variant == "inverted" else (inside > 0.9), "the premise: the object is in the middle"
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
