@@ -10,6 +10,8 @@ FAR_PX = 4.0
 """Distance from the epipolar plane beyond which a match contradicts the poses."""
 ALIKE_PX, NEAR = 4.0, 0.12
 """A match belongs to a moving thing if its nearest companions, at most this share of the picture away, predict it this well."""
+MOST_OFF = 0.5
+"""Share of a pair's matches that may contradict the poses: beyond it, a pose is wrong."""
 COMPANIONS = 4
 LEAST_SHARE, FEWEST = 0.03, 30
 """Share of all matches, and their number, from which moving things are reported."""
@@ -25,6 +27,8 @@ def find(evidence: Evidence) -> list[Finding]:
         rows = (evidence.pairs.first == i) & (evidence.pairs.second == j)
         distance = evidence.distances[rows]
         off = np.flatnonzero(distance > FAR_PX)
+        if len(off) > MOST_OFF * len(distance):
+            continue  # a wrong pose
         together = off[coherent(a[off], b[off], NEAR * max(evidence.pictures[i].shape[:2]))]
         count += len(together)
         agreeing += int((distance <= FAR_PX).sum())

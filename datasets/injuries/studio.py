@@ -1,11 +1,11 @@
 """A simulated studio of textured ellipsoids on a table, whose geometry and light are known exactly.
 
-Rays meet the solids in closed form; texture is noise in space, so that every view shows the same. Light is an ambient part and two
-distant lamps, with matte reflection and a glossy highlight (Phong 1975). The lamps stand still in one of three frames: the world's,
-the camera's, or that of a turntable about z.
+Rays meet the solids in closed form; texture is noise in space, so that every view shows the same. Light is an ambient part and
+two distant lamps, with matte reflection and a glossy highlight (Phong 1975). The lamps stand still in one of three frames: the
+world's, the camera's, or that of a turntable about z.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -145,8 +145,3 @@ def texture(points: Vectors, lattice: NDArray[np.float64]) -> Vectors:
         for channel in range(3):
             found[:, channel] += strength * map_coordinates(lattice[octave, ..., channel], where, order=1, mode="grid-wrap")
     return np.clip(0.1 + 1.6 * (found - 0.2), 0.05, 1.0)
-
-
-def with_lamps(studio: Studio, frame: str, directed: float) -> Studio:
-    """The same studio under other light."""
-    return replace(studio, lamps=frame, directed=directed)

@@ -6,10 +6,10 @@ normal as seen in the lamps' frame, and so do highlights with the reflected dire
 
     log colour(p, i) = albedo(p) + gain(i) + vignette(pixel) + f(F(i) n(p)) + h(F(i) r(p, i)),
 
-with normal n, reflected direction r, and F(i) the rotation from the world to the lamps' frame: the identity, camera_from_world, or
-the camera's azimuth about the turntable's axis. f and h are spherical harmonics up to order two, which is all that matte reflection
-passes on (Ramamoorthi and Hanrahan 2001). Each frame is fitted by robust least squares; what it explains is measured on points
-that the fit has not seen.
+with normal n, reflected direction r, and F(i) the rotation from the world to the lamps' frame: the identity, camera_from_world,
+or the camera's azimuth about the turntable's axis. f and h are spherical harmonics up to order two, which is all that matte
+reflection passes on (Ramamoorthi and Hanrahan 2001). Each frame is fitted by robust least squares; what it explains is
+measured on points that the fit has not seen.
 """
 
 from dataclasses import dataclass
@@ -100,7 +100,8 @@ def light_frames(matches: Matches, cloud: Cloud, world_from_camera: NDArray[np.f
 def turntable(world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The axis of a turntable before a still camera, in the world, and each view's rotation about it.
 
-    An upright camera's side, or that of one turned by a right angle, stays across the axis. The axis points to the cameras' upper side.
+    An upright camera's side, or that of one turned by a right angle, stays across the axis. The axis points to the cameras' upper
+    side.
 
     Returns:
         (3,) unit axis; (views, 3, 3) rotations that take the world to the frame that turns with the camera about the axis.
