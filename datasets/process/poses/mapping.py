@@ -1,6 +1,6 @@
 """From matches to poses, lenses and points: pycolmap's incremental mapping and a last adjustment with all lens parameters.
 
-Mapping can find several groups of pictures that no points connect. The largest becomes the model; the others are only counted.
+Mapping can find several models of groups of pictures, which may share some. The largest is kept; the others are only counted.
 """
 
 import tempfile
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 SMALLEST = 3
 """Smallest number of pictures of a group."""
 FEW = 8
-"""A camera with fewer pictures keeps one focal length and one distortion coefficient."""
+LEAST_TURN = 0.05
+"""Smallest mean squared sine between a camera's axes and their main direction. A camera with fewer pictures, or one that turns
+less, keeps one focal length and one coefficient of distortion: moving the principal point looks like turning its pictures."""
 LARGEST_PX = 2.0
 """Observations further than this from their projected point are dropped at the end [px of the picture that was searched]."""
 LEAST_ANGLE_DEG = 1.5
@@ -68,26 +70,29 @@ def read_groups(out: Path) -> Groups | None:
 
 
 def refine(model: "pycolmap.Reconstruction") -> None:
-    """Adjust everything once more, with OPENCV's lens and the principal point where a camera has enough pictures.
+    """Adjust everything once more, with a second coefficient of distortion and the principal point where pictures fix them.
 
-    Mapping has few parameters and can start from a guess; this starts close to the truth. Observations that stay wrong are
-    dropped.
+    Mapping has few parameters and can start from a guess; this starts close to the truth. Decentring is left out, since it can
+    hardly be told from a shift of the principal point. Observations that stay wrong are dropped.
     """
     import pycolmap
 
-    few = set()
+    plain = {number for number in model.cameras if not _is_well_seen(model, number)}
     for number, camera in model.cameras.items():
-        if sum(image.camera_id == number for image in model.images.values()) < FEW:
-            few.add(number)
-            continue
-        focal, cx, cy, k1 = camera.params
-        camera.model, camera.params = pycolmap.CameraModelId.OPENCV, [focal, focal, cx, cy, k1, 0.0, 0.0, 0.0]
+        if number not in plain:
+            camera.model, camera.params = pycolmap.CameraModelId.RADIAL, [*camera.params, 0.0]
     _adjust(model, set(), principal_point=False)
-    if len(few) < len(model.cameras):
-        _adjust(model, few, principal_point=True)
+    if len(plain) < len(model.cameras):
+        _adjust(model, plain, principal_point=True)
     pycolmap.ObservationManager(model).filter_all_points3D(LARGEST_PX, LEAST_ANGLE_DEG)
-    _adjust(model, few, principal_point=len(few) < len(model.cameras))
+    _adjust(model, plain, principal_point=len(plain) < len(model.cameras))
     model.update_point_3d_errors()
+
+
+def _is_well_seen(model: "pycolmap.Reconstruction", camera: int) -> bool:
+    """Whether a camera's pictures are enough, and turned enough, for all parameters of its lens."""
+    axes = np.stack([image.cam_from_world().matrix()[2, :3] for image in model.images.values() if image.camera_id == camera])
+    return len(axes) >= FEW and 1 - float(np.linalg.eigvalsh(axes.T @ axes / len(axes))[-1]) >= LEAST_TURN
 
 
 def _adjust(model: "pycolmap.Reconstruction", constant: set[int], *, principal_point: bool) -> None:
