@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from datasets import pose
 from datasets.core import files
 from datasets.core.progress import Step, ignore
 
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
 SMALLEST = 3
 """Smallest number of pictures of a group."""
 FEW = 8
-LEAST_TURN = 0.05
-"""Smallest mean squared sine between a camera's axes and their main direction. A camera with fewer pictures, or one that turns
-less, keeps one focal length and one coefficient of distortion: moving the principal point looks like turning its pictures."""
+LEAST_TURN = np.deg2rad(5.0)
+"""A camera with fewer pictures, or one that turns less than this about a second axis (root mean square), keeps one focal length and
+one coefficient of distortion: where it only walks around at one height, a wrong principal point looks like another height."""
 LARGEST_PX = 2.0
 """Observations further than this from their projected point are dropped at the end [px of the picture that was searched]."""
 LEAST_ANGLE_DEG = 1.5
@@ -90,9 +91,20 @@ def refine(model: "pycolmap.Reconstruction") -> None:
 
 
 def _is_well_seen(model: "pycolmap.Reconstruction", camera: int) -> bool:
-    """Whether a camera's pictures are enough, and turned enough, for all parameters of its lens."""
-    axes = np.stack([image.cam_from_world().matrix()[2, :3] for image in model.images.values() if image.camera_id == camera])
-    return len(axes) >= FEW and 1 - float(np.linalg.eigvalsh(axes.T @ axes / len(axes))[-1]) >= LEAST_TURN
+    """Whether a camera's pictures are enough, and turned about enough axes, for all parameters of its lens."""
+    own = [image.cam_from_world().matrix()[:, :3].T for image in model.images.values() if image.camera_id == camera]
+    return len(own) >= FEW and second_turn(np.stack(own)) >= LEAST_TURN
+
+
+def second_turn(rotations: ArrayLike) -> float:
+    """Root mean square of the turns between all pairs of (n, 3, 3) rotations about the second of their principal axes [rad].
+
+    0 where all turn about one axis, as on a turntable or on a circle around an object.
+    """
+    matrices = np.asarray(rotations, np.float64)
+    first, second = np.triu_indices(len(matrices), 1)
+    turns = pose.rotation_vector(matrices[first] @ np.swapaxes(matrices[second], 1, 2))
+    return float(np.sqrt(max(np.linalg.eigvalsh(turns.T @ turns / len(turns))[1], 0.0)))
 
 
 def _adjust(model: "pycolmap.Reconstruction", constant: set[int], *, principal_point: bool) -> None:
