@@ -49,11 +49,11 @@ def find(evidence: Evidence) -> list[Finding]:
 
 def coherent(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
     """(n,) True for matches from (n, 2) pixels a to b whose nearest companions are carried along by the same similarity."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if len(a) <= COMPANIONS:
         return np.zeros(len(a), bool)
-    distance, near = cKDTree(a).query(a, COMPANIONS + 1)
+    distance, near = KDTree(a).query(a, COMPANIONS + 1)
     near, close = near[:, 1:], distance[:, -1] < reach
     p, q = (values[..., 0] + 1j * values[..., 1] for values in (a, b))
     middle_p, middle_q = p[near].mean(1), q[near].mean(1)

@@ -50,7 +50,8 @@ def write(studio: Studio, folder: Path) -> Scene:
     """Render the views into `folder` and return their scene; every sixth is a test view."""
     random = np.random.default_rng(studio.seed)
     lattice = random.random((3, 48, 48, 48, 3))
-    camera = Camera(studio.width, studio.height, *[1.25 * studio.width] * 2, studio.width / 2 + 1.5, studio.height / 2 - 1.0)
+    focal = 1.25 * studio.width
+    camera = Camera(studio.width, studio.height, focal, focal, studio.width / 2 + 1.5, studio.height / 2 - 1.0)
     views = []
     for index, world_from_camera in enumerate(places(studio.views)):
         picture = render(studio, camera, world_from_camera, lattice)
@@ -90,7 +91,7 @@ def render(studio: Studio, camera: Camera, world_from_camera: Vectors, lattice: 
     light = light.reshape(camera.height, 2, camera.width, 2, -1).mean((1, 3))
     if not studio.table:
         light[..., :3] /= np.maximum(light[..., 3:], 1e-6)
-    return np.concatenate([images.srgb_from_linear(light[..., :3]), light[..., 3:]], axis=-1)
+    return np.asarray(np.concatenate([images.srgb_from_linear(light[..., :3]), light[..., 3:]], axis=-1), np.float64)
 
 
 def hits(origin: Vectors, rays: Vectors, *, table: bool) -> tuple[NDArray[np.float64], Vectors]:

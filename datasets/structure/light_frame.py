@@ -142,7 +142,7 @@ def normals(cloud: Cloud, world_from_camera: NDArray[np.float64]) -> NDArray[np.
 
     Where the neighbours lie in no plane, the mean direction to the cameras takes over.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     towards = world_from_camera[cloud.sightings[:, 1], :3, 3] - cloud.points[cloud.sightings[:, 0]]
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
@@ -151,7 +151,7 @@ def normals(cloud: Cloud, world_from_camera: NDArray[np.float64]) -> NDArray[np.
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     if len(cloud.points) <= NEIGHBOURS:
         return mean
-    near = cloud.points[cKDTree(cloud.points).query(cloud.points, NEIGHBOURS)[1]]
+    near = cloud.points[KDTree(cloud.points).query(cloud.points, NEIGHBOURS)[1]]
     near = near - np.median(near, axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
     normal = vectors[:, :, 0] * np.sign((vectors[:, :, 0] * mean).sum(1, keepdims=True) + 1e-12)
