@@ -85,5 +85,5 @@ def test_views_are_compared_only_where_something_is_to_be_decided(wall: Scene, t
     nothing = load_config(overrides=["poses.enabled=false", "train.per_image=none"])
     missing = tuple(replace(view, image=tmp_path / "missing.png") for view in wall.views)
     assert matches_of(wall, missing, nothing) is None, "no picture is read"
-    found = matches_of(wall, wall.views, load_config(overrides=["poses.enabled=false"]))
+    found = matches_of(wall, wall.views, load_config(overrides=["poses.enabled=false", "train.per_image=auto"]))
     assert found is not None and found.count > 200
