@@ -18,7 +18,7 @@ from reconstruct.scene.rays import Normalisation, Rays
 NEAR, FAR = 0.5, 6.0
 
 
-def views_towards(angles_deg: tuple[float, ...], apart: float = 0.2) -> tuple[View, ...]:
+def views_towards(angles_deg: tuple[float, ...], apart: float = 0.1) -> tuple[View, ...]:
     """Cameras in a row, each turned about the vertical axis."""
     views = []
     for index, angle in enumerate(np.deg2rad(angles_deg)):
