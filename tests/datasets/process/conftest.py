@@ -102,7 +102,7 @@ def make_table(*, marker: bool, seed: int = 0) -> Table:
     return Table(tuple(np.clip(texture, 0, 1) for texture in textures), printed)
 
 
-def ring(count: int, *, radius: float = 1.6, height: float = 1.0, sweep_deg: float = 150.0, wave: float = 0.3) -> list[Array]:
+def ring(count: int, *, radius: float = 1.6, height: float = 1.0, sweep_deg: float = 150.0, wave: float = 0.2) -> list[Array]:
     """Poses on an arc around the table's middle, at heights that change by up to `wave`."""
     angles = np.deg2rad(np.linspace(0, sweep_deg, count))
     heights = height + wave * np.sin(3 * np.arange(count))

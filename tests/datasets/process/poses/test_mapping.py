@@ -23,6 +23,6 @@ def test_turns_about_two_axes_are_measured() -> None:
     assert second_turn(thrice) > 0.1
 
 
-@pytest.mark.parametrize(("wave", "enough"), [(0.0, False), (0.05, False), (0.3, True)])
+@pytest.mark.parametrize(("wave", "enough"), [(0.0, False), (0.05, False), (0.2, True)])
 def test_a_circle_at_one_height_is_not_enough(ring_of: Callable, wave: float, enough: bool) -> None:
     assert (second_turn([matrix[:3, :3] for matrix in ring_of(12, wave=wave)]) >= LEAST_TURN) == enough
