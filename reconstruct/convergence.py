@@ -13,8 +13,8 @@ EARLY_S = 30.0
 HOPELESS_DB, STANDSTILL_DB = 15.0, 0.3
 """PSNR below which, and gain over the second half of the log below which, a training does not converge."""
 OVERFIT_DB, FAR_DB, LOST_DB = 3.0, 6.0, 1.0
-"""Training rays are over-fitted where they are by the first better than unseen views which lost the last since their best, or by the
-second anyway."""
+"""Training rays are over-fitted where they are better than unseen views by the second, or by the first while unseen views
+lost the third since their best."""
 FALL_DB = 2.0
 """PSNR lost since its best from which a training diverges."""
 FEWEST_LINES = 4

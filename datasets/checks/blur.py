@@ -99,7 +99,7 @@ def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _blurred(picture: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    return cv2.GaussianBlur(picture, (0, 0), sigma) if sigma > 0 else picture
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.float32) if sigma > 0 else picture
 
 
 def _sampled(evidence: Evidence, view: int, values: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -58,7 +58,7 @@ def best(evidence: Evidence) -> tuple[str, NDArray[np.float64], Correction]:
 
     found = []
     for name, rows in zip(NAMES, ([0], [1], [2, 3]), strict=True):
-        fit = corrected(lambda some, rows=rows: distances(_at(rows, some)), steps[rows])
+        fit = corrected(lambda some, rows=rows: distances(_at(rows, some)), steps[rows].tolist())
         found.append((name, _at(rows, fit.change), fit))
     return min(found, key=lambda one: one[2].after_px / max(one[2].inliers, 1))
 
@@ -80,7 +80,7 @@ def bent(rays: NDArray[np.float64], change: NDArray[np.float64], pixel: float | 
 def shifts(change: NDArray[np.float64], evidence: Evidence) -> NDArray[np.float64]:
     """(3,) what the changes of focal length, distortion and principal point move the outer matches by [px]."""
     half, pixel = edge(evidence), float(np.median(evidence.pairs.pixel))
-    return np.array([change[0] * half / pixel, change[1] * half**3 / pixel, np.linalg.norm(change[2:])])
+    return np.array([change[0] * half / pixel, change[1] * half**3 / pixel, np.linalg.norm(change[2:])], np.float64)
 
 
 def edge(evidence: Evidence) -> float:

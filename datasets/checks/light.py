@@ -7,7 +7,7 @@ from datasets.core.findings import Finding
 from datasets.structure.light_frame import light_frames
 
 LEAST = 0.12
-"""Least share of the variation of colours that a moving frame explains beyond the world's; real scenes in still light reach 0.02."""
+"""Least share of the variation of colours that a moving frame explains beyond the world's; still light reaches 0.02."""
 CERTAIN = 4.0
 """Least margin in standard deviations."""
 WORDS = {"camera": "the light moves with the camera", "turntable": "the object turns before a light that stands still"}
@@ -22,5 +22,6 @@ def find(evidence: Evidence) -> list[Finding]:
     why = f"of the variation of {found.points} points' colours between views, lamps in the frame of the {found.best} explain "
     why += f"{100 * found.explained[found.best]:.0f}%, lamps that stand still {100 * max(found.explained['world'], 0):.0f}%"
     figures = {"frame": found.best, "explained": shares, "margin": found.margin, "std": found.std, "axis": found.axis.tolist()}
-    remedy = "let the lamps stand still with the object; highlights and normals suffer otherwise"
+    remedy = "let the lamps stand still with the object; training decides the frame of reflections by itself, or takes "
+    remedy += f"--set light.frame={found.best}"
     return [Finding("warning", WORDS[found.best], "all views", why, remedy, "light", figures)]

@@ -10,6 +10,8 @@ FAR_PX = 4.0
 """Distance from the epipolar plane beyond which a match contradicts the poses."""
 ALIKE_PX, NEAR = 4.0, 0.12
 """A match belongs to a moving thing if its nearest companions, at most this share of the picture away, predict it this well."""
+MOST_OFF = 0.5
+"""Share of a pair's matches that may contradict the poses: beyond it, a pose is wrong."""
 COMPANIONS = 4
 LEAST_SHARE, FEWEST = 0.03, 30
 """Share of all matches, and their number, from which moving things are reported."""
@@ -25,6 +27,8 @@ def find(evidence: Evidence) -> list[Finding]:
         rows = (evidence.pairs.first == i) & (evidence.pairs.second == j)
         distance = evidence.distances[rows]
         off = np.flatnonzero(distance > FAR_PX)
+        if len(off) > MOST_OFF * len(distance):
+            continue  # a wrong pose
         together = off[coherent(a[off], b[off], NEAR * max(evidence.pictures[i].shape[:2]))]
         count += len(together)
         agreeing += int((distance <= FAR_PX).sum())
@@ -45,11 +49,11 @@ def find(evidence: Evidence) -> list[Finding]:
 
 def coherent(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
     """(n,) True for matches from (n, 2) pixels a to b whose nearest companions are carried along by the same similarity."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if len(a) <= COMPANIONS:
         return np.zeros(len(a), bool)
-    distance, near = cKDTree(a).query(a, COMPANIONS + 1)
+    distance, near = KDTree(a).query(a, COMPANIONS + 1)
     near, close = near[:, 1:], distance[:, -1] < reach
     p, q = (values[..., 0] + 1j * values[..., 1] for values in (a, b))
     middle_p, middle_q = p[near].mean(1), q[near].mean(1)

@@ -17,7 +17,8 @@ class Finding:
     why: str = ""
     remedy: str = ""
     cause: str = ""
-    """One word for programs: "pose", "intrinsics", "exposure", "light", "motion", "blur", "mask", "coverage", "box" or "training"."""
+    """For programs: "pose", "intrinsics", "exposure", "white balance", "light", "motion", "blur", "mask", "coverage", "box" or
+    "training"; empty for what concerns files."""
     evidence: dict[str, Any] = field(default_factory=dict)
     """What was measured, by name, for programs; "views" maps names of views to their figure."""
 

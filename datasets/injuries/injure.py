@@ -110,10 +110,10 @@ def blurred(scene: Scene, strength: float, folder: Path) -> Hurt:
 
     def paint(picture: Picture, _: int) -> Picture:
         if picture.shape[-1] == 3:
-            return cv2.GaussianBlur(picture, (0, 0), strength)
+            return np.asarray(cv2.GaussianBlur(picture, (0, 0), strength), np.float32)
         share = cv2.GaussianBlur(picture[..., 3], (0, 0), strength)[..., None]
         colour = cv2.GaussianBlur(picture[..., :3] * picture[..., 3:], (0, 0), strength) / np.maximum(share, 1e-3)
-        return np.concatenate([colour, picture[..., 3:]], axis=-1)
+        return np.asarray(np.concatenate([colour, picture[..., 3:]], axis=-1), np.float32)
 
     return _repainted(scene, folder, chosen(scene), paint)
 
@@ -121,14 +121,14 @@ def blurred(scene: Scene, strength: float, folder: Path) -> Hurt:
 def shifted_masks(scene: Scene, strength: float, folder: Path) -> Hurt:
     """Masks of single views shifted by `strength` pixels."""
     move = np.array([[1, 0, 0.8 * strength], [0, 1, 0.6 * strength]], np.float32)
-    return _remasked(scene, folder, lambda mask: cv2.warpAffine(mask, move, mask.shape[::-1]))
+    return _remasked(scene, folder, lambda mask: np.asarray(cv2.warpAffine(mask, move, mask.shape[::-1]), np.float32))
 
 
 def eroded_masks(scene: Scene, strength: float, folder: Path) -> Hurt:
     """Masks of single views too small by `strength` pixels on each side."""
     size = 2 * round(strength) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    return _remasked(scene, folder, lambda mask: cv2.erode(mask, kernel))
+    return _remasked(scene, folder, lambda mask: np.asarray(cv2.erode(mask, kernel), np.float32))
 
 
 def _remasked(scene: Scene, folder: Path, change: Callable[[Picture], Picture]) -> Hurt:
@@ -141,7 +141,7 @@ def _remasked(scene: Scene, folder: Path, change: Callable[[Picture], Picture]) 
 def moving_thing(scene: Scene, strength: float, folder: Path) -> Hurt:
     """A patterned disc of `strength` percent of the picture's width that wanders from picture to picture."""
     random = np.random.default_rng(2)
-    noise = sum(cv2.GaussianBlur(random.random((512, 512, 3)), (0, 0), s) * s for s in (1.5, 4.0, 9.0))
+    noise = np.sum([cv2.GaussianBlur(random.random((512, 512, 3)), (0, 0), s) * s for s in (1.5, 4.0, 9.0)], axis=0)
     noise = np.clip(0.5 + (noise - noise.mean()) / (4 * noise.std()), 0, 1).astype(np.float32)
 
     def paint(picture: Picture, index: int) -> Picture:

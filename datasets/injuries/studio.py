@@ -1,11 +1,11 @@
 """A simulated studio of textured ellipsoids on a table, whose geometry and light are known exactly.
 
-Rays meet the solids in closed form; texture is noise in space, so that every view shows the same. Light is an ambient part and two
-distant lamps, with matte reflection and a glossy highlight (Phong 1975). The lamps stand still in one of three frames: the world's,
-the camera's, or that of a turntable about z.
+Rays meet the solids in closed form; texture is noise in space, so that every view shows the same. Light is an ambient part and
+two distant lamps, with matte reflection and a glossy highlight (Phong 1975). The lamps stand still in one of three frames: the
+world's, the camera's, or that of a turntable about z.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +50,8 @@ def write(studio: Studio, folder: Path) -> Scene:
     """Render the views into `folder` and return their scene; every sixth is a test view."""
     random = np.random.default_rng(studio.seed)
     lattice = random.random((3, 48, 48, 48, 3))
-    camera = Camera(studio.width, studio.height, *[1.25 * studio.width] * 2, studio.width / 2 + 1.5, studio.height / 2 - 1.0)
+    focal = 1.25 * studio.width
+    camera = Camera(studio.width, studio.height, focal, focal, studio.width / 2 + 1.5, studio.height / 2 - 1.0)
     views = []
     for index, world_from_camera in enumerate(places(studio.views)):
         picture = render(studio, camera, world_from_camera, lattice)
@@ -90,7 +91,7 @@ def render(studio: Studio, camera: Camera, world_from_camera: Vectors, lattice: 
     light = light.reshape(camera.height, 2, camera.width, 2, -1).mean((1, 3))
     if not studio.table:
         light[..., :3] /= np.maximum(light[..., 3:], 1e-6)
-    return np.concatenate([images.srgb_from_linear(light[..., :3]), light[..., 3:]], axis=-1)
+    return np.asarray(np.concatenate([images.srgb_from_linear(light[..., :3]), light[..., 3:]], axis=-1), np.float64)
 
 
 def hits(origin: Vectors, rays: Vectors, *, table: bool) -> tuple[NDArray[np.float64], Vectors]:
@@ -145,8 +146,3 @@ def texture(points: Vectors, lattice: NDArray[np.float64]) -> Vectors:
         for channel in range(3):
             found[:, channel] += strength * map_coordinates(lattice[octave, ..., channel], where, order=1, mode="grid-wrap")
     return np.clip(0.1 + 1.6 * (found - 0.2), 0.05, 1.0)
-
-
-def with_lamps(studio: Studio, frame: str, directed: float) -> Studio:
-    """The same studio under other light."""
-    return replace(studio, lamps=frame, directed=directed)

@@ -1,8 +1,9 @@
 """Distances of matches from the epipolar planes of their cameras, and small corrections of cameras that reduce them.
 
 The distance of a match is that of its pixels from each other's epipolar lines, to first order (Sampson 1982) and as a distance
-along one picture [px]. It needs no depth. Robust Gauss-Newton with weights after Geman and McClure, whose width shrinks from round to round, as in graduated
-non-convexity (Yang et al. 2020), so that corrections of up to about the first width are found among wrong matches.
+along one picture [px]. It needs no depth. Robust Gauss-Newton with weights after Geman and McClure, whose width shrinks from
+round to round, as in graduated non-convexity (Yang et al. 2020), so that corrections of up to about the first width are found
+among wrong matches.
 """
 
 from collections.abc import Callable, Sequence

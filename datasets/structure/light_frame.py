@@ -6,10 +6,10 @@ normal as seen in the lamps' frame, and so do highlights with the reflected dire
 
     log colour(p, i) = albedo(p) + gain(i) + vignette(pixel) + f(F(i) n(p)) + h(F(i) r(p, i)),
 
-with normal n, reflected direction r, and F(i) the rotation from the world to the lamps' frame: the identity, camera_from_world, or
-the camera's azimuth about the turntable's axis. f and h are spherical harmonics up to order two, which is all that matte reflection
-passes on (Ramamoorthi and Hanrahan 2001). Each frame is fitted by robust least squares; what it explains is measured on points
-that the fit has not seen.
+with normal n, reflected direction r, and F(i) the rotation from the world to the lamps' frame: the identity, camera_from_world,
+or the camera's azimuth about the turntable's axis. f and h are spherical harmonics up to order two, which is all that matte
+reflection passes on (Ramamoorthi and Hanrahan 2001). Each frame is fitted by robust least squares; what it explains is
+measured on points that the fit has not seen.
 """
 
 from dataclasses import dataclass
@@ -100,7 +100,8 @@ def light_frames(matches: Matches, cloud: Cloud, world_from_camera: NDArray[np.f
 def turntable(world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The axis of a turntable before a still camera, in the world, and each view's rotation about it.
 
-    An upright camera's side, or that of one turned by a right angle, stays across the axis. The axis points to the cameras' upper side.
+    An upright camera's side, or that of one turned by a right angle, stays across the axis. The axis points to the cameras' upper
+    side.
 
     Returns:
         (3,) unit axis; (views, 3, 3) rotations that take the world to the frame that turns with the camera about the axis.
@@ -141,7 +142,7 @@ def normals(cloud: Cloud, world_from_camera: NDArray[np.float64]) -> NDArray[np.
 
     Where the neighbours lie in no plane, the mean direction to the cameras takes over.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     towards = world_from_camera[cloud.sightings[:, 1], :3, 3] - cloud.points[cloud.sightings[:, 0]]
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
@@ -150,7 +151,7 @@ def normals(cloud: Cloud, world_from_camera: NDArray[np.float64]) -> NDArray[np.
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     if len(cloud.points) <= NEIGHBOURS:
         return mean
-    near = cloud.points[cKDTree(cloud.points).query(cloud.points, NEIGHBOURS)[1]]
+    near = cloud.points[KDTree(cloud.points).query(cloud.points, NEIGHBOURS)[1]]
     near = near - np.median(near, axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
     normal = vectors[:, :, 0] * np.sign((vectors[:, :, 0] * mean).sum(1, keepdims=True) + 1e-12)

@@ -54,12 +54,12 @@ def _light(residuals: Sequence[Residual]) -> list[Finding]:
 
 
 def _shifted(residuals: Sequence[Residual]) -> list[Finding]:
-    length = np.array([np.linalg.norm(one.shift_px) for one in residuals])
+    length = np.array([float(np.linalg.norm(one.shift_px)) for one in residuals], np.float64)
     found = []
     for i in standing_out(length, SHIFT_PX):
         why = "its picture is shifted by ({:+.1f}, {:+.1f}) px against its rendering".format(*residuals[i].shift_px)
         remedy = "let training refine poses: --set poses.enabled=true, or drop the view"
-        found.append(_of_view(residuals[i], "pose does not fit the model", why, remedy, "pose", length[i]))
+        found.append(_of_view(residuals[i], "pose does not fit the model", why, remedy, "pose", float(length[i])))
     return found
 
 
@@ -71,7 +71,7 @@ def _blurred(residuals: Sequence[Residual]) -> list[Finding]:
     for i in chosen:
         less = 1 - np.exp(values[i] - np.median(values))
         why = f"it has {100 * less:.0f}% less fine detail than the other pictures, compared with their renderings"
-        found.append(_of_view(residuals[i], "picture is blurred", why, remedy, "blur", values[i]))
+        found.append(_of_view(residuals[i], "picture is blurred", why, remedy, "blur", float(values[i])))
     return found
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from datasets.scene import View
 from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.exposure import exposed, fitted
 from reconstruct.rendering.model import Model, render
 from reconstruct.rendering.pictures import on_device, taken
 from reconstruct.sampling.samples import cloud_of
@@ -59,9 +60,13 @@ class Aligner:
         picture = read_scaled(view, trained.run.config.scale, trained.run.copies).reshape(camera.height * camera.width, -1)
         colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
-        rays = on_device(taken(trained.renderer.rays_of(view, camera), chosen))
-        rays = replace(rays, view=jnp.zeros(len(chosen), jnp.int32))
-        twist, steps = self._solved(rays, colour[chosen])
+        lists, target = taken(trained.renderer.rays_of(view, camera), chosen), colour[chosen]
+        if (gains := trained.model.per_image) is not None:
+            shown, behind = trained.renderer.rays(trained.model, *lists), trained.renderer.behind[0]
+            log_gain = fitted(shown["rgb"], shown["opacity"], target, behind, gains.shape[1])
+            target = exposed(target, shown["opacity"], behind, -log_gain)  # as the model's exposure would have it
+        rays = replace(on_device(lists), view=jnp.zeros(len(chosen), jnp.int32))
+        twist, steps = self._solved(rays, target)
         pose = corrected(view.world_from_camera, twist, trained.run.normalisation.scale)
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)
 

@@ -77,7 +77,7 @@ def inside(alpha: Map) -> NDArray[np.bool_]:
     """
     from scipy.ndimage import minimum_filter
 
-    return minimum_filter(alpha[..., 0] > 0.5, size=WINDOW, mode="constant", cval=1)
+    return np.asarray(minimum_filter(alpha[..., 0] > 0.5, size=WINDOW, mode="constant", cval=1), bool)
 
 
 def angles_deg(first: Picture, second: Picture) -> NDArray[np.float64]:

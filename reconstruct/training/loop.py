@@ -256,11 +256,10 @@ def _loop(training: Training) -> None:
             said = distributed.gathered([clock.seconds, interrupted()])
             clock.seconds = float(said[0, 0])
             if clock.progress >= next_look or clock.progress >= 1:
-                line = training.look(terms)
+                shown.note(figures_of(training.look(terms)))
                 next_look = clock.progress + 1 / LOOKS
                 stopped = bool(distributed.decided(training.exhausted))
                 warn_early(training.run.log())
-                shown.note(figures_of(line))
             if said[:, 1].any():
                 training.save()
                 raise KeyboardInterrupt

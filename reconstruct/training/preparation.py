@@ -88,7 +88,7 @@ def prepare(
     held = None
     if config.train.patience:
         pixels, held = held_out(pixels, pool)
-    pixels, held = (each and each.lit(facts.light, views) for each in (pixels, held))
+    pixels, held = pixels.lit(facts.light, views), held and held.lit(facts.light, views)
     if fresh and sampler_type(config.sampler).memory_grows_with_rays:
         config = fitted(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))

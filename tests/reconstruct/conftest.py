@@ -23,6 +23,7 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
 from reconstruct.models import load_config
+from reconstruct.numerics import compiling
 from reconstruct.numerics.safe import srgb_from_linear
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model
@@ -34,6 +35,9 @@ from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
 
+compiling.KEEP_BARRIERS["xla_backend_optimization_level"] = 0
+"""Pictures and steps of tests run for milliseconds and take seconds to compile: they are not optimised. Other programs are: a
+gradient of `bench.scenes` comes out as NaN without (jaxlib 0.10.2 on a CPU)."""
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
 """Of the ball [m]."""

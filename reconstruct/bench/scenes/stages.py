@@ -2,7 +2,7 @@
 
 The five of `shiny` stand in a room among cameras all around. For two of them there is also `NAME_room`, `NAME_turntable`,
 `NAME_ring_light` and `NAME_side_light`: the same object from cameras on rings, in the same room, turning among lamps and camera
-that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. Frozen like those.
+that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. Frozen, too.
 """
 
 from collections.abc import Callable

@@ -37,7 +37,8 @@ def test_pictures_alone_in_one_folder_are_enough(ball: TrainedModel, folder: Pat
         small = images.resize(images.read(path), 24, 20)
         images.write(tmp_path / "plain" / path.name, small)
     found = external_renderings.measure(tmp_path / "plain", ball.scene)
-    assert set(found["mean"]) == {"psnr", "ssim"} and found["size"] == [24, 20] and found["mean"]["psnr"] > 20
+    assert set(found["mean"]) == {"psnr", "ssim", "psnr_inside", "ssim_inside"}
+    assert found["size"] == [24, 20] and found["mean"]["psnr"] > 20
 
 
 def test_what_is_wrong_is_named(ball: TrainedModel, folder: Path, tmp_path: Path) -> None:
