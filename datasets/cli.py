@@ -195,6 +195,30 @@ def bench(
     console.report(found, as_json=as_json, text=text.format(**found))
 
 
+@app.command("bench-check")
+def bench_check(
+    scenes: Annotated[list[Path] | None, typer.Argument(metavar="SCENE...", help="Good scenes to injure.")] = None,
+    injuries: Annotated[list[str] | None, typer.Option("--injury", help="Injury to include; repeatable.")] = None,
+    lights: Annotated[bool, typer.Option("--lights/--no-lights", help="Also simulate lamps that do not stand still.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Injure good scenes in every way at three strengths, and count what 'datasets check' names."""
+    from datasets.core.errors import UsageError, nearest
+    from datasets.formats import load_scene
+    from datasets.injuries.bench import table, trials
+    from datasets.injuries.injure import INJURIES
+
+    names = {one.name: one for one in INJURIES}
+    for name in injuries or ():
+        if name not in names:
+            raise UsageError(f"there is no injury '{name}'", where="--injury", remedy=nearest(name, names))
+    chosen = [names[name] for name in injuries] if injuries else list(INJURIES)
+    loaded = [load_scene(path, measure=True) for path in scenes or ()]
+    with console.progress("checking", len(loaded) * (1 + 3 * len(chosen)) + 6 * lights, "trials") as shown:
+        found = list(trials(loaded, injuries=chosen, lights=lights, done=shown.advance))
+    console.report({"trials": [vars(trial) for trial in found]}, as_json=as_json, text=table(found))
+
+
 @app.command("bench-reading")
 def bench_reading(
     count: Annotated[int, typer.Option(help="Number of photographs of 16 megapixels.", min=1)] = 57,

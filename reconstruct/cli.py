@@ -7,6 +7,7 @@ from typer import Argument, Option
 
 from datasets.core import console
 from reconstruct.bench import commands as bench_commands
+from reconstruct.diagnosis import command as diagnosis_command
 from reconstruct.options import Preset
 from reconstruct.output import commands as output_commands
 from reconstruct.studies import commands as study_commands
@@ -54,6 +55,7 @@ app.command()(train_command.train)
 app.command()(models)
 app.add_typer(study_commands.app)
 app.add_typer(output_commands.app)
+app.command()(diagnosis_command.diagnose)
 app.command()(view)
 app.add_typer(bench_commands.app, name="bench")
 

@@ -173,7 +173,7 @@ class TrainConfig(Schema):
     )
     accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
     per_image: Literal["auto", "none", "exposure", "colour"] = setting(
-        "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
+        "none", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )
     patience: float = setting(
         0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1
@@ -202,6 +202,19 @@ class PoseConfig(Schema):
     def sigma(self, scale: float) -> tuple[float, ...]:
         """Standard deviations of a twist's six parts [scene unit, rad], `scale` scene units per world unit."""
         return (self.sigma_m * scale,) * 3 + (self.sigma_rad,) * 3
+
+
+class LightConfig(Schema):
+    """Where lamps stand still, for models that reflect; docs/photographs.md has an example."""
+
+    frame: Literal["auto", "world", "camera", "turntable"] = setting(
+        "auto",
+        "Lamps stand still about the object, ride on the camera, or stand still with the camera before an object that turns; "
+        "auto: as the pictures say.",
+    )
+    axis: tuple[float, float, float] | None = setting(
+        None, "Turntable: the axis of rotation, in the scene's axes; none: measured from the cameras."
+    )
 
 
 class SkipConfig(Schema):
@@ -238,6 +251,7 @@ class Config(Schema):
     train: TrainConfig = TrainConfig()
     skip: SkipConfig = SkipConfig()
     poses: PoseConfig = PoseConfig()
+    light: LightConfig = LightConfig()
 
     def with_surroundings(self) -> "Config":
         """The configuration for a scene that is more than its object's box."""

@@ -34,8 +34,6 @@ CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "
 """Cache of this suite only: compiled programs are shared between tests and workers."""
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
-os.environ["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
-"""Programs of tests run for milliseconds and take seconds to compile: they are not optimised."""
 
 _NUMERICS = (
     "numerics",

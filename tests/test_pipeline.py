@@ -43,7 +43,6 @@ def run(package: str, *arguments: object) -> dict[str, Any]:
     code = f"from {package}.cli import main; main()"
     command = [sys.executable, "-c", code, *map(str, arguments), "--json"]
     environment = {**os.environ, "KOALA_RENDERER": "scalar_rgb"}
-    del environment["XLA_FLAGS"]  # as a person's command: optimised
     done = subprocess.run(command, capture_output=True, text=True, timeout=280, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

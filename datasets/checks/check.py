@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.checks import coverage
 from datasets.checks.matches import check_matches
 from datasets.checks.poses import check_poses
 from datasets.core import files
@@ -35,7 +36,7 @@ def check(path: str | Path, *, matches: bool = True, done: Count = ignore, **opt
         scene = load_scene(path, problems=problems, **options)
     except KoalaError as error:
         return [*map(from_error, problems), from_error(error)]
-    findings = [*map(from_error, problems), *check_poses(scene)]
+    findings = [*map(from_error, problems), *check_poses(scene), *coverage.find(scene)]
     findings += [Finding("warning", "note", scene.name, note) for note in scene.notes if "missing" in note]
     first_by_hash: dict[str, str] = {}
     thumbnails: dict[str, NDArray[np.float32]] = {}

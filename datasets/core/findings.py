@@ -1,7 +1,8 @@
 """What a check finds: what is wrong, where, how serious it is, and how to fix it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from datasets.core.errors import KoalaError
 
@@ -15,6 +16,11 @@ class Finding:
     where: str
     why: str = ""
     remedy: str = ""
+    cause: str = ""
+    """For programs: "pose", "intrinsics", "exposure", "white balance", "light", "motion", "blur", "mask", "coverage", "box" or
+    "training"; empty for what concerns files."""
+    evidence: dict[str, Any] = field(default_factory=dict)
+    """What was measured, by name, for programs; "views" maps names of views to their figure."""
 
     @property
     def line(self) -> str:

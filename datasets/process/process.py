@@ -195,8 +195,8 @@ def _notes(left_out: Mapping[str, str], given: int, groups: mapping.Groups, igno
         notes.append(f"{len(left_out)} of {given} pictures are left out: {reasons_given}")
     if len(groups) > 1:
         sizes = ", ".join(str(len(group)) for group in groups)
-        notes.append(f"the pictures fall into groups of {sizes} that do not connect; the largest is the scene")
+        notes.append(f"mapping gave {len(groups)} models, of {sizes} pictures; the largest is the scene")
     if ignored:
         more = f" and {len(ignored) - 5} more" if len(ignored) > 5 else ""
-        notes.append(f"{len(ignored)} files are of no kind that is read: {', '.join(ignored[:5])}{more}")
+        notes.append(f"files of other kinds are not read: {', '.join(ignored[:5])}{more}")
     return tuple(notes)

@@ -115,16 +115,16 @@ def scenes_command(
     layout: Annotated[str, Option("--format", help="Format of the folders: koala, blender or llff.")] = "koala",
     as_json: console.Json = False,
 ) -> None:
-    """Render the shiny scenes, whose shape and light are known exactly."""
+    """Render scenes whose shape and light are known exactly: the five shiny ones, or those that are named."""
     from datasets.core.errors import UsageError, nearest
     from reconstruct.backend import cache_compilations
-    from reconstruct.bench.scenes import make, shiny
+    from reconstruct.bench.scenes import make, shiny, stages
 
     if layout not in (layouts := ("koala", "blender", "llff")):
         raise UsageError(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
     for name in names or ():
-        if name not in shiny.SCENES:
-            raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, shiny.SCENES))
+        if name not in stages.STAGES:
+            raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, stages.STAGES))
     cache_compilations()
     chosen, written = names or list(shiny.SCENES), []
     with console.progress("rendering", len(chosen) * (train + test), "views") as bar:

@@ -7,7 +7,7 @@
 Points, directions and channels come first: (3, n), (channels, n).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -17,8 +17,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import FieldConfig
 from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding, view_channels, view_encoding
+from reconstruct.field.lit import Lit
 from reconstruct.field.mlp import Mlp
+from reconstruct.field.moving_lamps import MovingLamps
 from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
+from reconstruct.scene.light import STILL, LightFrame
 
 RAMP = 0.2
 """Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""
@@ -55,12 +58,14 @@ class Shading(eqx.Module):
 
 @dataclass(frozen=True)
 class Start:
-    """Where the object and the cameras are; None where that is not known."""
+    """Where the object, the cameras and the lamps are; None where that is not known."""
 
     towards: tuple[float, float, float] | None = None
     """Mean direction from the object to the cameras."""
     half_box: tuple[float, float, float] | None = None
     """Half the size of the object's box [scene unit], where there is something around it."""
+    light: LightFrame = STILL
+    """Where the lamps stand still."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,8 @@ class Reflection(eqx.Module):
     roughness_bias: float = eqx.field(static=True)
     start: StartNormals = eqx.field(static=True)
     matte: StartMatte = eqx.field(static=True)
+    moving: MovingLamps | None = None
+    """None where lamps stand still about the object."""
 
     heads: ClassVar[int] = 10
     """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
@@ -132,10 +139,11 @@ class Reflection(eqx.Module):
     @classmethod
     def create(cls, key: PRNGKeyArray, field: FieldConfig, start: Start) -> "Reflection":
         """Fresh weights for the given sizes."""
-        channels = field.bottleneck + ide_channels(field.ide_degree) + 1
+        moving = MovingLamps.create(jax.random.fold_in(key, 1), start.light) if start.light.moves else None
+        channels = field.bottleneck + ide_channels(field.ide_degree) + 1 + (moving.channels if moving else 0)
         network = _view_network(key, channels, field)
         biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
-        return cls(network, field.ide_degree, *biases, StartNormals.of(field, start), StartMatte.of(field, start))
+        return cls(network, field.ide_degree, *biases, StartNormals.of(field, start), StartMatte.of(field, start), moving)
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
@@ -148,18 +156,34 @@ class Reflection(eqx.Module):
             bottleneck=raw[10:],
         )
 
-    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+    def shade(
+        self,
+        material: Material,
+        viewdirs: Float[Array, "3 n"],
+        normals: Float[Array, "3 n"] | None = None,
+        light: Lit | None = None,
+    ) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`; `normals` instead of the predicted ones where given."""
         normals = normalise(material.normals_pred, axis=0) if normals is None else normals
         facing = -jnp.sum(normals * viewdirs, axis=0)
         reflected = 2 * facing * normals + viewdirs  # Ref-NeRF equation 4, with the direction towards the camera -viewdirs
+        places = []
+        if self.moving is not None and light is not None:
+            reflected, places = self.moving.seen_by(light, reflected)
         encoded = integrated_directional_encoding(reflected, material.roughness[0], self.ide_degree)
-        raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None]]))
+        raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None], *places]))
         return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw + self.specular_bias))
+
+    def lit(self, material: Material, light: Lit) -> Material:
+        """The material with its diffuse colour under lamps that move about it."""
+        if self.moving is None:
+            return material
+        irradiance = self.moving.irradiance(light, normalise(material.normals_pred, axis=0))
+        return replace(material, diffuse=material.diffuse * irradiance)
 
 
 class ViewColour(eqx.Module):
-    """Colour by the direction of the view, all of it or what is added to a diffuse colour."""
+    """Colour by the direction of the view, all of it or what is added to a diffuse colour, wherever lamps stand."""
 
     view: Mlp
     degree: int = eqx.field(static=True)
@@ -185,13 +209,23 @@ class ViewColour(eqx.Module):
         diffuse = jax.nn.sigmoid(raw[0:3] + self.diffuse_bias) if self.has_diffuse else jnp.zeros((3, count))
         return Material(diffuse, jnp.ones((3, count)), jnp.zeros((1, count)), jnp.zeros((3, count)), raw[self.heads :])
 
-    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+    def shade(
+        self,
+        material: Material,
+        viewdirs: Float[Array, "3 n"],
+        normals: Float[Array, "3 n"] | None = None,
+        light: Lit | None = None,
+    ) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`, whatever the normals."""
         raw = self.view(jnp.concatenate([material.bottleneck, view_encoding(viewdirs, self.degree)]))
         colour = jax.nn.sigmoid(raw)
         if self.has_diffuse:
             return _sum_of_parts(material.diffuse, colour)
         return Shading(colour * 1.002 - 0.001, linear_from_srgb(colour))
+
+    def lit(self, material: Material, light: Lit) -> Material:
+        """The same material."""
+        return material
 
 
 class Matte(eqx.Module):
@@ -211,9 +245,19 @@ class Matte(eqx.Module):
         normals = normalise(self.start.at(points) - raw[3:6], axis=0)
         return Material(jax.nn.sigmoid(raw[0:3] + self.diffuse_bias), dark, dark[:1], normals, raw[self.heads :])
 
-    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
+    def shade(
+        self,
+        material: Material,
+        viewdirs: Float[Array, "3 n"],
+        normals: Float[Array, "3 n"] | None = None,
+        light: Lit | None = None,
+    ) -> Shading:
         """The same colour from all sides."""
         return _sum_of_parts(material.diffuse, jnp.zeros_like(material.diffuse))
+
+    def lit(self, material: Material, light: Lit) -> Material:
+        """The same material."""
+        return material
 
 
 Appearance = Reflection | Matte | ViewColour

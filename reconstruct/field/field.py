@@ -15,6 +15,7 @@ from reconstruct.field.appearance import Appearance, Material, Shading, Start, c
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.encodings.create import create_encoding
 from reconstruct.field.encodings.encoding import Encoding
+from reconstruct.field.lit import Lit
 from reconstruct.field.mlp import Mlp
 from reconstruct.numerics.safe import normalise, safe_exp
 
@@ -77,13 +78,24 @@ class Field(eqx.Module):
         gradient = jnp.einsum("cn,cxn->xn", sensitivity, jacobian)
         return *self._heads(raw, cloud), -normalise(gradient, axis=0)
 
-    def shade(self, material: Material, viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"] | None = None) -> Shading:
-        """Colour towards a camera that looks along unit `viewdirs`.
+    def lit(self, material: Material, light: Lit | None) -> Material:
+        """The material with its diffuse colour under lamps that move about it; as it is where they stand still (None)."""
+        return material if light is None else self.appearance.lit(material, light)
+
+    def shade(
+        self,
+        material: Material,
+        viewdirs: Float[Array, "3 n"],
+        normals: Float[Array, "3 n"] | None = None,
+        light: Lit | None = None,
+    ) -> Shading:
+        """Colour of a `lit` material towards a camera that looks along unit `viewdirs`.
 
         Args:
             normals: unit normals to reflect about; None takes the predicted ones.
+            light: how the points are to lamps that move about them.
         """
-        return self.appearance.shade(material, viewdirs, normals)
+        return self.appearance.shade(material, viewdirs, normals, light)
 
     def _activated(self, raw: Float[Array, " n"]) -> Float[Array, " n"]:
         return safe_exp(raw + self.density_bias)

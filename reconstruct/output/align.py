@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 from datasets.scene import View
 from reconstruct.numerics.compiling import compiled
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.exposure import exposed, fitted
 from reconstruct.rendering.model import Model, render
+from reconstruct.rendering.pictures import on_device, taken
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.poses import corrected
-from reconstruct.scene.rays import Rays, over, read_scaled, view_rays
+from reconstruct.scene.rays import Rays, over, read_scaled
 from reconstruct.scene.space import Space
 from reconstruct.scene.twists import moved
 
@@ -58,9 +60,13 @@ class Aligner:
         picture = read_scaled(view, trained.run.config.scale, trained.run.copies).reshape(camera.height * camera.width, -1)
         colour = np.clip(over(picture), 0, 1)  # metrics clip in the same way
         chosen = np.random.default_rng(0).permutation(len(colour))[: min(PIXELS, len(colour) // 2)]
-        origins, directions, radii = (values[chosen] for values in view_rays(view, trained.run.normalisation, camera))
-        rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(chosen), jnp.int32))
-        twist, steps = self._solved(rays, colour[chosen])
+        lists, target = taken(trained.renderer.rays_of(view, camera), chosen), colour[chosen]
+        if (gains := trained.model.per_image) is not None:
+            shown, behind = trained.renderer.rays(trained.model, *lists), trained.renderer.behind[0]
+            log_gain = fitted(shown["rgb"], shown["opacity"], target, behind, gains.shape[1])
+            target = exposed(target, shown["opacity"], behind, -log_gain)  # as the model's exposure would have it
+        rays = replace(on_device(lists), view=jnp.zeros(len(chosen), jnp.int32))
+        twist, steps = self._solved(rays, target)
         pose = corrected(view.world_from_camera, twist, trained.run.normalisation.scale)
         return Aligned(replace(view, world_from_camera=pose), len(chosen), steps)
 
@@ -112,7 +118,7 @@ def _linearised(
     found = model.sampler.look(rays)
 
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        shifted = Rays(origins, directions, rays.radii)
+        shifted = Rays(origins, directions, rays.radii, light=rays.light)
         cloud = cloud_of(shifted, found.samples, space=space, footprint=found.footprint)
         rendered, _ = render(model.field, shifted, found.samples, replace(cloud, followed=True))
         return jnp.clip(rendered.over(behind[None]), 0, 1)

@@ -26,6 +26,7 @@ from reconstruct.config import SurfaceConfig
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.space import Space
@@ -178,7 +179,8 @@ def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray
     field, space = trained.model.field, trained.run.normalisation.space
     _, material = field(Cloud(jnp.asarray(position, jnp.float32)[:, None], None, space))
     repeated = Material.unstacked(jnp.repeat(material.stacked(), len(outward), axis=1))
-    shading = field.shade(repeated, jnp.asarray(-outward.T, jnp.float32))
+    viewdirs = jnp.asarray(-outward.T, jnp.float32)
+    shading = field.shade(repeated, viewdirs, light=Lit.towards(trained.run.facts.light, viewdirs))
     return {"outward": outward, "specular": np.asarray(shading.specular.T), "diffuse": np.asarray(material.diffuse[:, 0])}
 
 

@@ -12,7 +12,7 @@ from reconstruct.rendering.model import Model
 from reconstruct.rendering.pictures import Picture, Renderer
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene import poses
-from reconstruct.scene.rays import scaled_camera, view_rays
+from reconstruct.scene.rays import scaled_camera
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class TrainedModel:
         scene = run.scene()
         model, step = checkpoint.load_model(run.path / CHECKPOINTS, Model.create(jax.random.key(0), run.config, run.facts))
         scene = poses.refined(scene, run.normalisation, model.poses)
-        return cls(run, scene, model, step, Renderer(run.normalisation))
+        return cls(run, scene, model, step, Renderer(run.normalisation, light=run.facts.light))
 
     def camera(self, view: View) -> Camera:
         """A view's camera at the scale of the training."""
@@ -49,4 +49,4 @@ class TrainedModel:
 
     def warm_up(self, view: View) -> None:
         """Compile what `picture` needs for views of this size."""
-        self.renderer.warm_up(self.model, *view_rays(view, self.run.normalisation, self.camera(view)))
+        self.renderer.warm_up(self.model, self.renderer.rays_of(view, self.camera(view)))

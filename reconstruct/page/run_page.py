@@ -27,8 +27,8 @@ from reconstruct.page.compose import Values, Viewpoint
 from reconstruct.page.path_editor import PathEditor
 from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoint_of
 from reconstruct.page.status import curves, is_training, skips_text, status_text
+from reconstruct.rendering.pictures import taken
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.rays import view_rays
 from reconstruct.training.pause import PauseRequests
 
 if TYPE_CHECKING:
@@ -178,9 +178,9 @@ class RunPage:
         if trained is None:
             return None
         camera, normalisation = viewpoint.camera(rays), trained.run.normalisation
-        origins, directions, radii = view_rays(viewpoint.view(camera), normalisation, camera)
+        origins, directions, radii, light = trained.renderer.rays_of(viewpoint.view(camera), camera)
         cut = max(self.cut.value * normalisation.scale - normalisation.near, 0.0)
-        origins = origins + np.float32(cut) * directions  # rays start at the plane: their z is 1
+        origins += np.float32(cut) * directions  # rays start at the plane: their z is 1
         beyond = np.inf if self.beyond.value >= self.beyond.max else self.beyond.value * normalisation.scale - cut
         renderer, model = trained.renderer, trained.model
         parts: list[Values] = []
@@ -188,7 +188,7 @@ class RunPage:
             if cancelled():
                 return None
             rows = np.minimum(np.arange(start, start + SLICE), len(origins) - 1)
-            slices = (origins[rows], directions[rows], radii[rows])
+            slices = taken((origins, directions, radii, light), rows)
             parts.append(renderer.rays(model, *slices, normals=normals, furthest=beyond))
         joined = {name: np.concatenate([part[name] for part in parts])[: len(origins)] for name in parts[0]}
         shaped = {name: value.reshape(camera.height, camera.width, -1) for name, value in joined.items()}

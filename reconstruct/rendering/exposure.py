@@ -42,7 +42,7 @@ def across_halves(
         The colours, and the log gains fitted on the first half and on the other.
     """
     rgb, opacity = np.asarray(rendered["rgb"]), np.asarray(rendered["opacity"])
-    fits = [_fitted(rgb[half], opacity[half], truth[half], behind, gains) for half in (left, ~left)]
+    fits = [fitted(rgb[half], opacity[half], truth[half], behind, gains) for half in (left, ~left)]
     chosen = np.where(left[..., None], fits[1], fits[0])
     return exposed(rgb, opacity, behind, chosen), [fit.tolist() for fit in fits]
 
@@ -55,7 +55,7 @@ def exposed(rgb: Colours, opacity: Float[np.ndarray, "*pixels 1"], behind: float
     return (np.minimum(srgb_from_linear(light), 1) * opacity + (1 - opacity) * behind).astype(np.float32)
 
 
-def _fitted(
+def fitted(
     rgb: Float[np.ndarray, "n 3"], opacity: Float[np.ndarray, "n 1"], truth: Float[np.ndarray, "n 3"], behind: float, gains: int
 ) -> NDArray[np.float64]:
     """(gains,) log gains with the least squared error in sRGB; zero where there is nothing to fit."""

@@ -12,6 +12,7 @@ from reconstruct.config import Config
 from reconstruct.field.appearance import Material, Start
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
 from reconstruct.numerics.volume import volume_weights
@@ -46,7 +47,7 @@ class Model(eqx.Module):
         """
         config = config if facts.normalisation.bounded else config.with_surroundings()
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
-        start = Start(config.field.towards or facts.towards, config.field.half_box or facts.half_box)
+        start = Start(config.field.towards or facts.towards, config.field.half_box or facts.half_box, facts.light)
         field = Field.create(field_key, config.encoding, config.field, volume=facts.table_volume(config), start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
@@ -133,23 +134,29 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple
     density, material = barrier(field(cloud))
     weights = barrier(sample_weights(density, samples, rays.speed))
     flat = barrier(samples.packed(weights))
+    light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
+    material = field.lit(material, light)
     channels = jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], material.stacked()])
     if not field.deferred:
         directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
-        shading = barrier(field.shade(material, directions))
+        shading = barrier(field.shade(material, directions, light=light))
         channels = jnp.concatenate([channels, shading.rgb, shading.specular])
     sums = barrier(composite(channels, flat, samples))
     opacity = sums[:, 0]
     mean = sums / jnp.maximum(opacity, 1e-6)[:, None]
+    diffuse = sums[:, 2:5]
     if field.deferred:
-        shading = barrier(field.shade(Material.unstacked(barrier(mean[:, 2:].T)), rays.viewdirs.T))
+        light = Lit.on(rays, mean[:, 1])
+        material = field.lit(Material.unstacked(barrier(mean[:, 2:].T)), light)
+        shading = barrier(field.shade(material, rays.viewdirs.T, light=light))
         rgb, specular = shading.rgb.T * opacity[:, None], shading.specular.T * opacity[:, None]
+        diffuse = diffuse if light is None else material.diffuse.T * opacity[:, None]
     else:
         rgb, specular = sums[:, -6:-3], sums[:, -3:]
     rendered = Rendered(
         rgb=rgb,
         opacity=opacity,
-        diffuse=sums[:, 2:5],
+        diffuse=diffuse,
         specular=specular,
         roughness=sums[:, 8],
         normals_pred=sums[:, 9:12],

@@ -18,12 +18,13 @@ from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.rendering.model import Model, Rendered, render
 from reconstruct.sampling.samples import RaySamples, cloud_of
+from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, Rays, view_rays
 
 SIZES = (256, 1024, 4096)
 """Rays that are rendered at once, the fewest that hold a whole picture."""
-Lists = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-"""Origins, directions and radii of many rays, on the host."""
+Lists = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]
+"""Origins, directions and radii of many rays, and their lamps' rotations (None where lamps stand still), on the host."""
 BLOCK = 8192
 """Samples whose normals are found at once."""
 FAINT = 1e-3
@@ -81,8 +82,17 @@ def _slice(start: int, end: int, picture: int) -> Int[np.ndarray, " size"]:
     return np.minimum(np.arange(start, start + _size(picture)), end - 1)
 
 
-def _chosen(rays: Lists, rows: Int[np.ndarray, " size"]) -> Rays:
-    return Rays(*(jnp.asarray(values[rows]) for values in rays))
+def taken(rays: Lists, rows: Int[np.ndarray, " size"]) -> Lists:
+    """Some of the rays, by their indices."""
+    origins, directions, radii, light = rays
+    return origins[rows], directions[rows], radii[rows], None if light is None else light[rows]
+
+
+def on_device(rays: Lists) -> Rays:
+    """The same rays as programs take them."""
+    origins, directions, radii, light = rays
+    lit = None if light is None else jnp.asarray(light)
+    return Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), light=lit)
 
 
 @dataclass
@@ -91,12 +101,20 @@ class Renderer:
 
     normalisation: Normalisation
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    light: LightFrame = STILL
+    """Where the scene's lamps stand still."""
     _compiled: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def behind(self) -> tuple[float, float, float]:
         """What is seen where a ray meets nothing: the background, or black where surroundings are part of the scene."""
         return self.background if self.normalisation.bounded or self.normalisation.backdrop else (0.0, 0.0, 0.0)
+
+    def rays_of(self, view: View, camera: Camera) -> Lists:
+        """All rays of a view, row by row, as `rays` takes them."""
+        lists = view_rays(view, self.normalisation, camera)
+        light = self.light.of_views((view,))
+        return *lists, None if light is None else np.broadcast_to(light, (len(lists[0]), 3, 3))
 
     def picture(self, model: Model, view: View, camera: Camera | None = None, *, normals: bool = True) -> Picture:
         """Render a view, through its own camera or another one at the same place.
@@ -105,8 +123,7 @@ class Renderer:
             normals: also composite density normals, which costs about half as much again.
         """
         camera = camera or view.camera
-        origins, directions, radii = view_rays(view, self.normalisation, camera)
-        flat = self.rays(model, origins, directions, radii, normals=normals)
+        flat = self.rays(model, *self.rays_of(view, camera), normals=normals)
         images = {name: value.reshape(camera.height, camera.width, -1) for name, value in flat.items()}
         for name in ("normals", "normals_pred"):
             images[name] = np.asarray(normalise(jnp.asarray(images[name])))
@@ -119,6 +136,7 @@ class Renderer:
         origins: NDArray[Any],
         directions: NDArray[Any],
         radii: NDArray[Any],
+        light: NDArray[Any] | None = None,
         *,
         normals: bool = False,
         furthest: float | None = None,
@@ -126,10 +144,11 @@ class Renderer:
         """Render n rays: a dictionary of (n, channels) arrays as in `CHANNELS`, depth in scene units.
 
         Args:
+            light: (n, 3, 3) rotations to the lamps' axes, see `LightFrame`; None where lamps stand still.
             furthest: what is beyond this depth is left out [scene unit]; infinity leaves out nothing. None: the same, in a
                 program without this limit.
         """
-        given = (origins, directions, radii)
+        given = (origins, directions, radii, light)
         values = np.zeros((len(origins), sum(CHANNELS.values())), np.float32)
         values[:, :3] = np.clip(self.behind, 0, 1)
         wanted = np.flatnonzero(self._meets(model, given))
@@ -138,20 +157,19 @@ class Renderer:
         start = 0
         while start < len(wanted):
             rows = wanted[_slice(start, len(wanted), len(origins))]
-            found, done = function(model, _chosen(given, rows), limit)
+            found, done = function(model, on_device(taken(given, rows)), limit)
             count = min(int(done), len(wanted) - start)
             values[rows[:count]] = found[:count]
             start += count
         ends = np.cumsum(list(CHANNELS.values()))
         return dict(zip(CHANNELS, np.split(values, ends[:-1], -1), strict=True))
 
-    def warm_up(self, model: Model, origins: NDArray[Any], directions: NDArray[Any], radii: NDArray[Any]) -> None:
+    def warm_up(self, model: Model, given: Lists) -> None:
         """Compile what `rays` needs for as many rays, normals included, by rendering a few of them."""
-        given = (origins, directions, radii)
-        rows = _slice(0, len(origins), len(origins))
-        self._meets(model, (origins[rows], directions[rows], radii[rows]))
-        few = _chosen(given, rows)
-        jax.block_until_ready(self._function(True, False)(model, few, jnp.asarray(np.inf, jnp.float32)))
+        rows = _slice(0, len(given[0]), len(given[0]))
+        few = taken(given, rows)
+        self._meets(model, few)
+        jax.block_until_ready(self._function(True, False)(model, on_device(few), jnp.asarray(np.inf, jnp.float32)))
 
     def _meets(self, model: Model, rays: Lists) -> Bool[np.ndarray, " n"]:
         """Which rays are worth rendering: in pictures of an object alone, most meet nothing."""
@@ -161,7 +179,7 @@ class Renderer:
         if "meets" not in self._compiled:
             self._compiled["meets"] = jit(lambda model, rays: model.sampler.meets(rays))
         look = self._compiled["meets"]
-        parts = [look(model, _chosen(rays, _slice(start, count, count))) for start in range(0, count, _size(count))]
+        parts = [look(model, on_device(taken(rays, _slice(start, count, count)))) for start in range(0, count, _size(count))]
         return np.concatenate(parts)[:count]
 
     def _function(self, normals: bool, limited: bool):

@@ -13,6 +13,7 @@ from reconstruct.rendering.exposure import across_halves, exposed, left_half
 from reconstruct.rendering.model import Model
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.scene import poses
+from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, scaled_camera
 
 PIXELS, VIEWS = 4096, 4
@@ -25,6 +26,8 @@ class Probe(NamedTuple):
     origins: Float[np.ndarray, "n 3"]
     directions: Float[np.ndarray, "n 3"]
     radii: Float[np.ndarray, " n"]
+    light: Float[np.ndarray, "n 3 3"] | None
+    """See `Rays`."""
     colour: Float[np.ndarray, "n 3"]
     """Over white."""
     view: Int[np.ndarray, " n"]
@@ -32,11 +35,19 @@ class Probe(NamedTuple):
     """Whether the pixel is in the left half of its picture."""
 
     @classmethod
-    def of(cls, scene: Scene, config: Config, normalisation: Normalisation, copies: Copies | None = None) -> "Probe | None":
+    def of(
+        cls,
+        scene: Scene,
+        config: Config,
+        normalisation: Normalisation,
+        copies: Copies | None = None,
+        light: LightFrame = STILL,
+    ) -> "Probe | None":
         """The same pixels for every training of a scene; None where there are no test views.
 
         Args:
             copies: where large pictures are kept, see `read_scaled`.
+            light: where the scene's lamps stand still.
         """
         views = [view for view in scene.views if view.split == "test"]
         if not views:
@@ -51,12 +62,12 @@ class Probe(NamedTuple):
         as_drawn = np.argsort(np.argsort(owner, kind="stable"), kind="stable")
         cameras = [scaled_camera(view, config.scale) for view in views]
         left = np.concatenate([left_half(camera.height, camera.width).ravel() for camera in cameras])
-        origins, directions, radii, colour = pixels.over_white(as_drawn)
-        return cls(origins, directions, radii, colour, owner.astype(np.int32), left[index])
+        origins, directions, radii, lamps, colour = pixels.lit(light, views).over_white(as_drawn)
+        return cls(origins, directions, radii, lamps, colour, owner.astype(np.int32), left[index])
 
     def psnr(self, model: Model, renderer: Renderer) -> float:
         """PSNR [dB]; where views have gains, each half of a picture with the exposure that fits the other."""
-        rendered = renderer.rays(model, self.origins, self.directions, self.radii)
+        rendered = renderer.rays(model, self.origins, self.directions, self.radii, self.light)
         rgb = rendered["rgb"]
         if model.per_image is not None:
             rgb, gains = rgb.copy(), model.per_image.shape[1]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datasets.scene import Scene, View
 from reconstruct.config import Config
 from reconstruct.scene.frustum import Frustum
+from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
@@ -33,6 +34,8 @@ class SceneFacts:
     """Contracted space that can hold anything [scene unit^3]; None: not measured."""
     log_gains: tuple[Vector, ...] | None = None
     """Logarithm of each view's gain per colour, from matched points; None: not measured."""
+    light: LightFrame = STILL
+    """Where the lamps stand still, as it was decided."""
 
     @classmethod
     def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation, volume: float | None = None) -> "SceneFacts":
@@ -63,4 +66,5 @@ class SceneFacts:
             normalisation["frustum"] = Frustum.from_json(frustum)
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
         gains = None if (v := content.get("log_gains")) is None else tuple(tuple(gain) for gain in v)
-        return cls(**{**content, **vectors, "normalisation": Normalisation(**normalisation), "log_gains": gains})
+        parts = {"normalisation": Normalisation(**normalisation), "log_gains": gains}
+        return cls(**{**content, **vectors, **parts, "light": LightFrame.from_json(content.get("light"))})

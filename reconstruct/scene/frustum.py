@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import View
+from datasets.structure.bounds import half_field
 from reconstruct.scene import contraction
 from reconstruct.scene.space import Coordinate, Points, Space
 
 Vector = tuple[float, float, float]
 
 WIDEST = 2.0
-"""Tangent of the widest angle between the axis and a side: beyond, a plane spends its resolution on the margins."""
+"""Largest width as a multiple of what one camera sees: beyond, most of the frustum is what few cameras see."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def frustum_of(views: tuple[View, ...], centre: Vector, scale: float, near: floa
     if seen[:, 2].min() <= 0.25 * near:  # some look across the others
         return None
     across = float(np.abs(seen[:, :2] / seen[:, 2:]).max())
-    if across > WIDEST:
+    if across > WIDEST * max(half_field(view.camera) for view in views):
         return None
     first, last = float(seen[:, 2].min()), float(seen[:, 2].max())
     spread = float(np.linalg.norm(np.ptp(local[:, :2], axis=0)))

@@ -129,7 +129,7 @@ def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, floa
     return FURTHEST * position, FURTHEST * angle
 
 
-def over_white(pixels: Pixels, twists: Twists | None) -> tuple[np.ndarray, ...]:
-    """(origins, directions, radii, colour over white) of all given pixels, as the corrected cameras see them."""
+def over_white(pixels: Pixels, twists: Twists | None) -> tuple[Any, ...]:
+    """(origins, directions, radii, light or None, colour over white) of all given pixels, as the corrected cameras see them."""
     rays, colour = pixels.take(jnp.arange(pixels.directions.shape[0]))
     return pixels_over_white(moved(rays, twists), colour)

@@ -1,7 +1,7 @@
 """From a scene's views to rays in the normalised scene, and to the table of pixels that training draws from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +18,7 @@ from datasets.imaging.reduced import READERS
 from datasets.scene import Scene, View
 from reconstruct.numerics.safe import safe_norm
 from reconstruct.scene.frustum import Frustum
+from reconstruct.scene.light import LightFrame
 from reconstruct.scene.space import BALL, BOX, Space
 
 BRIGHTEST = 6e4
@@ -35,6 +36,8 @@ class Rays(eqx.Module):
     """Radius of the pixel's cone at t = 1 [scene unit]: 2 / sqrt(12) of the pixel's width (Mip-NeRF, section 3)."""
     view: Int[Array, " n"] | None = None
     """Index of the training view; None outside training."""
+    light: Float[Array, "n 3 3"] | None = None
+    """Rotation from the scene's axes to those in which the lamps stand still; None where these are the scene's."""
 
     @property
     def speed(self) -> Float[Array, " n"]:
@@ -160,9 +163,10 @@ def training_colours(stored: Shaped[np.ndarray, "*pixels channels"]) -> Float[np
     return colours
 
 
-def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[np.ndarray, ...]:
-    """(origins, directions, radii, colour over white) of pixels, on the host."""
-    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), over(np.asarray(colour))
+def pixels_over_white(rays: Rays, colour: Float[Array, "n 4"]) -> tuple[Any, ...]:
+    """(origins, directions, radii, light or None, colour over white) of pixels, on the host."""
+    light = None if rays.light is None else np.asarray(rays.light)
+    return np.asarray(rays.origins), np.asarray(rays.directions), np.asarray(rays.radii), light, over(np.asarray(colour))
 
 
 def view_pixels(
@@ -183,6 +187,8 @@ class Pixels(eqx.Module):
     view: Int[Array, " pixels"]
     origins: Float[Array, "views 3"]
     radii: Float[Array, " views"]
+    light: Float[Array, "views 3 3"] | None = None
+    """See `Rays`."""
 
     @classmethod
     def load(
@@ -218,6 +224,11 @@ class Pixels(eqx.Module):
         origins, radii = (np.concatenate([rays[i] for rays in first]) for i in (0, 2))
         return cls(*(jnp.asarray(array) for array in (colour, direction, owner, origins, radii)))
 
+    def lit(self, light: LightFrame, views: tuple[View, ...]) -> "Pixels":
+        """The same pixels of these views, with their lamps' frame."""
+        found = light.of_views(views)
+        return self if found is None else replace(self, light=jnp.asarray(found))
+
     def held_out(self, count: int) -> tuple["Pixels", "Pixels"]:
         """The pixels without up to `count` random ones (a hundredth of all at most), and those; always the same ones."""
         total = self.directions.shape[0]
@@ -225,17 +236,18 @@ class Pixels(eqx.Module):
         rest = np.setdiff1d(np.arange(total), held)
 
         def part(index: Int[np.ndarray, " n"]) -> Pixels:
-            return Pixels(self.colour[index], self.directions[index], self.view[index], self.origins, self.radii)
+            return replace(self, colour=self.colour[index], directions=self.directions[index], view=self.view[index])
 
         return part(rest), part(held)
 
-    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[np.ndarray, ...]:
-        """(origins, directions, radii, colour over white) of some pixels."""
+    def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[Any, ...]:
+        """(origins, directions, radii, light or None, colour over white) of some pixels."""
         return pixels_over_white(*self.take(jnp.asarray(index)))
 
     def take(self, index: Array) -> tuple[Rays, Float[Array, "n 4"]]:
         """Rays and colours (float32) of the given pixels."""
         get = lambda a, i: a.at[i].get(mode="promise_in_bounds")  # noqa: E731
         view = get(self.view, index)
-        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view), view)
+        light = None if self.light is None else get(self.light, view)
+        rays = Rays(get(self.origins, view), get(self.directions, index), get(self.radii, view), view, light)
         return rays, get(self.colour, index).astype(jnp.float32)

@@ -11,6 +11,7 @@ from reconstruct.config import SurfaceConfig
 from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud, points_on_rays
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import Space
 from reconstruct.surface import regularisers
@@ -56,7 +57,8 @@ class SecondPass:
             density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
             per_point |= self._around(density, normals, directions, normal, reach)
         if self.surface.variation or (self.surface.bias and field.appearance.has_diffuse):
-            per_point |= self._over_directions(field, material, directions, normal)
+            light = Lit.on(rays, surface.t, surface.ray)
+            per_point |= self._over_directions(field, material, directions, normal, light)
         used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
         return {name: jnp.sum(surface.weight * value) / used for name, value in per_point.items()}
 
@@ -78,14 +80,23 @@ class SecondPass:
         }
 
     def _over_directions(
-        self, field: Field, material: Material, directions: Float[Array, "n around 3"], normal: Float[Array, "3 n"]
+        self,
+        field: Field,
+        material: Material,
+        directions: Float[Array, "n around 3"],
+        normal: Float[Array, "3 n"],
+        light: Lit | None,
     ) -> PerPoint:
-        """L_b and L_s: the reflected colour over the visible hemisphere; all of the colour where nothing is diffuse."""
+        """L_b and L_s: the reflected colour over the visible hemisphere; all of the colour where nothing is diffuse.
+
+        Lamps that move about the object stay where they were for the ray's picture.
+        """
         outward = jax.lax.stop_gradient(normal.T)
         facing = jnp.sum(directions * outward[:, None], -1, keepdims=True)
         inward = jnp.where(facing > 0, -directions, directions)  # light travels into the surface: d . n <= 0
         repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
-        shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T), field.appearance.has_diffuse
+        light = None if light is None else light.repeated(directions.shape[1])
+        shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T, light=light), field.appearance.has_diffuse
         colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
         likeness = regularisers.direction_likeness(inward, self.surface.neighbour_form)
         variation = regularisers.specular_variation(colour, likeness, self.surface.neighbours)

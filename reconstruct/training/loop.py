@@ -22,6 +22,7 @@ from datasets.core.space import require_room
 from datasets.scene import Scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
+from reconstruct.convergence import figures_of, warn_early
 from reconstruct.errors import ReconstructError
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.rendering.probe import Probe, held_out_psnr
@@ -255,11 +256,10 @@ def _loop(training: Training) -> None:
             said = distributed.gathered([clock.seconds, interrupted()])
             clock.seconds = float(said[0, 0])
             if clock.progress >= next_look or clock.progress >= 1:
-                line = training.look(terms)
+                shown.note(figures_of(training.look(terms)))
                 next_look = clock.progress + 1 / LOOKS
                 stopped = bool(distributed.decided(training.exhausted))
-                known = {"PSNR": "psnr_train", "unseen": "psnr_unseen"}
-                shown.note(", ".join(f"{name} {line[key]:.1f} dB" for name, key in known.items() if key in line))
+                warn_early(training.run.log())
             if said[:, 1].any():
                 training.save()
                 raise KeyboardInterrupt
@@ -346,4 +346,5 @@ def _require_room(out: Path, state: TrainState) -> None:
 
 def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:
     step, _, pixels, probe, held, pool, _ = prepared
-    return Training(run, step, state, pixels, probe, clock, Renderer(run.normalisation), held, pool, skips)
+    renderer = Renderer(run.normalisation, light=run.facts.light)
+    return Training(run, step, state, pixels, probe, clock, renderer, held, pool, skips)

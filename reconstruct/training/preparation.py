@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.console import progress
+from datasets.core.console import hint, progress
 from datasets.imaging.copies import Copies
 from datasets.scene import Scene, View
 from reconstruct.config import Config
@@ -24,6 +24,7 @@ from reconstruct.training.ray_count import fitted
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
 from reconstruct.training.skipping.gains import gains_between
+from reconstruct.training.skipping.lamps import decided_light
 from reconstruct.training.skipping.matched import matches_of
 from reconstruct.training.skipping.pilot import gain_by_reflecting
 from reconstruct.training.skipping.plan import lenses, plan
@@ -76,13 +77,18 @@ def prepare(
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
         skips.append(refined)
         if known is None:
-            config, facts = lean, SceneFacts.of(scene, views, normalisation, evidence.volume)
+            light, lamps = decided_light(views, pixels, normalisation, possible, config)
+            skips.append(lamps)
+            if light.moves:
+                hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")
+            config, facts = lean, replace(SceneFacts.of(scene, views, normalisation, evidence.volume), light=light)
             if gains is not None and config.train.per_image != "none":
                 facts = facts.with_gains(gains.log_gains_of(views))
     assert facts is not None, "a training that is not fresh knows its scene"
     held = None
     if config.train.patience:
         pixels, held = held_out(pixels, pool)
+    pixels, held = pixels.lit(facts.light, views), held and held.lit(facts.light, views)
     if fresh and sampler_type(config.sampler).memory_grows_with_rays:
         config = fitted(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
@@ -92,7 +98,7 @@ def prepare(
     distributed.require_same((state, pixels), "scene")
     if pool is not None:
         pool = replace(pool, rays=state.model.sampler.rays_drawn * config.train.accumulate)
-    return Prepared(step, state, pixels, Probe.of(scene, config, normalisation, copies), held, pool, skips)
+    return Prepared(step, state, pixels, Probe.of(scene, config, normalisation, copies, facts.light), held, pool, skips)
 
 
 def _possible_cells(

@@ -113,6 +113,9 @@ def parse(words: tuple[str, ...], *, mention: bool = False) -> dict[str, Any]:
     name, *arguments = rest
     assert name in group.commands, f"{package} has no command {name}"
     command = group.commands[name]
+    if arguments and arguments[0] in getattr(command, "commands", {}):
+        name, *arguments = arguments
+        command = command.commands[name]
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)} | {"--help", "-h"}
     unknown = {word.split("=")[0] for word in arguments if word.startswith("--")} - known
     assert not unknown, f"{package} {name} has no option {', '.join(sorted(unknown))}"

@@ -21,7 +21,9 @@ from reconstruct.config import Config
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.models import load_config
+from reconstruct.numerics import compiling
 from reconstruct.numerics.safe import srgb_from_linear
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model
@@ -33,6 +35,9 @@ from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
 
+compiling.KEEP_BARRIERS["xla_backend_optimization_level"] = 0
+"""Pictures and steps of tests run for milliseconds and take seconds to compile: they are not optimised. Other programs are: a
+gradient of `bench.scenes` comes out as NaN without (jaxlib 0.10.2 on a CPU)."""
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
 """Of the ball [m]."""
@@ -60,7 +65,9 @@ class Ball(Field):
         density, material = self(cloud)
         return density, material, material.normals_pred
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         """As `Field.shade`: the same light in all directions."""
         specular = jnp.broadcast_to(jnp.asarray(SPECULAR, jnp.float32)[:, None], viewdirs.shape)
         return Shading(srgb_from_linear(material.diffuse + specular), specular)

@@ -103,16 +103,16 @@ def movement(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> float:
 def choose(motion: Motion, count: int) -> NDArray[np.int64]:
     """Indices of at most `count` frames: the sharpest of each of as many windows of equal movement.
 
-    Windows are no shorter than `SHORTEST`. Of each, only the middle half is used, so that neighbours keep their distance.
+    Windows are no shorter than `SHORTEST`. Of each, only the middle half is used, so that neighbours keep their distance; where a
+    camera hurries and leaves that empty, the frames that are nearest to the middle.
     """
     total = float(motion.moved[-1])
     windows = int(min(count, max(total // SHORTEST, 1)))
     place = motion.moved / max(total, 1e-12) * windows
     chosen = []
     for window in range(windows):
-        inside = np.flatnonzero(np.abs(place - (window + 0.5)) <= 0.25)
-        if not len(inside):  # the camera hurries: the frame nearest to the middle
-            inside = np.array([np.abs(place - (window + 0.5)).argmin()])
+        away = np.abs(place - (window + 0.5))
+        inside = np.flatnonzero(away <= max(0.25, away.min() + 0.1))
         chosen.append(int(inside[motion.sharpness[inside].argmax()]))
     return np.unique(chosen)
 

@@ -1,6 +1,6 @@
 """From matches to poses, lenses and points: pycolmap's incremental mapping and a last adjustment with all lens parameters.
 
-Mapping can find several groups of pictures that no points connect. The largest becomes the model; the others are only counted.
+Mapping can find several models of groups of pictures, which may share some. The largest is kept; the others are only counted.
 """
 
 import tempfile
@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from datasets import pose
 from datasets.core import files
 from datasets.core.progress import Step, ignore
 
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 SMALLEST = 3
 """Smallest number of pictures of a group."""
 FEW = 8
-"""A camera with fewer pictures keeps one focal length and one distortion coefficient."""
+LEAST_TURN = np.deg2rad(4.0)
+"""A camera with fewer pictures, or one that turns less than this about a second axis (root mean square), keeps one focal length
+and one coefficient of distortion: where it only walks around at one height, a wrong principal point looks like another height."""
 LARGEST_PX = 2.0
 """Observations further than this from their projected point are dropped at the end [px of the picture that was searched]."""
 LEAST_ANGLE_DEG = 1.5
@@ -68,26 +71,40 @@ def read_groups(out: Path) -> Groups | None:
 
 
 def refine(model: "pycolmap.Reconstruction") -> None:
-    """Adjust everything once more, with OPENCV's lens and the principal point where a camera has enough pictures.
+    """Adjust everything once more, with a second coefficient of distortion and the principal point where pictures fix them.
 
-    Mapping has few parameters and can start from a guess; this starts close to the truth. Observations that stay wrong are
-    dropped.
+    Mapping has few parameters and can start from a guess; this starts close to the truth. Decentring is left out, since it can
+    hardly be told from a shift of the principal point. Observations that stay wrong are dropped.
     """
     import pycolmap
 
-    few = set()
+    plain = {number for number in model.cameras if not _is_well_seen(model, number)}
     for number, camera in model.cameras.items():
-        if sum(image.camera_id == number for image in model.images.values()) < FEW:
-            few.add(number)
-            continue
-        focal, cx, cy, k1 = camera.params
-        camera.model, camera.params = pycolmap.CameraModelId.OPENCV, [focal, focal, cx, cy, k1, 0.0, 0.0, 0.0]
+        if number not in plain:
+            camera.model, camera.params = pycolmap.CameraModelId.RADIAL, [*camera.params, 0.0]
     _adjust(model, set(), principal_point=False)
-    if len(few) < len(model.cameras):
-        _adjust(model, few, principal_point=True)
+    if len(plain) < len(model.cameras):
+        _adjust(model, plain, principal_point=True)
     pycolmap.ObservationManager(model).filter_all_points3D(LARGEST_PX, LEAST_ANGLE_DEG)
-    _adjust(model, few, principal_point=len(few) < len(model.cameras))
+    _adjust(model, plain, principal_point=len(plain) < len(model.cameras))
     model.update_point_3d_errors()
+
+
+def _is_well_seen(model: "pycolmap.Reconstruction", camera: int) -> bool:
+    """Whether a camera's pictures are enough, and turned about enough axes, for all parameters of its lens."""
+    own = [image.cam_from_world().matrix()[:, :3].T for image in model.images.values() if image.camera_id == camera]
+    return len(own) >= FEW and second_turn(np.stack(own)) >= LEAST_TURN
+
+
+def second_turn(rotations: ArrayLike) -> float:
+    """Root mean square of the turns between all pairs of (n, 3, 3) rotations about the second of their principal axes [rad].
+
+    0 where all turn about one axis, as on a turntable or on a circle around an object.
+    """
+    matrices = np.asarray(rotations, np.float64)
+    first, second = np.triu_indices(len(matrices), 1)
+    turns = pose.rotation_vector(matrices[first] @ np.swapaxes(matrices[second], 1, 2))
+    return float(np.sqrt(max(np.linalg.eigvalsh(turns.T @ turns / len(turns))[1], 0.0)))
 
 
 def _adjust(model: "pycolmap.Reconstruction", constant: set[int], *, principal_point: bool) -> None:

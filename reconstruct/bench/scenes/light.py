@@ -43,8 +43,10 @@ class Light:
         parts = (np.asarray(values, np.float32) for values in (axes, concentration, colour, [0.06, 0.06, 0.07]))
         return cls(*parts)
 
-    def convolved(self, directions: Float[Array, "3 n"], blur: float | Float[Array, " n"]) -> Float[Array, "3 n"]:
-        """Light around unit directions, convolved with a lobe of concentration `blur`."""
+    def convolved(
+        self, directions: Float[Array, "3 n"], blur: float | Float[Array, " n"], places: Float[Array, "3 n"] | None = None
+    ) -> Float[Array, "3 n"]:
+        """Light around unit directions, convolved with a lobe of concentration `blur`: the same at all places."""
         own = self.concentration[:, None]
         both = own * blur / (own + blur)
         kept = (both / -jnp.expm1(-2 * both)) * (-np.expm1(-2 * own) / own)  # a wider lobe is a weaker one

@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError, nearest
 from datasets.formats import detect, load_scene, save_scene
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from datasets.structure import bounds
-from reconstruct.bench.scenes.shiny import EDITION, RADIUS_M, SCENES
+from reconstruct.bench.scenes.shiny import EDITION, RADIUS_M
+from reconstruct.bench.scenes.stages import DISTANCE_M, STAGES
 from reconstruct.bench.scenes.tracer import Tracer
 
 SIZE, TRAIN, TEST = 200, 60, 20
 """Width and height of the images in pixels, and numbers of training and test views."""
-DISTANCE_M, HALF_FIELD = 0.6, 0.118
-"""Distance of the cameras from the centre, and half the width of the field of view there [m]."""
+HALF_FIELD = 0.118
+"""Half the width of the field of view at the centre [m]."""
 SAMPLES = 3  # rays per pixel along each axis
 MARGIN = 0.04  # margin of the object's box on each side, as a share of its size
 MESH_CELLS = 160  # cells per axis of the grid for marching cubes
@@ -70,7 +70,7 @@ def write(
     format: str = "koala",
     done: Callable[[], None] = lambda: None,
 ) -> Scene:
-    """Render one of `SCENES` into the new folder `out`.
+    """Render one of `STAGES` into the new folder `out`.
 
     Args:
         size: width and height of the images in pixels.
@@ -80,16 +80,16 @@ def write(
 
     Raises UsageError: unknown scene, or `out` is not empty.
     """
-    if name not in SCENES:
-        raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, SCENES))
-    tracer, camera = SCENES[name](), camera_of(size)
-    poses = places(train + test, seed)
-    tested = set(np.linspace(0, train + test - 1, test).round().astype(int).tolist()) if test else set()
+    if name not in STAGES:
+        raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, STAGES))
+    stage = STAGES[name]
+    tracer, camera = stage.tracer(), camera_of(size)
     with tempfile.TemporaryDirectory() as folder:
         views = []
-        for index, world_from_camera in enumerate(poses):
-            view = View(f"{index:03d}", camera, world_from_camera, "test" if index in tested else "train", Path())
-            views.append(_written(view, render_view(tracer, camera, world_from_camera), Path(folder)))
+        for index, (world_from_camera, split) in enumerate(stage.shots(train, test, seed)):
+            view = View(f"{index:03d}", camera, world_from_camera, split, Path())
+            maps = render_view(tracer, camera, world_from_camera, stage.lamps_from_scene(world_from_camera))
+            views.append(_written(view, maps, Path(folder)))
             done()
         box = write_mesh(tracer, Path(folder) / "object.ply")
         box = box + MARGIN * (box[1] - box[0]) * [[-1.0], [1.0]]
@@ -105,21 +105,13 @@ def camera_of(size: int) -> Camera:
     return Camera(size, size, focal, focal, size / 2, size / 2)
 
 
-def places(count: int, seed: int) -> list[NDArray[np.float64]]:
-    """(4, 4) world_from_camera of cameras on a spiral from 25 degrees below the horizon to 75 above, with random offsets."""
-    rng = np.random.default_rng(seed)
-    low, high = np.sin(np.deg2rad([-25, 75]))
-    found = []
-    for index in range(count):
-        height = low + (high - low) * (index + rng.random()) / count
-        angle = index * np.pi * (3 - np.sqrt(5)) + 0.3 * rng.random()
-        across = np.sqrt(1 - height**2)
-        found.append(pose.look_at(DISTANCE_M * np.array([across * np.cos(angle), across * np.sin(angle), height]), np.zeros(3)))
-    return found
-
-
-def render_view(tracer: Tracer, camera: Camera, world_from_camera: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
-    """Maps (size, size, channels) of one view, each pixel the mean of `SAMPLES` squared rays.
+def render_view(
+    tracer: Tracer,
+    camera: Camera,
+    world_from_camera: NDArray[np.float64],
+    lamps_from_scene: NDArray[np.float64] | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """Maps (size, size, channels) of one view, each pixel the mean of `SAMPLES` squared rays; see `Tracer.look`.
 
     "alpha", "depth" along z [m] and unit "normals" of the hit; "diffuse" and "specular" linear, premultiplied with alpha.
     """
@@ -128,7 +120,7 @@ def render_view(tracer: Tracer, camera: Camera, world_from_camera: NDArray[np.fl
     speed = np.linalg.norm(in_camera, axis=-1)
     directions = (in_camera / speed[:, None]) @ world_from_camera[:3, :3].T
     origins = np.broadcast_to(world_from_camera[:3, 3] / RADIUS_M, directions.shape)
-    found = tracer.look(origins, directions)
+    found = tracer.look(origins, directions, lamps_from_scene)
     found["depth"] = RADIUS_M * found.pop("t") / speed
     found["alpha"] = (found["depth"] > 0).astype(np.float32)
     maps = {name: _mean(values, camera) for name, values in found.items()}

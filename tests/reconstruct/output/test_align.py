@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -60,3 +61,17 @@ def test_views_are_aligned_beside_the_figures_of_the_poses_as_given(
     assert apart[0] > 0.15 and apart[1] < 0.2 * apart[0], apart  # what the steps along each ray of 2 mm leave
     assert right["moved_px"] < 0.05
     assert trained.model is before, "the model stays as it was"
+
+
+def test_a_picture_of_another_exposure_is_aligned_as_well(photographed: TrainedModel) -> None:
+    view = photographed.scene.views[0]
+    light = images.linear_from_srgb(images.read(view.image)[..., :3]) * 0.6
+    alpha = photographed.picture(view).opacity
+    dark = images.srgb_from_linear(light) * alpha + 1 - alpha  # over white as before: only the ball is darker, but at its rim
+    image = view.image.with_name("dark.png")
+    images.write(image, dark)
+    wrong = replace(away(view, 3), image=image)
+    learned = replace(photographed, model=replace(photographed.model, per_image=jnp.zeros((4, 1))))
+    box = photographed.scene.box
+    apart = [poses.change(view, one, box)["moved_px"] for one in (wrong, Aligner(learned)(wrong).view)]
+    assert apart[0] > 0.15 and apart[1] < 0.3 * apart[0], apart  # 0.2 where the exposure is the model's own

@@ -13,6 +13,7 @@ from datasets.scene import View
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.output import evaluate
 from reconstruct.output.trained_model import TrainedModel
 
@@ -55,7 +56,9 @@ class Walled(Field):
     def __call__(self, cloud: Cloud) -> tuple[jax.Array, Material]:
         return self.density(cloud), self.inner(cloud)[1]
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         return self.inner.shade(material, viewdirs, normals)
 
 

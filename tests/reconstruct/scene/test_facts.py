@@ -1,5 +1,6 @@
 """What is measured on a scene, and what a configuration says instead."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,8 +37,8 @@ def test_the_box_among_surroundings_is_measured(ball_scene: tuple[Scene, Path]) 
 
 def test_facts_survive_being_written(ball_scene: tuple[Scene, Path]) -> None:
     for scene in (ball_scene[0], replace(ball_scene[0], background="scene")):
-        facts = facts_of(scene, volume=2.0)
-        assert SceneFacts.from_json(facts.to_json()) == facts
+        for facts in (found := facts_of(scene, volume=2.0), found.with_gains(np.array([[0.1, 0.2, 0.3], [0.0, 0.0, -1.0]]))):
+            assert SceneFacts.from_json(json.loads(json.dumps(facts.to_json()))) == facts
 
 
 def test_values_of_the_configuration_replace_what_was_measured(ball_scene: tuple[Scene, Path]) -> None:
@@ -75,3 +76,13 @@ def test_tables_shrink_to_the_measured_volume_only_where_that_is_wanted(ball_sce
     assert fitted.field.encoding.log2_sizes < full.field.encoding.log2_sizes == (12, 12)
     given = created(facts, *sizes, "skip.table_size=true", "encoding.volume=8")
     assert given.field.encoding.log2_sizes > fitted.field.encoding.log2_sizes
+
+
+def test_gains_begin_as_they_were_measured(ball_scene: tuple[Scene, Path]) -> None:
+    measured = np.array([[0.1, 0.2, 0.3], [0.4, 0.4, 0.4]])
+    facts = facts_of(ball_scene[0]).with_gains(measured)
+    assert created(facts).per_image is None, "the configuration wants none"
+    np.testing.assert_allclose(created(facts, "train.per_image=colour").per_image, measured, rtol=1e-6)
+    one = created(facts, "train.per_image=exposure")
+    np.testing.assert_allclose(one.per_image, [[0.2], [0.4]], rtol=1e-6)
+    np.testing.assert_allclose(one.log_gains, [[-0.1], [0.1]], atol=1e-6)  # counted from their mean

@@ -1,6 +1,7 @@
 """The space of cameras that all look the same way, against float64 references."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +18,14 @@ from reconstruct.scene.rays import Normalisation, Rays
 NEAR, FAR = 0.5, 6.0
 
 
-def views_towards(angles_deg: tuple[float, ...], apart: float = 0.2) -> tuple[View, ...]:
+def views_towards(angles_deg: tuple[float, ...], apart: float = 0.1) -> tuple[View, ...]:
     """Cameras in a row, each turned about the vertical axis."""
     views = []
     for index, angle in enumerate(np.deg2rad(angles_deg)):
         matrix = np.eye(4)
         matrix[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
         matrix[0, 3] = apart * index
-        views.append(View(f"{index}.png", f"{index}", Camera(64, 48, 60.0, 60.0, 32.0, 24.0), matrix))
+        views.append(View(f"{index}", Camera(64, 48, 60.0, 60.0, 32.0, 24.0), matrix, "train", Path(f"{index}.png")))
     return tuple(views)
 
 

@@ -12,6 +12,7 @@ from reconstruct.config import LossConfig, SurfaceConfig
 from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
 from reconstruct.models import load_config
 from reconstruct.rendering.model import Model, Rendered
 from reconstruct.sampling.samples import RaySamples
@@ -44,7 +45,9 @@ class HalfSpace(Field):
         material = Material(some, some, some[:1], some * columns(PREDICTED), jnp.zeros((0, count)))
         return jnp.where(z <= 0, 10.0, 0.0), material, normals
 
-    def shade(self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None) -> Shading:
+    def shade(
+        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+    ) -> Shading:
         specular = jnp.broadcast_to(jnp.maximum(-viewdirs[2], 0.0), viewdirs.shape)
         return Shading(2 * specular, specular)
 

@@ -15,6 +15,8 @@ from datasets.imaging import images
 from datasets.process.pictures import frames
 
 WIDTH, HEIGHT = 320, 240
+IDENTITY = [1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30]
+"""Matrix of a video that is not turned, as MP4 stores it."""
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +83,27 @@ def test_the_chosen_frames_are_written_by_number(pan: Callable[..., Path], wall:
     picture = 255 * images.read(tmp_path / "frames" / names[2])[..., 0]
     assert np.abs(picture - wall[:, 4 * index : 4 * index + WIDTH]).mean() < 8  # two lossy encodings
     assert all(k <= n for k, n in seen) and [k for k, _ in seen] == sorted(k for k, _ in seen)
+
+
+def test_a_turned_video_gives_upright_frames(pan: Callable[..., Path], wall: NDArray[np.uint8], tmp_path: Path) -> None:
+    """The matrix in the file's track header is that of a phone held upright: to be turned clockwise for display."""
+    path = pan([4 * k for k in range(20)])
+    whole, clockwise = (np.array(m, ">i4").tobytes() for m in (IDENTITY, [0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30]))
+    data = path.read_bytes()
+    track = data.index(b"tkhd")
+    place = data.index(whole, track)
+    path.write_bytes(data[:place] + clockwise + data[place + len(whole) :])
+    name = frames.extract(path, 3, tmp_path / "frames")[0]
+    picture = 255 * images.read(tmp_path / "frames" / name)[..., 0]
+    index = int(name.removeprefix("frame_").removesuffix(".jpg"))
+    assert np.abs(picture - np.rot90(wall[:, 4 * index : 4 * index + WIDTH], -1)).mean() < 8  # two lossy encodings
+
+
+def test_of_a_camera_that_jumps_the_sharp_frames_are_taken(pan: Callable[..., Path]) -> None:
+    """Three frames at each place, of which the second is sharp; jumps are larger than windows."""
+    columns = [40 * (k // 3) for k in range(30)]
+    chosen = frames.choose(frames.observe(pan(columns, [k for k in range(30) if k % 3 != 1])), 20)
+    assert {index % 3 for index in chosen} == {1} and len(chosen) == 10
 
 
 def test_a_video_that_is_cut_off_gives_the_frames_before(pan: Callable[..., Path], tmp_path: Path) -> None:

@@ -1,0 +1,82 @@
+"""What the checks by picture look at: small pictures, matches and triangulated points of up to forty views."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.scene import Scene, View
+from datasets.structure import bounds, matching
+from datasets.structure.epipolar import Pairs
+from datasets.structure.matching import Features, Matches
+from datasets.structure.triangulate import Cloud, triangulate
+
+VIEWS = 40
+"""Largest number of views that are matched."""
+OUTSTANDING = 3.5
+"""A view stands out from the others beyond this many robust standard deviations of theirs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Pictures, matches and poses of some views of a scene; what follows from them is computed when it is asked for."""
+
+    scene: Scene
+    views: tuple[View, ...]
+    pictures: tuple[NDArray[np.float32], ...]
+    """(height, width, 3 or 4) sRGB of each view, at most `matching.SIDE` pixels a side."""
+    matches: Matches
+    matrices: NDArray[np.float64]
+    """(views, 4, 4) `world_from_camera`."""
+
+    @classmethod
+    def gather(cls, scene: Scene, *, count: int = VIEWS) -> "Evidence":
+        """Read and match up to `count` views, evenly spread. Raises as `View.read` does."""
+        views = tuple(scene.views[i] for i in np.unique(np.linspace(0, len(scene.views) - 1, count).round().astype(int)))
+        matrices = np.stack([view.world_from_camera for view in views])
+        pictures = tuple(matching.shrunk(view.read()) for view in views)
+        features = [matching.detect_in(picture, view) for picture, view in zip(pictures, views, strict=True)]
+        pairs = matching.pairs_of(matrices, focus_of(scene, matrices))
+        return cls(scene, views, pictures, matching.joined(views, features, pairs), matrices)
+
+    @cached_property
+    def focus(self) -> NDArray[np.float64]:
+        """(3,) where the cameras look."""
+        return focus_of(self.scene, self.matrices)
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """All matches."""
+        return Pairs.of(self.matches)
+
+    @cached_property
+    def distances(self) -> NDArray[np.float64]:
+        """(matches,) distance of each match of `pairs` from its epipolar plane [px]."""
+        return np.abs(self.pairs.distances(self.matrices))
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Points triangulated from the matches."""
+        return triangulate(self.matches, self.matrices)
+
+    def depth(self, view: int) -> float:
+        """Typical depth of what a view shows [world unit]."""
+        seen = self.cloud.sightings[self.cloud.sightings[:, 1] == view, 0]
+        points = self.cloud.points[seen] if len(seen) >= 10 else self.focus[None]
+        ahead = (points - self.matrices[view, :3, 3]) @ self.matrices[view, :3, 2]
+        return max(float(np.median(ahead)), 1e-9)
+
+    def with_cameras(self, directions: list[NDArray[np.float64]], matrices: NDArray[np.float64]) -> "Evidence":
+        """The same with other rays and poses: what is checked next is free of an error that is known."""
+        features = [
+            Features(ray, one.descriptors, one.colours, one.pixel)
+            for ray, one in zip(directions, self.matches.features, strict=True)
+        ]
+        return replace(self, matches=Matches(self.matches.views, tuple(features), self.matches.pairs), matrices=matrices)
+
+
+def focus_of(scene: Scene, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) the point nearest to all optical axes; for parallel axes the middle of the box."""
+    centre, spread = bounds.focus(matrices)
+    return centre if spread > bounds.PARALLEL else scene.box.mean(0)

@@ -1,0 +1,105 @@
+"""Distances of matches from the epipolar planes of their cameras, and small corrections of cameras that reduce them.
+
+The distance of a match is that of its pixels from each other's epipolar lines, to first order (Sampson 1982) and as a distance
+along one picture [px]. It needs no depth. Robust Gauss-Newton with weights after Geman and McClure, whose width shrinks from
+round to round, as in graduated non-convexity (Yang et al. 2020), so that corrections of up to about the first width are found
+among wrong matches.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.structure.matching import Matches
+
+Vector = NDArray[np.float64]
+
+WIDTHS = (16.0, 8.0, 4.0, 2.0, 1.0, 1.0)
+"""Residuals beyond which a match counts little, round by round [px]."""
+INLIER_PX = 3.0
+"""Matches nearer than this after the correction are right ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """All matches in one row each."""
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    """(m,) indices of views."""
+    a: Vector
+    b: Vector
+    """(m, 3) rays in the cameras' frames, z = 1."""
+    pixel: Vector
+    """(m,) size of a pixel as a tangent."""
+
+    @classmethod
+    def of(cls, matches: Matches) -> "Pairs":
+        """The matches of all pairs."""
+        columns: list[list[NDArray]] = [[], [], [], [], []]
+        for i, j, index in matches.pairs:
+            one, other, n = matches.features[i], matches.features[j], len(index)
+            pixel = np.full(n, max(one.pixel, other.pixel))
+            row = np.full(n, i), np.full(n, j), one.directions[index[:, 0]], other.directions[index[:, 1]], pixel
+            for column, part in zip(columns, row, strict=True):
+                column.append(part)
+        return cls(*(np.concatenate(column) for column in columns))
+
+    def of_view(self, view: int) -> "Pairs":
+        """The matches of one view."""
+        rows = np.flatnonzero((self.first == view) | (self.second == view))
+        return Pairs(self.first[rows], self.second[rows], self.a[rows], self.b[rows], self.pixel[rows])
+
+    def distances(self, world_from_camera: Vector) -> Vector:
+        """(m,) signed distance from the epipolar plane [px]; (views, 4, 4) poses."""
+        one, other = world_from_camera[self.first], world_from_camera[self.second]
+        a = np.einsum("nij,nj->ni", one[:, :3, :3], self.a)
+        b = np.einsum("nij,nj->ni", other[:, :3, :3], self.b)
+        baseline = other[:, :3, 3] - one[:, :3, 3]
+        normal = np.cross(baseline, a)
+        lines = (
+            np.einsum("nji,nj->ni", other[:, :3, :2], normal),  # epipolar line in the second picture, as its normal
+            np.einsum("nji,nj->ni", one[:, :3, :2], np.cross(b, baseline)),
+        )
+        slope = np.sqrt(sum((line**2).sum(1) for line in lines) / 2)
+        return (normal * b).sum(1) / np.maximum(slope, 1e-300) / self.pixel
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A small change of parameters that makes matches agree better."""
+
+    change: Vector
+    std: Vector
+    before_px: float
+    after_px: float
+    """Median distance of the right matches, before and after."""
+    inliers: int
+
+
+def corrected(distances: Callable[[Vector], Vector], steps: Sequence[float], *, damping: float = 1e-3) -> Correction:
+    """The change of k parameters from zero that reduces robust distances.
+
+    Args:
+        distances: (k,) change to (m,) distances [px].
+        steps: change of each parameter that moves pixels by about one; for derivatives, and the scale of damping.
+        damping: towards no change, in matches per parameter; keeps what no match fixes.
+    """
+    scale, change = np.asarray(steps, np.float64), np.zeros(len(steps))
+    start = residual = distances(change)
+    normal = np.eye(len(steps))
+    for width in WIDTHS:
+        weight = 1 / (1 + (residual / width) ** 2) ** 2
+        slope = [(distances(change + step) - distances(change - step)) / 0.2 for step in 0.1 * np.diag(scale)]
+        slope = np.stack(slope, axis=1)  # per step
+        normal = slope.T @ (weight[:, None] * slope) + damping * max(weight.sum(), 1.0) * np.eye(len(steps))
+        change = change - scale * np.linalg.solve(normal, slope.T @ (weight * residual))
+        residual = distances(change)
+    inlier = np.abs(residual) < INLIER_PX
+    if not inlier.any():
+        return Correction(np.zeros(len(steps)), np.full(len(steps), np.inf), np.inf, np.inf, 0)
+    before, after = (float(np.median(np.abs(values[inlier]))) for values in (start, residual))
+    std = scale * np.sqrt(np.diag(np.linalg.inv(normal))) * max(1.4826 * after, 1e-3)
+    return Correction(change, std, before, after, int(inlier.sum()))

@@ -1,0 +1,77 @@
+"""Where the lamps stand still: as a person says, else as the pictures say."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.core.errors import UsageError
+from datasets.scene import View
+from reconstruct.config import Config
+from reconstruct.scene.light import STILL, Frame, LightFrame
+from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.scene.turntable import Turning, turning
+from reconstruct.training.skipping import explained
+from reconstruct.training.skipping.record import NOTHING_MORE, Skip
+
+NAME = "moving_lamps"
+SAVING = "a rotation of each reflected direction, and a network for the light on matte parts"
+CLEAR_DB = 0.2
+"""A frame in which lamps move must explain colours better than the object's own by so much [dB]: see docs/skipping.md."""
+AGREEING, ON_RINGS = 0.1, 0.9
+"""Shares of pairs of views, and of views, from which cameras could have stood before a turntable."""
+
+Decision = tuple[LightFrame, Skip]
+
+
+def decided_light(
+    views: tuple[View, ...], pixels: Pixels, normalisation: Normalisation, possible: NDArray[np.bool_] | None, config: Config
+) -> Decision:
+    """The frame in which the lamps of a scene stand still, and the evidence.
+
+    Args:
+        possible: cells of the object's cube that masks leave; None: there are no masks.
+
+    Raises:
+        UsageError: a turntable is asked for, but the cameras tell no axis.
+    """
+    wanted = config.light.frame
+    if config.field.appearance != "reflection":
+        return STILL, Skip.of(NAME, True, "the model reflects nothing", NOTHING_MORE)
+    if wanted == "world":
+        return STILL, Skip.of(NAME, True, "forced", SAVING)
+    turned = turning(np.stack([view.world_from_camera[:3, :3] for view in views]))
+    if wanted != "auto":
+        return _frame(wanted, turned, views, normalisation, config), Skip.of(NAME, False, f"forced: {wanted}", SAVING)
+    if not normalisation.bounded or possible is None:
+        return STILL, Skip.of(NAME, True, "without masks lamps are taken to stand still", SAVING)
+    kinds: list[Frame] = ["camera"]
+    if config.light.axis or (turned is not None and turned.agreeing >= AGREEING and turned.on_rings >= ON_RINGS):
+        kinds.append("turntable")
+    frames = [_frame(kind, turned, views, normalisation, config) for kind in kinds]
+    return _explained_best(frames, explained.errors(views, pixels, possible, [STILL, *frames]))
+
+
+def _explained_best(frames: list[LightFrame], errors: list[float] | None) -> Decision:
+    """One of the frames where it is clearly better than `STILL`, whose error comes first."""
+    if errors is None:
+        return STILL, Skip.of(NAME, True, "too few views or pixels to tell", SAVING)
+    gains = [float(10 * np.log10(errors[0] / error)) for error in errors[1:]]
+    best = int(np.argmax(gains))
+    listed = ", ".join(f"{frame.kind} {gain:+.2f} dB" for frame, gain in zip(frames, gains, strict=True))
+    evidence = f"colours in views left out, explained by lamps that move, against lamps that stand still: {listed}"
+    if gains[best] < CLEAR_DB:
+        return STILL, Skip.of(NAME, True, evidence, SAVING)
+    return frames[best], Skip.of(NAME, False, evidence, SAVING)
+
+
+def _frame(
+    kind: Frame, turned: Turning | None, views: tuple[View, ...], normalisation: Normalisation, config: Config
+) -> LightFrame:
+    axis = config.light.axis or (None if turned is None else turned.axis)
+    if kind == "camera":
+        axis = (0.0, 0.0, 1.0)
+    if axis is None or not np.linalg.norm(axis):
+        why, remedy = "no two views differ by a rotation", "give the axis as light.axis"
+        raise UsageError("a turntable's axis is not known", where="light.frame=turntable", why=why, remedy=remedy)
+    x, y, z = (np.asarray(axis) / np.linalg.norm(axis)).tolist()
+    positions = np.stack([view.world_from_camera[:3, 3] for view in views]) - normalisation.centre
+    return LightFrame(kind, (x, y, z), float(np.median(np.linalg.norm(positions, axis=-1)) * normalisation.scale))

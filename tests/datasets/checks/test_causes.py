@@ -1,0 +1,101 @@
+"""Each cause is named in pictures of two textured walls, and nothing is named in untouched ones."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from datasets import pose
+from datasets.camera_model import Camera
+from datasets.checks import coverage, motion
+from datasets.checks.evidence import Evidence
+from datasets.checks.matches import check_evidence
+from datasets.core.findings import Finding
+from datasets.injuries import injure
+from datasets.scene import Scene
+
+LENS = Camera(320, 240, 340.0, 340.0, 160.0, 120.0)
+
+
+@pytest.fixture
+def walls(two_walls: Callable[..., Scene]) -> Scene:
+    return two_walls(LENS)
+
+
+def findings(scene: Scene) -> list[Finding]:
+    return check_evidence(Evidence.gather(scene))
+
+
+def named(found: list[Finding], cause: str) -> set[str]:
+    """Views that findings of one cause name; {""} where they name the cause alone."""
+    own = [finding for finding in found if finding.cause == cause]
+    return {name for finding in own for name in finding.evidence.get("views", {"": 0})}
+
+
+def test_untouched_pictures_have_no_findings(walls: Scene) -> None:
+    assert findings(walls) == []
+
+
+def test_single_poses_are_named(walls: Scene, tmp_path) -> None:
+    injured, hurt = injure.moved_poses(walls, 3.0, tmp_path)
+    found = findings(injured)
+    assert named(found, "pose") == hurt and {finding.cause for finding in found} == {"pose"}
+    sizes = [size for finding in found for size in finding.evidence["views"].values()]
+    assert all(1.5 < size < 4.5 for size in sizes)  # it was moved by 3 px; what its matches do not fix stays
+
+
+def test_a_wrong_distortion_is_named_for_all_views(walls: Scene, tmp_path) -> None:
+    injured, _ = injure.wrong_distortion(walls, 6.0, tmp_path)
+    (found,) = [one for one in findings(injured) if one.cause == "intrinsics"]
+    assert found.where == "all views" and "distortion" in found.what
+    true = walls.views[0].camera.k1 - injured.views[0].camera.k1
+    assert found.evidence["change"][1] == pytest.approx(true, rel=0.2)
+
+
+def test_blurred_views_are_named_with_their_blur(walls: Scene, tmp_path) -> None:
+    injured, hurt = injure.blurred(walls, 2.5, tmp_path)
+    found = findings(injured)
+    assert named(found, "blur") == hurt
+    sizes = [size for one in found if one.cause == "blur" for size in one.evidence["views"].values()]
+    assert all(1.5 < size < 3.5 for size in sizes)
+
+
+def test_exposure_and_white_balance_are_told_apart(walls: Scene, tmp_path) -> None:
+    darker, hurt = injure.wrong_exposure(walls, 0.6, tmp_path)
+    found = findings(darker)
+    assert named(found, "exposure") == hurt and not named(found, "white balance")
+    assert {round(gain, 1) for gain in found[0].evidence["views"].values()} == {0.6}
+    warmer, hurt = injure.wrong_white(walls, 1.4, tmp_path / "white")
+    found = findings(warmer)
+    assert named(found, "white balance") == hurt and not named(found, "exposure")
+
+
+def test_a_thing_that_moves_is_named_with_its_region(walls: Scene, tmp_path) -> None:
+    injured, _ = injure.moving_thing(walls, 35.0, tmp_path)
+    (found,) = [one for one in findings(injured) if one.cause == "motion"]
+    assert found.evidence["matches"] >= motion.FEWEST and len(found.evidence["regions"]) >= 6
+    for left, top, right, bottom in found.evidence["regions"].values():
+        assert 0 <= left < right <= 320 and 0 <= top < bottom <= 240
+
+
+def test_coherent_matches_are_told_from_random_ones() -> None:
+    random = np.random.default_rng(0)
+    a = random.uniform(0, 300, (60, 2))
+    turned = a @ np.array([[0.9, 0.2], [-0.2, 0.9]]) + 40
+    scattered = random.uniform(0, 300, (60, 2))
+    assert motion.coherent(a, turned, 100).mean() > 0.9
+    assert motion.coherent(a, scattered, 100).mean() < 0.05
+    assert not motion.coherent(a[:3], turned[:3], 100).any()
+
+
+def test_a_view_without_neighbours_is_named(walls: Scene) -> None:
+    angles = np.deg2rad([*range(0, 200, 10), 270])
+    views = tuple(
+        replace(walls.views[0], name=f"{k}", world_from_camera=pose.look_at((4 * np.cos(a), 4 * np.sin(a), 1), (0, 0, 0)))
+        for k, a in enumerate(angles)
+    )
+    (found,) = coverage.find(walls.with_views(views))
+    assert "20" in found.evidence["views"] and found.cause == "coverage"
+    assert coverage.find(walls.with_views(views[:20])) == []
+    assert coverage.find(walls.with_views(views[::7]))[0].what == "views are too far apart"
