@@ -82,7 +82,7 @@ def truth(trained: TrainedModel, view: View, camera: Camera) -> np.ndarray:
     picture = read_scaled(view, camera.width / view.camera.width)
     if picture.shape[:2] != (camera.height, camera.width):
         picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(np.clip(over(picture, trained.renderer.behind), 0, 1), np.float32)
+    return np.ascontiguousarray(np.clip(over(picture, np.asarray(trained.renderer.behind, np.float32)), 0, 1), np.float32)
 
 
 def write(diagnosis: Diagnosis, trained: TrainedModel, out: Path, *, made_by: str = "") -> Path:

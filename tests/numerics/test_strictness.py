@@ -104,7 +104,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
 
     def total(model: Model, edges: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         samples = RaySamples.from_edges(edges)
-        cloud = cloud_of(rays, samples, bounded=False, footprint=Footprint())
+        cloud = cloud_of(rays, samples, space=BALL, footprint=Footprint())
         rendered, density = render(model.field, rays, samples, cloud)
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
         terms |= objective.distortion_term(rendered, samples, 0.01) | objective.decay_term(model, 0.1)

@@ -22,7 +22,7 @@ SMALLEST = 3
 """Smallest number of pictures of a group."""
 FEW = 8
 LEAST_TURN = np.deg2rad(4.0)
-"""A camera with fewer pictures, or one that turns less than this about a second axis (root mean square), keeps one focal length
+"""A camera with fewer pictures, or one that turns less than this about a second axis (RMS), keeps one focal length
 and one coefficient of distortion: where it only walks around at one height, a wrong principal point looks like another height."""
 LARGEST_PX = 2.0
 """Observations further than this from their projected point are dropped at the end [px of the picture that was searched]."""

@@ -83,7 +83,7 @@ def _surroundings(found: Evidence, config: Config) -> Skip:
 
 
 def _contraction(found: Evidence, config: Config) -> Skip:
-    skipped = found.bounded or found.frustum is not None
+    skipped = found.frustum is not None
     if found.frustum is not None:
         evidence = f"all cameras look the same way: {np.rad2deg(np.arctan(found.frustum.across)):.0f} deg hold all that they see"
     elif found.bounded:

@@ -15,7 +15,7 @@ from reconstruct.field.cloud import (
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 from reconstruct.scene.contraction import contract, contraction_scale
 from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BOX
+from reconstruct.scene.space import BALL, BOX
 
 HEXAGONS = jax.jit(hexagons_in_frustums, static_argnums=3)
 
@@ -68,7 +68,7 @@ def test_gaussians_are_as_wide_as_their_distance_asks() -> None:
 
 
 def test_intervals_of_no_length_are_finite() -> None:
-    cloud = HEXAGONS(some_rays(), jnp.zeros((5, 3)), jnp.zeros(5), False)
+    cloud = HEXAGONS(some_rays(), jnp.zeros((5, 3)), jnp.zeros(5), BALL)
     assert np.isfinite(cloud.points).all()
     np.testing.assert_array_equal(cloud.scale, 0)
 
@@ -93,10 +93,10 @@ def test_features_are_averaged_over_groups_in_contracted_space() -> None:
     lattice = PermutohedralLattice.create(jax.random.key(0), levels=2, features=2, log2_size=8, coarsest=2.0, finest=4.0)
     points, scale = jax.random.normal(jax.random.key(1), (3, 18)) * 3, jnp.linspace(0.01, 0.2, 18)
     assert (jnp.linalg.norm(points, axis=0) > 1).any()
-    features = jax.jit(lambda c: c.encoded(lattice))(Cloud(points, scale, False, 6))
+    features = jax.jit(lambda c: c.encoded(lattice))(Cloud(points, scale, BALL, 6))
     plain = jax.jit(lattice.__call__)(contract(points.T).T, scale * contraction_scale(points.T))
     np.testing.assert_allclose(features, plain.reshape(4, 3, 6).mean(-1), atol=1e-9)
-    averaged, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, scale, False, 6))
+    averaged, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, scale, BALL, 6))
     np.testing.assert_allclose(averaged, features, atol=1e-9)
     assert jacobian.shape == (4, 3, 3)
 
@@ -109,10 +109,10 @@ def test_points_that_are_followed_get_the_gradient_of_the_features(group: int) -
     points, weights = jax.random.normal(jax.random.key(1), (3, 18)) * 0.6, jax.random.normal(jax.random.key(3), (4, 18 // group))
     lengths = jnp.linalg.norm(points, axis=0)
     assert (lengths > 1).any() and (lengths < 1).any()
-    encoded = jax.jit(lambda p, followed: Cloud(p, None, False, group, followed).encoded(lattice), static_argnums=1)
+    encoded = jax.jit(lambda p, followed: Cloud(p, None, BALL, group, followed).encoded(lattice), static_argnums=1)
     np.testing.assert_allclose(encoded(points, True), encoded(points, False), atol=1e-6)  # sums in another order
     slopes = [jax.grad(lambda p, f=followed: jnp.sum(weights * encoded(p, f)))(points) for followed in (True, False)]
-    _, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, None, False, group))
+    _, jacobian = jax.jit(lambda c: c.encoded_with_jacobian(lattice))(Cloud(points, None, BALL, group))
     expected = np.einsum("cn,cxn->xn", weights, jacobian)
     np.testing.assert_allclose(slopes[0].reshape(3, -1, group).sum(-1), expected, atol=1e-5 * np.abs(expected).max())
     assert np.abs(expected).max() > 0.1 and not slopes[1].any()
@@ -136,8 +136,8 @@ def test_one_gaussian_has_the_frustum_s_mean_and_variances(t0: float, t1: float)
 @pytest.mark.parametrize("group", [1, 6])
 def test_some_of_the_places_keep_their_gaussians(group: int) -> None:
     points, scale = jax.random.normal(jax.random.key(2), (3, 5 * group)), jnp.linspace(0.01, 0.2, 5 * group)
-    some = Cloud(points, scale, True, group).of(jnp.array([3, 0, 3]))
+    some = Cloud(points, scale, BOX, group).of(jnp.array([3, 0, 3]))
     entries = np.concatenate([np.arange(i * group, (i + 1) * group) for i in (3, 0, 3)])
     np.testing.assert_array_equal(some.points, points[:, entries])
     np.testing.assert_array_equal(some.scale, scale[entries])
-    assert some.group == group and Cloud(points, None, True, group).of(jnp.array([1])).scale is None
+    assert some.group == group and Cloud(points, None, BOX, group).of(jnp.array([1])).scale is None

@@ -58,7 +58,7 @@ def test_gradients_are_finite_where_the_field_is_flat() -> None:
     empty = jax.tree.map(jnp.zeros_like, Field.create(jax.random.key(0), ENCODING, FIELD))
 
     def total(field: Field) -> jax.Array:
-        density, material, normals = field.with_normals(Cloud(jnp.zeros((3, 4)), None, False))
+        density, material, normals = field.with_normals(Cloud(jnp.zeros((3, 4)), None, BALL))
         shading = field.shade(material, jnp.ones((3, 4)) / np.sqrt(3))
         return jnp.sum(density) + jnp.sum(normals**2) + jnp.sum(shading.rgb) + jnp.sum(material.stacked())
 

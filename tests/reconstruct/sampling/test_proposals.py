@@ -7,6 +7,7 @@ from reconstruct.config import EncodingConfig
 from reconstruct.field.cloud import Cloud
 from reconstruct.sampling.proposals import Proposal, Spacing, propose
 from reconstruct.scene.rays import Normalisation, Rays
+from reconstruct.scene.space import BOX
 
 
 @pytest.mark.parametrize("bounded", [True, False])
@@ -49,6 +50,6 @@ def test_samples_gather_where_density_is() -> None:
 def test_a_proposal_s_resolutions_double_up_to_its_finest() -> None:
     proposal = Proposal.create(jax.random.key(0), EncodingConfig(coarsest=8, log2_size=6), 64.0, 0.5)
     np.testing.assert_allclose(proposal.encoding.resolutions, [8, 16, 32, 64])
-    density = jax.jit(lambda p: proposal.density(Cloud(p, None, True)))(jnp.zeros((3, 4)))
+    density = jax.jit(lambda p: proposal.density(Cloud(p, None, BOX)))(jnp.zeros((3, 4)))
     assert density.shape == (4,)
     assert (density > 0).all()
