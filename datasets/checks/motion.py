@@ -53,8 +53,8 @@ def coherent(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> ND
 
     if len(a) <= COMPANIONS:
         return np.zeros(len(a), bool)
-    distance, near = KDTree(a).query(a, COMPANIONS + 1)
-    near, close = near[:, 1:], distance[:, -1] < reach
+    distance, index = map(np.asarray, KDTree(a).query(a, COMPANIONS + 1))
+    near, close = index[:, 1:], distance[:, -1] < reach
     p, q = (values[..., 0] + 1j * values[..., 1] for values in (a, b))
     middle_p, middle_q = p[near].mean(1), q[near].mean(1)
     from_p, to_q = p[near] - middle_p[:, None], q[near] - middle_q[:, None]

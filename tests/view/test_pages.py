@@ -130,7 +130,7 @@ def test_a_calibration_shows_its_target_and_what_is_missing(browse: Callable[[st
         show(page, calibration)
         window = browse(page.url)
         window.until(lambda p: near(p, (30, 30, 30)) > 200 and near(p, (235, 235, 235), 15) > 200, "dark and light squares")
-        window.page.get_by_text("the recording is not there").wait_for(timeout=1e3 * window.PATIENCE_S)
+        window.page.get_by_text("the recording is missing").wait_for(timeout=1e3 * window.PATIENCE_S)
         assert window.page.locator("img").count() >= 1
         window.page.get_by_text("translation: 300.000 ±").first.wait_for(timeout=1e3 * window.PATIENCE_S)
         assert window.errors == [] and window.outside() == []
