@@ -11,10 +11,11 @@ from itertools import combinations_with_replacement
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
 from datasets.imaging.images import linear_from_srgb
 from datasets.scene import View
+from datasets.structure.votes import PIXELS_APART
 from reconstruct.scene.light import LightFrame
 from reconstruct.scene.rays import Pixels
 
@@ -47,7 +48,9 @@ def errors(
     chosen = rng.permutation(np.flatnonzero(np.asarray(pixels.colour[:, 3]) > 0.99))[:PIXELS]
     rays, colour = pixels.take(jnp.asarray(np.sort(chosen)))
     viewdirs = np.asarray(rays.viewdirs, np.float64)
-    points, normals = _hull_points(np.asarray(rays.origins, np.float64), viewdirs, possible)
+    origins = np.asarray(rays.origins, np.float64)
+    pixel = np.median(np.asarray(rays.radii) * np.linalg.norm(origins, axis=-1)) * np.sqrt(12) / 2
+    points, normals = _hull_points(origins, viewdirs, possible, pixel)
     facing = -np.sum(normals * viewdirs, -1)
     seen = facing > GRAZING
     view = np.asarray(rays.view)[seen]
@@ -75,15 +78,25 @@ def monomials(directions: Vectors, degree: int) -> Float[np.ndarray, "n terms"]:
     return np.stack([directions[:, list(each)].prod(-1) for each in chosen], -1)
 
 
-def _hull_points(origins: Vectors, viewdirs: Vectors, possible: Bool[np.ndarray, " cells"]) -> tuple[Vectors, Vectors]:
-    """Where rays meet the hull, smoothed, and its unit outward normals; zero normals for those that miss it."""
+def _hull_points(
+    origins: Vectors, viewdirs: Vectors, possible: Bool[np.ndarray, " cells"], pixel: float
+) -> tuple[Vectors, Vectors]:
+    """Where rays meet the hull, smoothed, and its unit outward normals; zero normals for those that miss it.
+
+    Args:
+        pixel: width of a pixel at the object [scene unit]. Cells are left that are partly inside the masks, or nearly so:
+            the hull is as much smaller.
+    """
     size = round(len(possible) ** (1 / 3))
-    soft = gaussian_filter(possible.reshape((size,) * 3).astype(np.float32), 1.5)
+    solid = possible.reshape((size,) * 3)
+    wider = np.sqrt(3) / 2 + PIXELS_APART * pixel * size / 2
+    depth = distance_transform_edt(solid) - distance_transform_edt(~solid) - wider
+    soft = gaussian_filter(depth.astype(np.float32), 1.5)
     nearest, reach = -np.sum(origins * viewdirs, -1), np.sqrt(3)
     t = nearest[:, None] + np.linspace(-reach, reach, STEPS)
     along = origins[:, None] + t[..., None] * viewdirs[:, None]
     cell = np.clip((along + 1) / 2 * size, 0, size - 1).astype(int)
-    inside = (soft[tuple(np.moveaxis(cell, -1, 0))] > 0.5) & np.all(np.abs(along) < 1, -1)
+    inside = (soft[tuple(np.moveaxis(cell, -1, 0))] > 0) & np.all(np.abs(along) < 1, -1)
     points = along[np.arange(len(t)), inside.argmax(-1)]
     place = ((points + 1) / 2 * size - 0.5).T
     slope = np.stack([map_coordinates(axis, place, order=1, mode="nearest") for axis in np.gradient(soft)], -1)

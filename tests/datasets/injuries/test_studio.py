@@ -54,9 +54,8 @@ def test_masks_of_the_studio_fit_and_wrong_ones_do_not(floating: Scene, tmp_path
             assert 3.5 < np.linalg.norm(figures[key]) < 8.5  # 6 px, on a grid with cells of two
 
 
-@pytest.mark.xfail(reason="the evidence on light is too weak in 18 views of this size")
 def test_light_that_moves_with_the_camera_is_named(tmp_path: Path) -> None:
-    still, moving = (write(Studio(views=18, lamps=frame, directed=0.3), tmp_path / frame) for frame in ("world", "camera"))
+    still, moving = (write(Studio(views=30, lamps=frame, directed=0.3), tmp_path / frame) for frame in ("world", "camera"))
     assert light.find(Evidence.gather(still)) == []
     (found,) = light.find(Evidence.gather(moving))
     assert found.cause == "light" and found.evidence["frame"] in ("camera", "turntable") and found.evidence["margin"] > 0.12
