@@ -24,6 +24,8 @@ PATIENCE = 0.2
 WORTH_DB = 0.1
 """A branch that brings the pilot less than this is not worth having [dB]."""
 
+BOTTLENECK = 8
+"""Fewest channels handed to the view network where nothing says what the object is: each place may have its own light there."""
 UNREGULARISED = {
     "surface": {"enabled": False},
     "losses": {"orientation": 0.0, "predicted_normals": 3e-4, "density_normals": 0.0, "hollowness": 0.0},
@@ -104,7 +106,8 @@ def _empty_rays(found: Evidence, config: Config) -> Skip:
 def _regularisers(found: Evidence, config: Config) -> Decision:
     skipped = not found.object_known and config.skip.regularisers
     if skipped:
-        config = merged_config(config, UNREGULARISED)
+        bottleneck = max(config.field.bottleneck, BOTTLENECK)
+        config = merged_config(config, {**UNREGULARISED, "field": {"bottleneck": bottleneck}})
     evidence = "masks or the scene's box say what the object is" if found.object_known else "nothing says what the object is"
     return config, Skip.of("regularisers", skipped, evidence, "the second pass, and the normals of first surfaces")
 
