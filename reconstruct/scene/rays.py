@@ -75,7 +75,7 @@ class Normalisation:
         reach = (high - low).max() / 2 if bounded else np.linalg.norm(high - low) / 2
         scale = float(1 / max(reach, 1e-12))
         far = scene.far * scale if np.isfinite(scene.far) else 1e3
-        return cls(tuple(((low + high) / 2).tolist()), scale, bounded, scene.near * scale, min(far, 1e3), backdrop)
+        return cls(tuple(((low + high) / 2).tolist()), scale, bounded, float(scene.near * scale), float(min(far, 1e3)), backdrop)
 
     @property
     def space(self) -> Space:
