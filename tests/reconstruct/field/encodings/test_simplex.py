@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reconstruct.field.encodings import simplex
+from reconstruct.numerics.compiling import barrier
 
 SCALE = 3.7
 
@@ -16,9 +17,13 @@ def lifted(points: np.ndarray) -> np.ndarray:
 
 @jax.jit
 def search(points: jax.Array) -> dict[str, jax.Array]:
-    """Vertices (4 vertices, 4 coordinates, n), ranks, weights and their slopes, as the module gives them."""
-    e = simplex.lift(*(points * SCALE))
-    code = simplex.ordering(e)
+    """Vertices (4 vertices, 4 coordinates, n), ranks, weights and their slopes, as the module gives them.
+
+    Barriers stand where the encoding has them: else the compiler may lift a point twice, with other last digits, and a
+    point halfway between two integers is rounded in two ways.
+    """
+    e = barrier(simplex.lift(*(points * SCALE)))
+    code = barrier(simplex.ordering(e))
     ranks = jnp.stack([simplex.rank_of(code, i) for i in range(4)])
     origins = jnp.stack([simplex.origin_of(e, code, i) for i in range(4)])
     corners = jnp.stack([4 * origins + k - 4 * (ranks > 3 - k) for k in range(4)])
