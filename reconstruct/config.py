@@ -173,7 +173,7 @@ class TrainConfig(Schema):
     )
     accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
     per_image: Literal["auto", "none", "exposure", "colour"] = setting(
-        "none", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
+        "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )
     patience: float = setting(
         0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1

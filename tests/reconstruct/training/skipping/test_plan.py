@@ -24,7 +24,7 @@ FOUND = Evidence(
 
 def planned(found: Evidence = FOUND, gain: float = 3.0, **skip: bool) -> tuple[Config, dict[str, Skip]]:
     """A plan for the fast preset with these skips on or off, and its decisions by name."""
-    base = load_config(overrides=["train.per_image=auto", *(f"skip.{name}={str(value).lower()}" for name, value in skip.items())])
+    base = load_config(overrides=[*(f"skip.{name}={str(value).lower()}" for name, value in skip.items())])
     config, skips = plan(found, base, lambda: gain)
     assert [skip.name for skip in skips] == list(dict.fromkeys(skip.name for skip in skips)), "one decision each"
     return config, {skip.name: skip for skip in skips}
