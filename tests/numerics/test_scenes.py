@@ -51,6 +51,7 @@ def loaded(scene: Scene, normalisation: Normalisation) -> Pixels:
         return Pixels.load(views, normalisation, 1.0, shown)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_scene_trains_alike_in_millimetres_metres_and_kilometres(make_scene: Callable[..., Scene]) -> None:
     """Within 0.2 dB: rays agree to an ulp or two, which a training makes larger."""

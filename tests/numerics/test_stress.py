@@ -136,12 +136,15 @@ def stress(group: Group, rng: np.random.Generator, pictures: str) -> None:
     assert last <= 2 * first + 0.1, "the error grows"  # of at most 1536 random pixel values: its noise is a tenth at most
 
 
-FAST = (("surfnerf", "fast"), ("surfnerf", "paper"))
+FAST = [
+    pytest.param("surfnerf", "fast", id="surfnerf-fast"),
+    pytest.param("surfnerf", "paper", id="surfnerf-paper", marks=pytest.mark.slow),
+]
 EVERY = [(model, preset) for model in models.names() if model != "finetune" for preset in models.PRESETS]
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(("model", "preset"), FAST, ids=["-".join(pair) for pair in FAST])
+@pytest.mark.parametrize(("model", "preset"), FAST)
 def test_a_dozen_short_trainings_stay_finite(model: str, preset: str) -> None:
     rng = np.random.default_rng(7)
     group = Group(*settings_of(rng, model, preset))

@@ -39,6 +39,7 @@ class Opened:
     """An open file."""
 
     node: Node
+    path: Path
     place: int = 0
     append: bool = False
 
@@ -110,14 +111,16 @@ class Disk:
         assert node is not None
         if "O_TRUNC" in flags and node.live:
             node.live, changed = bytearray(), True
-        self.opened[call.result] = Opened(node, append="O_APPEND" in flags)
+        self.opened[call.result] = Opened(node, path, append="O_APPEND" in flags)
         return changed
 
     _open = _creat = _openat
 
     def _close(self, call: Call) -> bool:
-        if self._inside(path_of(call.arguments[0])) is not None:
-            self.opened.pop(descriptor_of(call.arguments[0]), None)
+        """Forget a descriptor, unless another thread got it for another file before strace logged that it was closed."""
+        opened = self.opened.get(descriptor_of(call.arguments[0]))
+        if opened is not None and opened.path == path_of(call.arguments[0]):
+            del self.opened[descriptor_of(call.arguments[0])]
         return False
 
     def _dup(self, call: Call) -> bool:

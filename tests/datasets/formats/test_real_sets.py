@@ -124,6 +124,7 @@ def test_dtu_scales_its_matrices_and_sees_its_object(real_data: Folder) -> None:
     assert view.read().shape == (600, 800, 4)
 
 
+@pytest.mark.slow
 def test_dtu_with_other_names_and_inverted_masks(real_data: Folder, tmp_path: Path) -> None:
     """Links to the set's own images under other names; twelve of its masks, white around the object, at half their size."""
     source, linked = real_data("dtu_scan37"), tmp_path / "scan37"

@@ -54,6 +54,7 @@ def test_masks_of_the_studio_fit_and_wrong_ones_do_not(floating: Scene, tmp_path
             assert 3.5 < np.linalg.norm(figures[key]) < 8.5  # 6 px, on a grid with cells of two
 
 
+@pytest.mark.slow
 def test_light_that_moves_with_the_camera_is_named(tmp_path: Path) -> None:
     still, moving = (write(Studio(views=30, lamps=frame, directed=0.3), tmp_path / frame) for frame in ("world", "camera"))
     assert light.find(Evidence.gather(still)) == []
