@@ -10,6 +10,7 @@ from datasets.core import console, options
 from datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
 from datasets.edit import commands
 from datasets.process import command
+from datasets.segmentation import command as segmentation
 
 app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
@@ -242,6 +243,7 @@ def bench_reading(
 
 commands.add_to(app)
 command.add_to(app)
+segmentation.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

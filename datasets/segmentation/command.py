@@ -1,0 +1,118 @@
+"""The command `datasets mask`; `datasets.cli` registers it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from datasets.core import console, options
+from datasets.core.options import DataRoot, Json, OutFolder, Port
+
+if TYPE_CHECKING:
+    from datasets.segmentation.grow import Grower, Grown
+    from datasets.segmentation.space import Ball
+    from datasets.segmentation.strokes import Stroke
+
+DOUBTFUL = 0.75
+"""Agreement of a mask with the other views below which the view is named."""
+MOST_NAMED = 5
+
+Centre = Annotated[
+    tuple[float, float, float, float] | None,
+    typer.Option(
+        "--ball",
+        metavar="X Y Z RADIUS",
+        help="Where the object is; by default where all cameras look, or the stated box if that is smaller.",
+    ),
+]
+Strokes = Annotated[Path | None, typer.Option(metavar="FILE", help="Corrections, as --page writes them.")]
+InPage = Annotated[bool, typer.Option("--page", help="Show the masks in the browser and correct them with a brush.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command()(mask)
+
+
+def mask(
+    scene: options.Scene,
+    out: OutFolder,
+    ball: Centre = None,
+    strokes: Strokes = None,
+    page: InPage = False,
+    port: Port = 8080,
+    data_root: DataRoot = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene with masks of its object, found where all views agree.
+
+    Cameras should look at the object from all around, and it should differ from what is behind it in colour."""
+    from datasets.core import files
+    from datasets.formats import load_scene
+    from datasets.segmentation import strokes as corrections
+    from datasets.segmentation.grow import ROUNDS, Grower
+    from datasets.segmentation.write import write
+
+    files.refuse_existing(out)
+    loaded = load_scene(scene, data_root=data_root)
+    drawn = corrections.read(strokes, (view.name for view in loaded.views)) if strokes is not None else []
+    with console.progress("reading", len(loaded.views), "views") as shown:
+        grower = Grower(loaded, _ball(ball), done=shown.advance)
+    with console.progress("cutting", ROUNDS * len(loaded.views), "cuts") as shown:
+        found = grower.grow(drawn, done=shown.advance)
+    if not page:
+        _refuse_nothing(found, scene)
+    else:
+        _serve(grower, found, drawn, out, port, as_json)
+    with console.progress("writing", len(loaded.views), "views") as shown:
+        write(loaded, found, drawn, out, done=shown.advance)
+    doubtful = doubts(grower, found)
+    lines = [
+        f"{len(loaded.views)} masks written to {out}; they agree by {found.agreement.mean():.0%} with those of the other views"
+    ]
+    lines += [f"look at {name}: {share:.0%}" for name, share in list(doubtful.items())[:MOST_NAMED]]
+    if doubtful:
+        lines.append("correct them with a brush: --page, and a new --out")
+    result = {"out": str(out), "views": len(loaded.views), "agreement": float(found.agreement.mean()), "doubtful": doubtful}
+    console.report(result, as_json=as_json, text="\n".join(lines))
+
+
+def _refuse_nothing(found: "Grown", scene: str) -> None:
+    """Raise DatasetError where most masks are empty."""
+    from datasets.core.errors import DatasetError
+
+    if 2 * sum(not mask.any() for mask in found.masks) > len(found.masks):
+        what, why = "no object on which the views agree", "most cameras do not look at it, or it has the colours behind it"
+        raise DatasetError(what, where=scene, why=why, remedy="say where it is with --ball, or draw it with --page")
+
+
+def doubts(grower: "Grower", found: "Grown") -> dict[str, float]:
+    """Agreement of the views whose masks the others do not confirm, the worst first."""
+    named = {view.name: float(share) for view, share in zip(grower.views, found.agreement, strict=True) if share < DOUBTFUL}
+    return dict(sorted(named.items(), key=lambda one: one[1]))
+
+
+def _serve(grower: "Grower", found: "Grown", drawn: list["Stroke"], out: Path, port: int, as_json: bool) -> None:
+    from datasets.page import open_page
+    from datasets.segmentation.page.brush import MaskPage
+
+    with open_page(f"masks of {grower.scene.name}", port) as served:
+        MaskPage(served, grower, found, drawn, out)
+        text = f"{served.url} shows the masks; nothing is written before 'write the scene' is pressed; Ctrl-C ends it"
+        console.report({"url": served.url, "out": str(out)}, as_json=as_json, text=text)
+        served.serve()
+
+
+def _ball(given: tuple[float, float, float, float] | None) -> "Ball | None":
+    import numpy as np
+
+    from datasets.core.errors import UsageError
+    from datasets.segmentation.space import Ball
+
+    if given is None:
+        return None
+    if not np.isfinite(given).all() or given[3] <= 0:
+        raise UsageError(
+            "is no ball", where="--ball", why=f"radius {given[3]}", remedy="four finite numbers, the radius above zero"
+        )
+    return Ball(np.array(given[:3]), given[3])

@@ -1,0 +1,1 @@
+"""Masks looked at in the browser, and corrected with a brush."""
