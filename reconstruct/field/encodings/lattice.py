@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.field.encodings.encoding import blurred
+from reconstruct.field.encodings.encoding import Scale, blurred
 from reconstruct.field.encodings.grid import HashedGrid
 from reconstruct.field.encodings.simplex import (
     VERTICES_PER_UNIT_VOLUME,
@@ -23,6 +23,8 @@ from reconstruct.field.encodings.simplex import (
     weight_slopes,
 )
 from reconstruct.field.encodings.tables import PRIMES, row_of, starts
+from reconstruct.kernels import native
+from reconstruct.kernels.encoding import encode
 from reconstruct.numerics.compiling import barrier
 
 
@@ -47,6 +49,31 @@ def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...
 
 class PermutohedralLattice(HashedGrid):
     """Simplicial grid; levels are weighted by `ball_share`. Its derivative is constant inside a simplex."""
+
+    def __call__(self, points: Float[Array, "3 n"], scale: Scale | None = None) -> Float[Array, "channels n"]:
+        """See `HashedGrid`; by compiled loops where they can run."""
+        if native.usable(points, self.table):
+            return self._encoded(points, scale, with_slopes=False)[0]
+        return super().__call__(points, scale)
+
+    def value_and_jacobian(
+        self, points: Float[Array, "3 n"], scale: Scale | None = None
+    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
+        """See `HashedGrid`; by compiled loops where they can run."""
+        if native.usable(points, self.table):
+            value, slopes = self._encoded(points, scale, with_slopes=True)
+            assert slopes is not None
+            return value, slopes
+        return super().value_and_jacobian(points, scale)
+
+    def _encoded(
+        self, points: Float[Array, "3 n"], scale: Scale | None, *, with_slopes: bool
+    ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"] | None]:
+        resolution = np.array(self.resolutions, np.float32)
+        share = ball_share(blurred(self.blur, scale), resolution[:, None])
+        units = resolution * np.float32(VERTICES_PER_UNIT_VOLUME)
+        sizes = np.stack([np.array(self.log2_sizes, np.int32), starts(self.log2_sizes)[:, 0]])
+        return encode(self.table, jax.lax.stop_gradient(points), share, units, sizes, with_slopes=with_slopes)
 
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
         """Rows of the four vertices around each point and sets of four coefficients, each (levels, n)."""

@@ -1,0 +1,177 @@
+"""What a compiled kernel sees of a call from XLA: arrays that are read, arrays that are written.
+
+XLA calls a kernel with the address of one structure, `XLA_FFI_CallFrame`; numbers below are offsets of its fields and of those
+that it points to [bytes], on machines of 64 bits (`xla/ffi/api/c_api.h`, version 0.3, which comes with jaxlib). `probe` reports
+the sizes that the structures really have; `native` refuses to go on with others.
+
+Functions here are compiled by Numba into the kernels that use them. An address is an integer.
+"""
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, cfunc, njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+OPTIONS = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
+"""Of the compiler: no exception is raised, products and sums may be joined."""
+EXACT = {"error_model": "numpy", "fastmath": False}
+"""The same with each operation rounded by itself."""
+
+CALL_FRAME = {"size": 168, "extension": 8, "api": 16, "context": 24, "stage": 32, "arguments": 40, "results": 80}
+BUFFERS = {"size": 40, "count": 16, "list": 32}
+BUFFER = {"size": 48, "data": 24, "dims": 40}
+API = {"version": 16, "schedule": 136, "end_of_schedule": 144}
+METADATA_EXTENSION, METADATA, MAJOR, MINOR = 1, 24, 24, 28
+"""Type of the extension by which XLA asks for a kernel's version, and where the answer goes."""
+VERSION = (0, 1)
+"""Of the interface that kernels use: none of what came later."""
+EXECUTE = 3
+"""The stage in which a kernel computes."""
+
+_ARGUMENT_LIST, _RESULT_LIST = CALL_FRAME["arguments"] + BUFFERS["list"], CALL_FRAME["results"] + BUFFERS["list"]
+_ARGUMENT_COUNT, _RESULT_COUNT = CALL_FRAME["arguments"] + BUFFERS["count"], CALL_FRAME["results"] + BUFFERS["count"]
+_EXTENSION, _STAGE, _DATA, _DIMS = CALL_FRAME["extension"], CALL_FRAME["stage"], BUFFER["data"], BUFFER["dims"]
+
+
+def handler(function):
+    """Decorator: a compiled kernel, a function of the frame's address that returns zero."""
+    return cfunc(types.int64(types.int64), cache=True, **OPTIONS)(function)
+
+
+def compiled(function):
+    """Decorator: a part of a kernel."""
+    return njit(**OPTIONS)(function)
+
+
+def compiled_exactly(function):
+    """Decorator: a part of a kernel whose operations are rounded one by one, as they are written."""
+    return njit(**EXACT)(function)
+
+
+@intrinsic
+def load_word(context, address):
+    """The integer of 64 bits at an address."""
+
+    def code(context, builder, signature, arguments):
+        return builder.load(builder.inttoptr(arguments[0], ir.IntType(64).as_pointer()))
+
+    return types.int64(types.int64), code
+
+
+@intrinsic
+def load_half_word(context, address):
+    """The integer of 32 bits at an address."""
+
+    def code(context, builder, signature, arguments):
+        return builder.load(builder.inttoptr(arguments[0], ir.IntType(32).as_pointer()))
+
+    return types.int32(types.int64), code
+
+
+@intrinsic
+def store_word(context, address, value):
+    """Write an integer of 64 bits."""
+
+    def code(context, builder, signature, arguments):
+        builder.store(arguments[1], builder.inttoptr(arguments[0], ir.IntType(64).as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), code
+
+
+@intrinsic
+def store_half_word(context, address, value):
+    """Write an integer of 32 bits."""
+
+    def code(context, builder, signature, arguments):
+        builder.store(arguments[1], builder.inttoptr(arguments[0], ir.IntType(32).as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int32), code
+
+
+@intrinsic
+def _as_pointer(context, address):
+    """The address as `carray` takes it."""
+
+    def code(context, builder, signature, arguments):
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(types.int64), code
+
+
+@njit
+def executes(frame):
+    """Whether a kernel has to compute now; where XLA asks for its version, it is answered."""
+    extension = load_word(frame + _EXTENSION)
+    if extension != 0 and load_half_word(extension + 8) == METADATA_EXTENSION:
+        metadata = load_word(extension + METADATA)
+        store_half_word(metadata + MAJOR, np.int32(VERSION[0]))
+        store_half_word(metadata + MINOR, np.int32(VERSION[1]))
+        return False
+    return load_half_word(frame + _STAGE) == EXECUTE
+
+
+@njit
+def _argument(frame, index):
+    return load_word(load_word(frame + _ARGUMENT_LIST) + 8 * index)
+
+
+@njit
+def _result(frame, index):
+    return load_word(load_word(frame + _RESULT_LIST) + 8 * index)
+
+
+@njit
+def argument_count(frame):
+    """Number of arguments."""
+    return load_word(frame + _ARGUMENT_COUNT)
+
+
+@njit
+def result_count(frame):
+    """Number of results."""
+    return load_word(frame + _RESULT_COUNT)
+
+
+@njit
+def argument_size(frame, index, axis):
+    """Length of an argument along an axis."""
+    return load_word(load_word(_argument(frame, index) + _DIMS) + 8 * axis)
+
+
+@njit
+def result_size(frame, index, axis):
+    """Length of a result along an axis."""
+    return load_word(load_word(_result(frame, index) + _DIMS) + 8 * axis)
+
+
+@njit
+def argument(frame, index, shape, dtype):
+    """An argument as an array of this shape and type, which the caller knows."""
+    return carray(_as_pointer(load_word(_argument(frame, index) + _DATA)), shape, dtype)
+
+
+@njit
+def result(frame, index, shape, dtype):
+    """A result as an array to be written."""
+    return carray(_as_pointer(load_word(_result(frame, index) + _DATA)), shape, dtype)
+
+
+@handler
+def probe(frame):
+    """Sizes of the structures as XLA has them, the interface's version and the lengths of the argument, as nine integers."""
+    if executes(frame):
+        found = result(frame, 0, (9,), np.int32)
+        api = load_word(frame + 16)
+        found[0] = load_word(frame)
+        found[1] = load_word(frame + 40)
+        found[2] = load_word(frame + 80)
+        found[3] = load_word(_argument(frame, 0))
+        found[4] = load_word(api)
+        found[5] = load_half_word(api + 32)
+        found[6] = load_half_word(api + 36)
+        found[7] = argument_size(frame, 0, 0)
+        found[8] = argument_size(frame, 0, 1)
+    return 0
