@@ -20,7 +20,7 @@ EXACT = {"error_model": "numpy", "fastmath": False}
 
 CALL_FRAME = {"size": 168, "extension": 8, "api": 16, "context": 24, "stage": 32, "arguments": 40, "results": 80}
 BUFFERS = {"size": 40, "count": 16, "list": 32}
-BUFFER = {"size": 48, "data": 24, "dims": 40}
+BUFFER = {"size": 48, "data": 24, "rank": 32, "dims": 40}
 API = {"version": 16, "schedule": 136, "end_of_schedule": 144}
 METADATA_EXTENSION, METADATA, MAJOR, MINOR = 1, 24, 24, 28
 """Type of the extension by which XLA asks for a kernel's version, and where the answer goes."""
@@ -31,7 +31,8 @@ EXECUTE = 3
 
 _ARGUMENT_LIST, _RESULT_LIST = CALL_FRAME["arguments"] + BUFFERS["list"], CALL_FRAME["results"] + BUFFERS["list"]
 _ARGUMENT_COUNT, _RESULT_COUNT = CALL_FRAME["arguments"] + BUFFERS["count"], CALL_FRAME["results"] + BUFFERS["count"]
-_EXTENSION, _STAGE, _DATA, _DIMS = CALL_FRAME["extension"], CALL_FRAME["stage"], BUFFER["data"], BUFFER["dims"]
+_EXTENSION, _STAGE = CALL_FRAME["extension"], CALL_FRAME["stage"]
+_DATA, _RANK, _DIMS = BUFFER["data"], BUFFER["rank"], BUFFER["dims"]
 
 
 def handler(function):
@@ -133,6 +134,12 @@ def argument_count(frame):
 def result_count(frame):
     """Number of results."""
     return load_word(frame + _RESULT_COUNT)
+
+
+@njit
+def argument_rank(frame, index):
+    """Number of axes of an argument."""
+    return load_word(_argument(frame, index) + _RANK)
 
 
 @njit

@@ -20,7 +20,7 @@ from jaxtyping import Array
 from reconstruct.backend import cache_folder
 
 SWITCH = "KOALA_KERNELS"
-KERNELS = {"frame": ("probe",), "lattice": ("encode", "scatter")}
+KERNELS = {"frame": ("probe",), "lattice": ("encode", "scatter"), "descent": ("descend",)}
 """Compiled functions that XLA calls, by module of this folder."""
 
 

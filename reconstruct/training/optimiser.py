@@ -10,12 +10,15 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from reconstruct.config import Config, PoseConfig, TrainConfig
+from reconstruct.kernels import adam
 from reconstruct.rendering.model import Model
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.twists import without_gauge
 from reconstruct.training.schedules import late, learning_rate
 
-ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-15)
+DECAYS, SMALLEST = (0.9, 0.99), 1e-15
+"""Of Adam: what its mean and its mean square keep of the steps before, and what is added to the root of the latter."""
+ADAM = optax.scale_by_adam(b1=DECAYS[0], b2=DECAYS[1], eps=SMALLEST)
 
 
 @dataclass(frozen=True)
@@ -50,26 +53,60 @@ class Optimiser:
         Args:
             origins: the cameras' positions.
         """
-        train = self.train
+        train, state = self.train, _parameters(moments)
         rate = learning_rate(progress, rate=train.rate, final_rate=train.final_rate, warmup=train.warmup)
-        update, new_moments = ADAM.update(_parameters(gradient), moments)
-        rates = jax.tree.map_with_path(lambda path, _: rate * self._share(path), learned)
-        new = jax.tree.map(lambda p, u, r: p - r * u, learned, update, rates)
+        tables = jax.tree.map_with_path(lambda path, p: _is_table(path) and adam.takes(p), learned)
+        trees = [eqx.partition(tree, tables) for tree in (gradient, learned, state.mu, state.nu)]
+        others = self._others([rest for _, rest in trees], state.count, rate, progress, finite, origins)
+        new = _with_tables([table for table, _ in trees], others, state.count, rate, finite)
+        return new[0], optax.ScaleByAdamState(jnp.where(finite, optax.safe_increment(state.count), state.count), *new[1:])
+
+    def _others(
+        self,
+        trees: list[Model],
+        count: Array,
+        rate: Float[Array, ""],
+        progress: Float[Array, ""],
+        finite: Bool[Array, ""],
+        origins: Float[Array, "views 3"],
+    ) -> list[Model]:
+        """Parameters, means and squares of what no compiled kernel takes, from gradient, parameters, means and squares."""
+        gradient, learned, means, squares = trees
+        update, state = ADAM.update(_parameters(gradient), optax.ScaleByAdamState(count, _parameters(means), squares))
+        new = jax.tree.map_with_path(lambda path, p, u: p - rate * self._share(path) * u, learned, update)
         if learned.poses is not None:
             sigma = jnp.array(self.pose_sigma)
             step = self._pose_rate(progress) * without_gauge(_parameters(update).poses, origins, sigma)
             new = eqx.tree_at(lambda m: m.poses, new, learned.poses - step * sigma)
         keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, old)  # noqa: E731
-        return keep(new, learned), keep(new_moments, moments)
+        return [keep(new, learned), keep(_parameters(state).mu, means), keep(_parameters(state).nu, squares)]
 
     def _share(self, path: tuple[Any, ...]) -> float:
         """Factor on the learning rate of the parameter at `path`."""
-        return 1.0 if any(getattr(part, "name", "") == "table" for part in path) else self.train.network_share
+        return 1.0 if _is_table(path) else self.train.network_share
 
     def _pose_rate(self, progress: Float[Array, ""]) -> Float[Array, ""]:
         """Learning rate of poses, in the standard deviations of their corrections."""
         rate = learning_rate(progress, rate=self.poses.rate, final_rate=self.poses.final_rate, warmup=0.0)
         return late(progress, start=self.poses.start) * rate
+
+
+def _with_tables(
+    tables: list[Model], others: list[Model], count: Array, rate: Float[Array, ""], finite: Bool[Array, ""]
+) -> list[Model]:
+    """Parameters, means and squares of everything: those of tables, each read and written once, with those of the others."""
+    count = optax.safe_increment(count)
+    new: list[list[Array]] = [[], [], []]
+    for table in zip(*map(jax.tree.leaves, tables), strict=True):
+        found = adam.descended(*table, decays=DECAYS, smallest=SMALLEST, count=count, rate=rate, finite=finite)
+        for one, array in zip(new, found, strict=True):
+            one.append(array)
+    structure = jax.tree.structure(tables[0])
+    return [eqx.combine(jax.tree.unflatten(structure, one), rest) for one, rest in zip(new, others, strict=True)]
+
+
+def _is_table(path: tuple[Any, ...]) -> bool:
+    return any(getattr(part, "name", "") == "table" for part in path)
 
 
 def _parameters(model: Any) -> Any:

@@ -1,0 +1,65 @@
+"""One step of Adam as a compiled loop: gradient, both moments and parameter are each read once and written in place.
+
+Arrays of a call: gradient, parameter, mean, square (all of one shape), numbers (7,): the decays of both moments, the corrections of
+their bias, the smallest denominator, the rate, and one, or zero where the step is to be left out. Results: parameter, mean, square.
+"""
+
+from math import sqrt
+
+import numpy as np
+
+from reconstruct.kernels.chunks import address_of, in_chunks
+from reconstruct.kernels.frame import argument, argument_rank, argument_size, compiled, executes, handler, result
+
+CHUNK = 32768
+"""Numbers of a chunk: its seven arrays fit into the second-level cache."""
+f4 = np.float32
+
+
+@compiled
+def _size(frame):
+    size = 1
+    for axis in range(argument_rank(frame, 0)):
+        size *= argument_size(frame, 0, axis)
+    return size
+
+
+@compiled
+def _in_place(frame, index, size, first, last):
+    """The result that takes an argument's memory, with the argument's numbers in it from `first` to `last`."""
+    old, new = argument(frame, index + 1, (size,), np.float32), result(frame, index, (size,), np.float32)
+    if old.ctypes.data != new.ctypes.data:
+        new[first:last] = old[first:last]
+    return new[first:last]
+
+
+@compiled
+def _descend_chunk(frame, chunk):
+    size = _size(frame)
+    first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, size)
+    numbers = argument(frame, 4, (7,), np.float32)
+    gradient = argument(frame, 0, (size,), np.float32)[first:last]
+    parameter, mean = _in_place(frame, 0, size, first, last), _in_place(frame, 1, size, first, last)
+    square = _in_place(frame, 2, size, first, last)
+    keep_mean, keep_square, smallest, rate = numbers[0], numbers[1], numbers[4], numbers[5]
+    add_mean, add_square = f4(1) - keep_mean, f4(1) - keep_square
+    of_mean, of_square = f4(1) / numbers[2], f4(1) / numbers[3]
+    if numbers[6] != 0:
+        for i in range(last - first):
+            g = gradient[i]
+            m = add_mean * g + keep_mean * mean[i]
+            s = add_square * (g * g) + keep_square * square[i]
+            mean[i] = m
+            square[i] = s
+            parameter[i] -= rate * (m * of_mean / (sqrt(s * of_square) + smallest))
+
+
+_address_of_descent = address_of(_descend_chunk, 2)
+
+
+@handler
+def descend(frame):
+    """Parameter and moments after a step."""
+    if executes(frame):
+        in_chunks(frame, _address_of_descent(), (_size(frame) + CHUNK - 1) // CHUNK, True)
+    return 0
