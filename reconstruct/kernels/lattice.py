@@ -20,6 +20,7 @@ from numba.extending import intrinsic
 
 from reconstruct.field.encodings.simplex import LIFT
 from reconstruct.field.encodings.tables import MIXER, PRIMES
+from reconstruct.kernels.along import fma, rint
 from reconstruct.kernels.chunks import address_of, in_chunks
 from reconstruct.kernels.frame import (
     argument,
@@ -47,26 +48,6 @@ STEP_K = u4(sum(PRIMES) % 2**32)
 
 
 @intrinsic
-def _rint(context, value):
-    """Nearest integer, halves to even, still as a number with a point."""
-
-    def code(context, builder, signature, arguments):
-        return builder.call(builder.module.declare_intrinsic("llvm.rint", [ir.FloatType()]), arguments)
-
-    return types.float32(types.float32), code
-
-
-@intrinsic
-def _fma(context, a, b, c):
-    """a b + c, rounded once."""
-
-    def code(context, builder, signature, arguments):
-        return builder.fma(*arguments)
-
-    return types.float32(types.float32, types.float32, types.float32), code
-
-
-@intrinsic
 def _look_at(context, array, index):
     """Read a number of a vector that nobody uses, so that its line is in the cache; the compiler does not leave it out."""
 
@@ -85,11 +66,11 @@ def _search(points, first, count, unit, shift, rows, weights, ranks):
     for i in range(count):
         x, y, z = points[0, first + i] * unit, points[1, first + i] * unit, points[2, first + i] * unit
         along_x, along_y, along_z = A * x, B * y, C * z
-        e0 = _fma(C, z, _fma(A, x, along_y))
-        e1 = _fma(C, z, _fma(B, y, -along_x))
-        e2 = _fma(C, z, TWO_B * y)
+        e0 = fma(C, z, fma(A, x, along_y))
+        e1 = fma(C, z, fma(B, y, -along_x))
+        e2 = fma(C, z, TWO_B * y)
         e3 = THREE_C * z
-        r0, r1, r2, r3 = _rint(e0), _rint(e1), _rint(e2), _rint(e3)
+        r0, r1, r2, r3 = rint(e0), rint(e1), rint(e2), rint(e3)
         d0, d1, d2, d3 = e0 - r0, e1 - r1, e2 - r2, e3 - r3
         n0, n1, n2, n3 = i4(r0), i4(r1), i4(r2), i4(r3)
         excess = i4(n0 + n1 + n2 + n3)

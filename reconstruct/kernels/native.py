@@ -20,7 +20,13 @@ from jaxtyping import Array
 from reconstruct.backend import cache_folder
 
 SWITCH = "KOALA_KERNELS"
-KERNELS = {"frame": ("probe",), "lattice": ("encode", "scatter"), "descent": ("descend",)}
+KERNELS = {
+    "frame": ("probe",),
+    "lattice": ("encode", "scatter"),
+    "descent": ("descend",),
+    "march": ("march",),
+    "pack": ("pack",),
+}
 """Compiled functions that XLA calls, by module of this folder."""
 
 
