@@ -5,9 +5,11 @@ choices (6,): steps in front, inside and behind, cells along an edge of the inne
 outside the unit ball is contracted. Results: depth (n, steps) and hit (n,), whether any of a ray's is not zero.
 """
 
+from math import sqrt
+
 import numpy as np
 
-from reconstruct.kernels.along import at, fma, from_half
+from reconstruct.kernels.along import fma, from_half
 from reconstruct.kernels.chunks import address_of, in_chunks
 from reconstruct.kernels.frame import argument, argument_size, compiled, compiled_exactly, executes, handler, result
 
@@ -17,53 +19,80 @@ f4, i4 = np.float32, np.int32
 
 
 @compiled_exactly
-def _cell_along(x, half, last):
-    """Index along an edge of the cell that holds a coordinate in units of the grid's reach."""
-    return i4(min(max(i4((x + f4(1)) * half), i4(0)), last))
+def _find_t(ray, part, first, last, jitter, cuts, choices, t):
+    """t of the steps from `first` to before `last`, all of one part of the ray; `along.at` without a branch."""
+    near, enter, leave, far = cuts[0, ray], cuts[1, ray], cuts[2, ray], cuts[3, ray]
+    begin, count, extra = f4(first), f4(choices[part]), jitter[ray]
+    if part < 2:
+        start, extent = (near, enter - near) if part == 0 else (enter, leave - enter)
+        for i in range(last - first):
+            t[i] = fma(extent, ((f4(i) + begin + extra) - begin) / count, start)
+    else:
+        nearest, furthest, front, inside = max(leave, f4(1e-6)), max(far, f4(1e-6)), f4(choices[0]), f4(choices[1])
+        for i in range(last - first):
+            v = min(max((f4(i) + begin + extra - front - inside) / count, f4(0)), f4(1))
+            t[i] = f4(1) / ((f4(1) - v) / nearest + v / furthest)
 
 
 @compiled_exactly
-def _find_cells(t, first, last, origins, directions, ray, size, outer, contracts, cells):
-    """Cells that hold the points of a ray at t from `first` to before `last`."""
-    ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
-    dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-    half, end = f4(size * 0.5), i4(size - 1)
-    outer_half, outer_end, start = f4(outer * 0.5), i4(outer - 1), i4(size * size * size)
-    here = t[first:last]
-    for i in range(last - first):
-        x, y, z = fma(here[i], dx, ox), fma(here[i], dy, oy), fma(here[i], dz, oz)
-        if contracts:
-            inverse = f4(1) / np.sqrt(max(fma(z, z, fma(x, x, y * y)), f4(1)))
+def _find_points(t, count, origins, directions, ray, contracts, points):
+    """Coordinates in the map of the points of a ray at the first `count` of `t`; see `contraction.contract_coordinates`."""
+    for axis in range(3):
+        origin, direction, along = origins[ray, axis], directions[ray, axis], points[axis]
+        for i in range(count):
+            along[i] = fma(t[i], direction, origin)
+    if contracts:
+        x, y, z = points[0], points[1], points[2]
+        for i in range(count):
+            inverse = f4(1) / sqrt(max(fma(z[i], z[i], fma(x[i], x[i], y[i] * y[i])), f4(1)))
             shrink = (f4(2) - inverse) * inverse
-            x, y, z = x * shrink, y * shrink, z * shrink
-        inner = i4(
-            i4(i4(_cell_along(x, half, end) * i4(size)) + _cell_along(y, half, end)) * i4(size) + _cell_along(z, half, end)
-        )
-        if outer > 0 and max(max(abs(x), abs(y)), abs(z)) >= f4(1):
-            a = _cell_along(x * f4(0.5), outer_half, outer_end)
-            b = _cell_along(y * f4(0.5), outer_half, outer_end)
-            c = _cell_along(z * f4(0.5), outer_half, outer_end)
-            inner = i4(start + i4(i4(i4(a * i4(outer)) + b) * i4(outer)) + c)
-        cells[first + i] = inner
+            x[i] *= shrink
+            y[i] *= shrink
+            z[i] *= shrink
 
 
 @compiled_exactly
-def _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, cells, depth):
+def _cell_of(x, y, z, half, size):
+    """Index of the cell that holds a point given in units of the grid's reach; clipped to the grid."""
+    i = min(max(i4((x + f4(1)) * half), i4(0)), i4(size - 1))
+    j = min(max(i4((y + f4(1)) * half), i4(0)), i4(size - 1))
+    k = min(max(i4((z + f4(1)) * half), i4(0)), i4(size - 1))
+    return i4(i4(i4(i * size) + j) * size + k)
+
+
+@compiled_exactly
+def _find_cells(points, count, size, outer, cells):
+    """Cells that hold the first `count` points; see `Occupancy.cell`."""
+    half, outer_half, start = f4(size) * f4(0.5), f4(outer) * f4(0.5), i4(size * size * size)
+    x, y, z = points[0], points[1], points[2]
+    if outer == 0:
+        for i in range(count):
+            cells[i] = _cell_of(x[i], y[i], z[i], half, size)
+    else:
+        for i in range(count):
+            inner = _cell_of(x[i], y[i], z[i], half, size)
+            beyond = i4(start + _cell_of(x[i] * f4(0.5), y[i] * f4(0.5), z[i] * f4(0.5), outer_half, outer))
+            cells[i] = inner if max(max(abs(x[i]), abs(y[i])), abs(z[i])) < f4(1) else beyond
+
+
+@compiled_exactly
+def _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, points, cells, depth):
     """Depths along one ray; whether there is any."""
-    any_depth, last = False, 0
+    any_depth, last = i4(0), 0
     for part in range(3):
         first, last = last, last + np.int64(choices[part])
         if not cuts[part + 1, ray] > cuts[part, ray]:  # a ray that misses has no steps inside
             depth[first:last] = f4(0)
             continue
-        for step in range(first, last):
-            t[step] = at(f4(step) + jitter[ray], cuts, ray, choices)
-        _find_cells(t, first, last, origins, directions, ray, choices[3], choices[4], choices[5] != 0, cells)
-        for step in range(first, last):
-            found = grid[np.uint64(cells[step])]
-            depth[step] = from_half(found)
-            any_depth |= found != 0
-    return any_depth
+        count, there = last - first, depth[first:last]
+        _find_t(ray, part, first, last, jitter, cuts, choices, t)
+        _find_points(t, count, origins, directions, ray, choices[5] != 0, points)
+        _find_cells(points, count, choices[3], choices[4], cells)
+        for i in range(count):
+            found = grid[np.uint64(cells[i])]
+            any_depth |= i4(found)
+            there[i] = from_half(found)
+    return any_depth != 0
 
 
 @compiled
@@ -75,9 +104,9 @@ def _march_rays(frame, chunk):
     grid, choices = argument(frame, 4, (num_cells,), np.uint16), argument(frame, 5, (6,), np.int32)
     steps = choices[0] + choices[1] + choices[2]
     depth, hit = result(frame, 0, (count, steps), np.float32), result(frame, 1, (count,), np.uint8)
-    t, cells = np.empty(steps, f4), np.empty(steps, i4)
+    t, points, cells = np.empty(steps, f4), np.empty((3, steps), f4), np.empty(steps, i4)
     for ray in range(chunk * RAYS, min((chunk + 1) * RAYS, count)):
-        hit[ray] = _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, cells, depth[ray])
+        hit[ray] = _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, points, cells, depth[ray])
 
 
 _address_of_march = address_of(_march_rays, 2)

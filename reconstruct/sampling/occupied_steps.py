@@ -13,6 +13,7 @@ from datasets.scene import View
 from reconstruct.config import Config
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
+from reconstruct.kernels import sampling as kernels
 from reconstruct.numerics.compiling import barrier
 from reconstruct.sampling import focus
 from reconstruct.sampling.hull import cells_in_masks, cells_in_sight
@@ -123,6 +124,8 @@ class OccupiedSteps(Sampler):
 
     def expected_depth(self, rays: Rays, jitter: Float[Array, " rays"]) -> Float[Array, "rays steps"]:
         """Optical depth that the grid expects in the steps of rays."""
+        if kernels.takes(self.space, rays):
+            return kernels.expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)[0]
         return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
 
     def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
@@ -139,6 +142,8 @@ class OccupiedSteps(Sampler):
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
         """Rays that meet something, with their samples."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
+        if kernels.takes(self.space, rays):
+            return self._compiled_batch(rays, colour, jitter, offset)
         depth = barrier(self.expected_depth(rays, jitter))
         hit = jnp.any(depth > 0, -1)
         if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
@@ -150,6 +155,21 @@ class OccupiedSteps(Sampler):
         samples, fits = self.packed(depth, rays, jitter, offset, self.capacity)
         return Batch(rays, colour, fits & hit, samples)
 
+    def _compiled_batch(
+        self, rays: Rays, colour: Float[Array, "rays 4"], jitter: Float[Array, " rays"], offset: Float[Array, " rays"]
+    ) -> Batch:
+        """`batch` by compiled kernels, which read the rows of rays that meet something where they are."""
+        depth, used = kernels.expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
+        order, chosen = jnp.arange(self.rays_drawn), jnp.asarray(self.rays_drawn)
+        if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
+            chosen = jnp.sum(used)
+            (order,) = jnp.nonzero(used, size=self.rays_kept, fill_value=0)
+            rays, colour, jitter, offset = jax.tree.map(lambda a: a[order], (rays, colour, jitter, offset))
+            used = jnp.arange(self.rays_kept) < chosen
+        size = {"capacity": self.capacity, "max_per_ray": self.max_per_ray}
+        samples, fits = kernels.packed_samples(depth, order, chosen, self.steps_of(rays), jitter, offset, **size)
+        return Batch(rays, colour, fits & used, samples)
+
     def packed(
         self,
         depth: Float[Array, "rays steps"],
@@ -159,6 +179,10 @@ class OccupiedSteps(Sampler):
         capacity: int,
     ) -> tuple[RaySamples, Bool[Array, " rays"]]:
         """Samples of rays whose steps' expected optical depth is known, and which rays found room."""
+        if kernels.takes(self.space, rays):
+            order, chosen = jnp.arange(depth.shape[0]), jnp.asarray(depth.shape[0])
+            size = {"capacity": capacity, "max_per_ray": self.max_per_ray}
+            return kernels.packed_samples(depth, order, chosen, self.steps_of(rays), jitter, offset, **size)
         probability = barrier(draw_probability(depth, self.max_per_ray - 1))
         words = barrier(draw(probability, offset))
         steps = self.steps_of(rays)
