@@ -9,7 +9,17 @@ from math import sqrt
 import numpy as np
 
 from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.frame import argument, argument_rank, argument_size, compiled, executes, handler, result
+from reconstruct.kernels.frame import (
+    argument,
+    argument_address,
+    argument_rank,
+    argument_size,
+    compiled,
+    executes,
+    handler,
+    result,
+    result_address,
+)
 
 CHUNK = 32768
 """Numbers of a chunk: its seven arrays fit into the second-level cache."""
@@ -25,27 +35,29 @@ def _size(frame):
 
 
 @compiled
-def _in_place(frame, index, size, first, last):
-    """The result that takes an argument's memory, with the argument's numbers in it from `first` to `last`."""
-    old, new = argument(frame, index + 1, (size,), np.float32), result(frame, index, (size,), np.float32)
-    if old.ctypes.data != new.ctypes.data:
-        new[first:last] = old[first:last]
-    return new[first:last]
+def _in_place(frame, index, first, count):
+    """Part of a result, with the numbers of the argument whose memory it takes: that of the index after its own."""
+    new = result(frame, index, (first + count,), np.float32)[first:]
+    if result_address(frame, index) != argument_address(frame, index + 1):
+        old = argument(frame, index + 1, (first + count,), np.float32)[first:]
+        for i in range(count):
+            new[i] = old[i]
+    return new
 
 
 @compiled
 def _descend_chunk(frame, chunk):
-    size = _size(frame)
-    first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, size)
+    first = chunk * CHUNK
+    count = min(CHUNK, _size(frame) - first)
     numbers = argument(frame, 4, (7,), np.float32)
-    gradient = argument(frame, 0, (size,), np.float32)[first:last]
-    parameter, mean = _in_place(frame, 0, size, first, last), _in_place(frame, 1, size, first, last)
-    square = _in_place(frame, 2, size, first, last)
+    gradient = argument(frame, 0, (first + count,), np.float32)[first:]
+    parameter, mean = _in_place(frame, 0, first, count), _in_place(frame, 1, first, count)
+    square = _in_place(frame, 2, first, count)
     keep_mean, keep_square, smallest, rate = numbers[0], numbers[1], numbers[4], numbers[5]
     add_mean, add_square = f4(1) - keep_mean, f4(1) - keep_square
     of_mean, of_square = f4(1) / numbers[2], f4(1) / numbers[3]
     if numbers[6] != 0:
-        for i in range(last - first):
+        for i in range(count):
             g = gradient[i]
             m = add_mean * g + keep_mean * mean[i]
             s = add_square * (g * g) + keep_square * square[i]

@@ -155,15 +155,27 @@ def result_size(frame, index, axis):
 
 
 @njit
+def argument_address(frame, index):
+    """Where an argument's numbers are."""
+    return load_word(_argument(frame, index) + _DATA)
+
+
+@njit
+def result_address(frame, index):
+    """Where a result's numbers are to be."""
+    return load_word(_result(frame, index) + _DATA)
+
+
+@njit
 def argument(frame, index, shape, dtype):
     """An argument as an array of this shape and type, which the caller knows."""
-    return carray(_as_pointer(load_word(_argument(frame, index) + _DATA)), shape, dtype)
+    return carray(_as_pointer(argument_address(frame, index)), shape, dtype)
 
 
 @njit
 def result(frame, index, shape, dtype):
     """A result as an array to be written."""
-    return carray(_as_pointer(load_word(_result(frame, index) + _DATA)), shape, dtype)
+    return carray(_as_pointer(result_address(frame, index)), shape, dtype)
 
 
 @handler

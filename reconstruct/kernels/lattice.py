@@ -207,7 +207,9 @@ def _scatter_level(frame, level):
     gradient = result(frame, 0, (features, result_size(frame, 0, 1)), np.float32)
     first_row, num_rows = sizes[1, level], 1 << sizes[0, level]
     for feature in range(features):
-        gradient[feature, first_row : first_row + num_rows] = f4(0)
+        column = gradient[feature, first_row:]
+        for row in range(num_rows):
+            column[row] = f4(0)
     rows, weights, slopes, ranks, update = _scratch()
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)

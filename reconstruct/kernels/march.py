@@ -81,10 +81,11 @@ def _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, points,
     any_depth, last = i4(0), 0
     for part in range(3):
         first, last = last, last + np.int64(choices[part])
+        count, there = last - first, depth[first:]
         if not cuts[part + 1, ray] > cuts[part, ray]:  # a ray that misses has no steps inside
-            depth[first:last] = f4(0)
+            for i in range(count):
+                there[i] = f4(0)
             continue
-        count, there = last - first, depth[first:last]
         _find_t(ray, part, first, last, jitter, cuts, choices, t)
         _find_points(t, count, origins, directions, ray, choices[5] != 0, points)
         _find_cells(points, count, choices[3], choices[4], cells)
