@@ -60,7 +60,12 @@ def _backward(with_slopes: bool, saved: Any, cotangents: tuple[Array, ...]) -> t
     place, shape = saved
     (gradient,) = native.call("scatter", [native.float32(*shape)], *place, *cotangents)
     points, share, units, sizes = place
-    return gradient, (jnp.zeros_like(points), jnp.zeros_like(share), np.zeros_like(units), np.zeros(sizes.shape, jax.dtypes.float0))
+    return gradient, (
+        jnp.zeros_like(points),
+        jnp.zeros_like(share),
+        np.zeros_like(units),
+        np.zeros(sizes.shape, jax.dtypes.float0),
+    )
 
 
 _encode.defvjp(_forward, _backward)

@@ -65,7 +65,7 @@ def _search(points, first, count, unit, shift, rows, weights, ranks):
     """Rows, weights and ranks of `count` points from `first` on; see `simplex.ordering`, `barycentric`, `lattice.table_rows`."""
     for i in range(count):
         x, y, z = points[0, first + i] * unit, points[1, first + i] * unit, points[2, first + i] * unit
-        along_x, along_y, along_z = A * x, B * y, C * z
+        along_x, along_y = A * x, B * y
         e0 = fma(C, z, fma(A, x, along_y))
         e1 = fma(C, z, fma(B, y, -along_x))
         e2 = fma(C, z, TWO_B * y)

@@ -1,0 +1,96 @@
+"""The fused step of Adam against optax's."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reconstruct.kernels import adam
+from reconstruct.training.optimiser import ADAM, DECAYS, SMALLEST
+
+RATE = 0.01
+
+
+@jax.jit
+def ours(gradient, parameter, mean, square, count, finite):
+    return adam.descended(
+        gradient,
+        parameter,
+        mean,
+        square,
+        decays=DECAYS,
+        smallest=SMALLEST,
+        count=count + 1,
+        rate=jnp.float32(RATE),
+        finite=finite,
+    )
+
+
+@jax.jit
+def theirs(gradient, parameter, mean, square, count, finite):
+    update, state = ADAM.update(gradient, optax.ScaleByAdamState(count, mean, square))
+    new = parameter - RATE * update, state.mu, state.nu
+    return jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, (parameter, mean, square))
+
+
+def arrays(shape: tuple[int, ...], sizes: float = 0.0) -> list[jax.Array]:
+    """Gradient, parameter, mean and square; gradients spread over so many powers of ten."""
+    keys = jax.random.split(jax.random.key(0), 5)
+    gradient, parameter, mean, square = (jax.random.normal(key, shape) for key in keys[:4])
+    return [gradient * 10 ** (sizes * jax.random.normal(keys[4], shape)), parameter, mean, jnp.square(square)]
+
+
+def assert_alike(given: list[jax.Array], count: int = 6, finite: bool = True) -> None:
+    found, expected = (f(*given, jnp.int32(count), jnp.asarray(finite)) for f in (ours, theirs))
+    gradient, before = np.abs(given[0]), [np.abs(one) for one in given[1:]]
+    terms = [2 * before[0] + np.abs(expected[0]), gradient + before[1], gradient * gradient + before[2]]
+    for one, other, size in zip(found, expected, terms, strict=True):  # 2e-6 of what is added: a root and two quotients
+        assert (np.abs(np.asarray(one) - np.asarray(other)) <= 2e-6 * size + 1e-37).all()
+
+
+@pytest.mark.parametrize("shape", [(1,), (7,), (2, 32768), (3, 50001), (2**17,), pytest.param((2**20,), marks=pytest.mark.slow)])
+def test_steps_are_those_of_optax(shape: tuple[int, ...]) -> None:
+    assert_alike(arrays(shape))
+
+
+@given(st.integers(0, 100000), st.floats(0, 4))
+@settings(max_examples=30, deadline=None)
+def test_any_count_and_gradients_of_any_size(count: int, sizes: float) -> None:
+    assert_alike(arrays((2, 999), sizes), count)
+
+
+def test_rows_that_were_never_touched_stay_where_they_are() -> None:
+    zero = jnp.zeros(40000)
+    new = ours(zero, jnp.ones(40000), zero, zero, jnp.int32(3), jnp.asarray(True))
+    np.testing.assert_array_equal(new[0], 1)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_step_that_is_not_finite_changes_nothing(bad: float) -> None:
+    given = arrays((50000,))
+    given[0] = given[0].at[777].set(bad)
+    for one, other in zip(ours(*given, jnp.int32(3), jnp.asarray(False)), given[1:], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_what_is_given_stays_as_it_is_where_it_is_still_needed() -> None:
+    given = arrays((50000,))
+    copies = [np.array(one) for one in given]
+    first = ours(*given, jnp.int32(3), jnp.asarray(True))
+    second = ours(*given, jnp.int32(3), jnp.asarray(True))
+    for one, other in zip((*given, *first), (*copies, *second), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_new_arrays_take_the_memory_of_the_old_in_a_loop() -> None:
+    def steps(gradient, *state):
+        one = lambda i, s: adam.descended(  # noqa: E731
+            gradient, *s, decays=DECAYS, smallest=SMALLEST, count=i + 1, rate=jnp.float32(RATE), finite=jnp.asarray(True)
+        )
+        return jax.lax.fori_loop(0, 5, one, state)
+
+    text = jax.jit(steps, donate_argnums=(1, 2, 3)).lower(*arrays((2, 32768))).compile().as_text()
+    assert "f32[2,32768]{1,0} copy(" not in text
