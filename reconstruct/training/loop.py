@@ -86,10 +86,10 @@ class Training:
         count = max(1, min(left, until_due))
         second = surface.enabled and count >= until_due
         start, seed = time.perf_counter(), jnp.asarray(self.run.config.train.seed, jnp.int32)
-        scalars = (jnp.asarray(clock.progress, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second))
+        done = jnp.asarray(clock.progress, jnp.float32)
         if self.pool is not None:
             self.pixels = self.pool.renewed(self.pixels, clock.step)
-        self.state, terms = self._advance(self.state, self.pixels, seed, *scalars)
+        self.state, terms = self._advance(self.state, self.pixels, seed, done, count, second)
         clock.since_look += count
         if self.state.model.sampler.upkeep_due(clock.since_look, clock.progress):
             self.state = self._keep_up(self.state, seed)
