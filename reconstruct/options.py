@@ -30,7 +30,10 @@ Preset = Annotated[
 Settings = Annotated[
     list[str] | None, Option("--set", metavar="KEY=VALUE", help="Override a setting, see 'train --list-settings'; repeatable.")
 ]
-Budget = Annotated[float | None, Option("--budget", help="Seconds of training per run; default: train.steps steps.")]
+Budget = Annotated[
+    float | None,
+    Option("--budget", help="Seconds of training per run, turned into a number of steps; default: train.steps steps."),
+]
 Seeds = Annotated[
     list[int] | None,
     Option("--seed", min=0, help="Seed to train with; repeatable: tables then show means and standard deviations."),

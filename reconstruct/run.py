@@ -117,6 +117,11 @@ class Run:
                 raise DatasetError("line is damaged", where=where, why=str(error), remedy=remedy) from None
         return lines
 
+    def amend(self, more: dict[str, Any]) -> None:
+        """Add to run.json what is known only after the run was made."""
+        self.content.update(more)
+        files.write_json(self.path / RUN, self.content)
+
     def append_log(self, line: dict[str, Any]) -> None:
         """Add a line to the log; on the disk when this returns."""
         _append(self.path / LOG, line)

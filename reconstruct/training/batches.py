@@ -55,6 +55,11 @@ class Division:
         part = jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec(*self.mesh.axis_names))
         return jax.tree.map(lambda a: jax.lax.with_sharding_constraint(a, part), tree)
 
+    def spread_evenly(self, tree: Tree) -> Tree:
+        """The same where all of the arrays' lengths can be divided; elsewhere everything stays as it is."""
+        even = self.mesh is not None and all(leaf.shape[0] % self.mesh.size == 0 for leaf in jax.tree.leaves(tree))
+        return self.spread(tree) if even else tree
+
 
 ONE_DEVICE = Division()
 

@@ -21,6 +21,23 @@ DECAYS, SMALLEST = (0.9, 0.99), 1e-15
 ADAM = optax.scale_by_adam(b1=DECAYS[0], b2=DECAYS[1], eps=SMALLEST)
 
 
+def descent(gradient: Any, moments: Any, finite: Bool[Array, ""]) -> tuple[Any, Any]:
+    """Direction and moments of `ADAM`; the moments stay to the bit where the gradient is not `finite`.
+
+    What is not finite is replaced before it meets a moment, and the rates of the moments by one: each array is then read once
+    and written in place. A choice between old and new arrays would need both to be kept.
+    """
+    b1, b2 = (jnp.where(finite, decay, 1.0) for decay in DECAYS)
+    gradient = jax.tree.map(lambda g: jnp.where(finite, g, 0.0), gradient)
+    mu = jax.tree.map(lambda m, g: b1 * m + (1 - b1) * g, moments.mu, gradient)
+    nu = jax.tree.map(lambda m, g: b2 * m + (1 - b2) * (g * g), moments.nu, gradient)
+    count = moments.count + finite.astype(moments.count.dtype)
+    age = jnp.maximum(count, 1)
+    unbias, unbias_square = (1 - decay**age for decay in DECAYS)
+    update = jax.tree.map(lambda m, v: (m / unbias) / (jnp.sqrt(v / unbias_square) + SMALLEST), mu, nu)
+    return update, moments._replace(count=count, mu=mu, nu=nu)
+
+
 @dataclass(frozen=True)
 class Optimiser:
     """One step down a gradient. Takes and returns what is learned of a model (`Model.split`)."""
@@ -72,14 +89,15 @@ class Optimiser:
     ) -> list[Model]:
         """Parameters, means and squares of what no compiled kernel takes, from gradient, parameters, means and squares."""
         gradient, learned, means, squares = trees
-        update, state = ADAM.update(_parameters(gradient), optax.ScaleByAdamState(count, _parameters(means), squares))
-        new = jax.tree.map_with_path(lambda path, p, u: p - rate * self._share(path) * u, learned, update)
+        moments = optax.ScaleByAdamState(count, _parameters(means), _parameters(squares))
+        update, moments = descent(_parameters(gradient), moments, finite)
+        rates = jax.tree.map_with_path(lambda path, _: jnp.where(finite, rate * self._share(path), 0.0), learned)
+        new = jax.tree.map(lambda p, u, r: p - r * u, learned, update, rates)
         if learned.poses is not None:
             sigma = jnp.array(self.pose_sigma)
             step = self._pose_rate(progress) * without_gauge(_parameters(update).poses, origins, sigma)
-            new = eqx.tree_at(lambda m: m.poses, new, learned.poses - step * sigma)
-        keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, old)  # noqa: E731
-        return [keep(new, learned), keep(_parameters(state).mu, means), keep(_parameters(state).nu, squares)]
+            new = eqx.tree_at(lambda m: m.poses, new, jnp.where(finite, learned.poses - step * sigma, learned.poses))
+        return [new, _parameters(moments).mu, _parameters(moments).nu]
 
     def _share(self, path: tuple[Any, ...]) -> float:
         """Factor on the learning rate of the parameter at `path`."""

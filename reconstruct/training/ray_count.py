@@ -74,8 +74,7 @@ def needed_bytes(config: Config, facts: SceneFacts, pixels: Pixels) -> int:
     """
     step = Step.of(config, facts)
     state = jax.eval_shape(lambda: step.initial(jax.random.key(0), None, pixels.origins.shape[0]))
-    planned = step.compiled(state, pixels).memory_analysis()
-    return int(planned.temp_size_in_bytes + planned.argument_size_in_bytes)
+    return step.compiled(state, pixels).needed_bytes()
 
 
 def memory_limit() -> int:

@@ -16,15 +16,15 @@ from reconstruct.field.mlp import computed_in
 from reconstruct.numerics.compiling import barrier, compiler_options
 from reconstruct.rendering.model import Model
 from reconstruct.sampling.create import sampler_type
-from reconstruct.sampling.sampler import Batch
 from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Pixels
+from reconstruct.scene.rays import Pixels, Rays
 from reconstruct.surface.first_surface import Surface
 from reconstruct.surface.second_pass import Place, SecondPass
 from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
 from reconstruct.training.faults import FAULTS, finite_parts, packed
 from reconstruct.training.objective import Objective, Terms, total
 from reconstruct.training.optimiser import Optimiser
+from reconstruct.training.programs import Programs, traced
 from reconstruct.training.schedules import encoding_blur
 
 UPKEEP = 16
@@ -40,6 +40,17 @@ class TrainState(eqx.Module):
     step: Int[Array, ""]
     skipped: Int[Array, ""]
     """Steps whose gradient was not finite: left out, counted and shown."""
+
+
+class Part(eqx.Module):
+    """One batch of a step: its gradient, what it costs, and what later stages need of it."""
+
+    gradient: Model
+    terms: Terms
+    met: Any
+    """What the sampler learns from it."""
+    rays: Rays
+    surface: Surface
 
 
 @dataclass(frozen=True)
@@ -72,120 +83,133 @@ class Step:
         moments = self.optimiser.begin(model.split()[0])
         return TrainState(model, moments, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
 
-    def compiled(self, state: TrainState, pixels: Pixels, **options: Any) -> Any:
-        """`advance`, compiled for such a state and such pixels; it uses up the state that it is given.
+    def compiled(self, state: TrainState, pixels: Pixels, **options: Any) -> Programs:
+        """The stages of a step, compiled for such a state and such pixels; they use up the state that they are given.
 
         Args:
             options: of the compiler, beside those of the platform.
         """
-        scalars = [jax.ShapeDtypeStruct((), dtype) for dtype in (jnp.int32, jnp.float32, jnp.int32, jnp.bool_)]
-        return self._compiled(self.advance, (state, pixels, *scalars), options)
+        return Programs.of(self, state, pixels, options)
 
     def compiled_upkeep(self, state: TrainState, **options: Any) -> Any:
         """`kept_up`, compiled for such a state, which it uses up."""
-        return self._compiled(self.kept_up, (state, jax.ShapeDtypeStruct((), jnp.int32)), options)
-
-    def _compiled(self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
-        everywhere = self.division.everywhere
-        placed: dict[str, Any] = {} if everywhere is None else {"out_shardings": everywhere}
-        lowered = jax.jit(function, donate_argnums=(0,), **placed).lower(*arguments)
-        return lowered.compile(compiler_options={**compiler_options(), **options})
-
-    def advance(
-        self,
-        state: TrainState,
-        pixels: Pixels,
-        seed: Int[Array, ""],
-        progress: Float[Array, ""],
-        count: Int[Array, ""],
-        second: Bool[Array, ""],
-    ) -> tuple[TrainState, Terms]:
-        """`count` steps, the last of them with the regularisers' second pass where `second` is true.
-
-        Returns:
-            The new state and the last step's terms, among them the faults of all of them (see `faults`).
-        """
-
-        def one(i: Int[Array, ""], carry: tuple[TrainState, Terms]) -> tuple[TrainState, Terms]:
-            state, terms = self(carry[0], pixels, seed, progress, second & (i == count - 1))
-            return state, terms | {FAULTS: terms[FAULTS] | carry[1][FAULTS]}
-
-        shapes = jax.eval_shape(lambda s: self(s, pixels, seed, progress, second), state)[1]
-        empty = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-        return jax.lax.fori_loop(0, count, one, (state, empty))
+        stage = traced(self.kept_up, (state, jax.ShapeDtypeStruct((), jnp.int32)), self.division, uses_up=(0,))
+        return stage.lower().compile(compiler_options={**compiler_options(), **options})
 
     def __call__(
         self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], second: Bool[Array, ""]
     ) -> tuple[TrainState, Terms]:
-        """One step."""
+        """One step as one function, with the regularisers' second pass where `second` is true; `Programs` is its compiled form."""
+        parts: list[Part] = []
+        for index in range(self.config.train.accumulate):
+            part = self.begun(state.model, state.step, pixels, seed, progress, index)
+            if self.second_pass is not None:
+                regularised = lambda part, index=index: self.regularised(  # noqa: E731
+                    state.model, state.step, part, seed, progress, index
+                )
+                terms = {name: jnp.zeros(()) for name in jax.eval_shape(regularised, part).terms}
+                plain = replace(part, terms=terms | part.terms)
+                part = jax.lax.cond(second, regularised, lambda part: part, plain)
+            parts.append(part)
+        return self.descended(state, parts, pixels.origins, progress, jnp.zeros((), jnp.int32))
+
+    def _keys(self, step: Int[Array, ""], seed: Int[Array, ""], index: int | Int[Array, ""]) -> dict[str, PRNGKeyArray]:
+        """Random keys of one of the batches of a step."""
+        key, count = jax.random.fold_in(jax.random.key(seed), step), self.config.train.accumulate
+        if count > 1:
+            key = jax.random.split(key, count)[index]
+        return dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
+
+    def _blurred(self, model: Model, progress: Float[Array, ""]) -> Model:
+        """The model as it is trained at this time."""
         train = self.config.train
         blur = encoding_blur(progress, first=train.first_blur, last=train.last_blur, until=train.blur_until)
-        model = state.model.blurred(blur.astype(jnp.float32))
-        learned, held = model.split()
-        key, count = jax.random.fold_in(jax.random.key(seed), state.step), train.accumulate
-        if count == 1:
-            gradient, terms, met = self.gradient(model, pixels, key, progress, second)
-        else:
+        return model.blurred(blur.astype(jnp.float32))
 
-            def add(summed: Model, key: PRNGKeyArray) -> tuple[Model, list[Any]]:
-                gradient, *rest = self.gradient(model, pixels, key, progress, second)
-                return jax.tree.map(jnp.add, summed, gradient), rest
+    def begun(
+        self,
+        model: Model,
+        step: Int[Array, ""],
+        pixels: Pixels,
+        seed: Int[Array, ""],
+        progress: Float[Array, ""],
+        index: int | Int[Array, ""] = 0,
+    ) -> Part:
+        """Draw a batch and find its gradient, without the second pass.
 
-            nothing = jax.tree.map(jnp.zeros_like, learned)
-            gradient, (terms, met) = jax.lax.scan(add, nothing, jax.random.split(key, count))
-            gradient = jax.tree.map(lambda g: g / count, gradient)
-            terms, met = jax.tree.map(lambda t: jnp.mean(t, 0), terms), jax.tree.map(jnp.ravel, met)
-        finite = finite_parts(gradient)
-        terms |= {FAULTS: packed(finite, terms)}
-        good = jnp.all(jnp.stack(list(finite.values())))
-        learned, moments = self.optimiser.descended(learned, gradient, state.optimiser, progress, good, pixels.origins)
-        model = eqx.combine(learned, held)
-        model = replace(model, sampler=model.sampler.with_met(met))
-        return TrainState(model, moments, state.step + 1, state.skipped + jnp.where(good, 0, 1)), terms
-
-    def gradient(
-        self, model: Model, pixels: Pixels, key: PRNGKeyArray, progress: Float[Array, ""], second: Bool[Array, ""]
-    ) -> tuple[Model, Terms, Any]:
-        """Gradient and terms of one batch, and what the sampler learns from it."""
-        keys = dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
+        Args:
+            index: which of a step's batches.
+        """
+        keys, model = self._keys(step, seed, index), self._blurred(model, progress)
         batch = drawn_batch(model, pixels, keys["pixels"], keys["samples"], self.division)
         learned, held = model.split()
         loss = lambda learned: self.objective(  # noqa: E731
             eqx.combine(learned, held), batch, keys["samples"], keys["background"], progress
         )
         (_, (terms, density, surface)), gradient = barrier(jax.value_and_grad(loss, has_aux=True)(learned))
-        if self.second_pass is not None:
-            gradient, more = self._with_second_pass(self.second_pass, model, gradient, batch, surface, keys["sphere"], second)
-            terms |= more
-        return gradient, terms, model.sampler.met(batch, density)
+        return Part(gradient, terms, model.sampler.met(batch, density), batch.rays, surface)
 
-    def _with_second_pass(
+    def regularised(
         self,
-        regularisers: SecondPass,
         model: Model,
-        gradient: Model,
-        batch: Batch,
-        surface: Surface,
-        key: PRNGKeyArray,
-        second: Bool[Array, ""],
-    ) -> tuple[Model, Terms]:
-        """The gradient with the regularisers' added where `second` is true; elsewhere nothing is computed."""
-        learned, held = model.split()
+        step: Int[Array, ""],
+        part: Part,
+        seed: Int[Array, ""],
+        progress: Float[Array, ""],
+        index: int | Int[Array, ""] = 0,
+    ) -> Part:
+        """The same batch with the gradient and the terms of the regularisers' second pass."""
+        learned, held = self._blurred(model, progress).split()
+        surface, key = self.division.spread_evenly(part.surface), self._keys(step, seed, index)["sphere"]
+        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surface, key)
+        return replace(part, gradient=jax.tree.map(jnp.add, part.gradient, more), terms=part.terms | terms)
 
-        def weighted(learned: Model) -> tuple[Float[Array, ""], Terms]:
-            model = computed_in(self.config.train.precision, eqx.combine(learned, held))
-            terms = regularisers.terms(model.field, batch.rays, surface, key)
-            return total(terms), terms
+    def _weighted(
+        self, learned: Model, held: Model, rays: Rays, surface: Surface, key: PRNGKeyArray
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Sum and terms of the second pass."""
+        assert self.second_pass is not None
+        model = computed_in(self.config.train.precision, eqx.combine(learned, held))
+        terms = self.second_pass.terms(model.field, rays, surface, key)
+        return total(terms), terms
 
-        def with_regularisers(gradient: Model) -> tuple[Model, Terms]:
-            (_, terms), more = jax.value_and_grad(weighted, has_aux=True)(learned)
-            return jax.tree.map(jnp.add, gradient, more), terms
+    def descended(
+        self,
+        state: TrainState,
+        parts: list[Part],
+        origins: Float[Array, "views 3"],
+        progress: Float[Array, ""],
+        faults: Int[Array, ""],
+    ) -> tuple[TrainState, Terms]:
+        """The state after a step down the mean gradient of the batches, and their mean terms.
 
-        nothing = {name: jnp.zeros(()) for name in jax.eval_shape(lambda: weighted(learned)[1])}
-        return jax.lax.cond(second, with_regularisers, lambda gradient: (gradient, nothing), gradient)
+        Args:
+            origins: the cameras' positions.
+            faults: those of the steps before, which are added to this step's.
+        """
+        count = len(parts)
+        gradient = parts[0].gradient
+        terms, met = dict(parts[0].terms), parts[0].met
+        if count > 1:
+            gradient = jax.tree.map(lambda *values: sum(values[1:], values[0]) / count, *(part.gradient for part in parts))
+            terms = {name: sum((part.terms[name] for part in parts), jnp.zeros(())) / count for name in terms}
+            met = jax.tree.map(lambda *values: jnp.concatenate(values), *(part.met for part in parts))
+        learned, held = self._blurred(state.model, progress).split()
+        finite = finite_parts(gradient)
+        terms[FAULTS] = packed(finite, terms) | faults
+        good = jnp.all(jnp.stack(list(finite.values())))
+        learned, moments = self.optimiser.descended(learned, gradient, state.optimiser, progress, good, origins)
+        model = eqx.combine(learned, held)
+        model = replace(model, sampler=model.sampler.with_met(met))
+        return TrainState(model, moments, state.step + 1, state.skipped + jnp.where(good, 0, 1)), terms
 
     def kept_up(self, state: TrainState, seed: Int[Array, ""]) -> TrainState:
         """The state with its sampler brought up to date; see `Sampler.upkeep_due`."""
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), state.step), UPKEEP)
         sampler = state.model.sampler.upkept(state.model.field, key)
         return eqx.tree_at(lambda s: s.model.sampler, state, sampler)
+
+
+def _with_second_pass(weighted: Callable[..., tuple[Float[Array, ""], Terms]], *arguments: Any) -> Any:
+    """Value, terms and gradient of the second pass. Profiles know it by this function's name."""
+    return jax.value_and_grad(weighted, has_aux=True)(*arguments)

@@ -80,6 +80,12 @@ def parts_of(program: str) -> dict[str, Part]:
     return parts
 
 
+def module_of(program: str) -> str:
+    """Name of a program."""
+    match = re.match(r"HloModule ([\w.\-]+)", program)
+    return match[1] if match else ""
+
+
 def _kind(instruction: str) -> str:
     """Operation of an instruction, which follows the type: "f32[3]{0} add(...)", "(s32[], f32[]) while(...)"."""
     if instruction.startswith("("):

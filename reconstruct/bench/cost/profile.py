@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from datasets.core.console import progress
 from datasets.scene import Scene
 from reconstruct import checkpoint
-from reconstruct.bench.cost.instructions import Part, parts_of
+from reconstruct.bench.cost.instructions import Part, module_of, parts_of
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.run import CHECKPOINTS
 from reconstruct.scene.rays import Pixels
@@ -36,7 +36,11 @@ def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
     with progress("reading images", len(views), "images") as shown:
         pixels = Pixels.load(views, run.normalisation, run.config.scale, shown)
     advance = step.compiled(state, pixels)
-    parts = parts_of(advance.as_text() or "")
+    parts = {
+        (module_of(text), name): part
+        for text in (stage.as_text() for stage in advance.stages)
+        for name, part in parts_of(text).items()
+    }
     plain_ms, plain = _traced(advance, state, pixels, parts, second=False)
     second_ms, second = _traced(advance, state, pixels, parts, second=True) if run.config.surface.enabled else (None, {})
     found = plain | {part: value for part, value in second.items() if part.stage == "second pass"}
@@ -46,13 +50,13 @@ def step_profile(trained: TrainedModel, scene: Scene) -> dict[str, Any]:
     return {"step_ms": plain_ms, "second_pass_step_ms": second_ms, **counts, "parts": parts_of_step}
 
 
-def _rest(count: int, second: bool) -> tuple[jax.Array, ...]:
-    """Further arguments of `Step.advance`: seed, progress, number of steps, whether with a second pass."""
-    return jnp.asarray(0, jnp.int32), jnp.asarray(0.9, jnp.float32), jnp.asarray(count, jnp.int32), jnp.asarray(second)
+def _rest(count: int, second: bool) -> tuple[Any, ...]:
+    """Further arguments of `Programs`: seed, progress, number of steps, whether with a second pass."""
+    return jnp.asarray(0, jnp.int32), jnp.asarray(0.9, jnp.float32), count, second
 
 
 def _traced(
-    advance: Any, start: TrainState, pixels: Pixels, parts: dict[str, Part], *, second: bool
+    advance: Any, start: TrainState, pixels: Pixels, parts: dict[tuple[str, str], Part], *, second: bool
 ) -> tuple[float, dict[Part, float]]:
     """Milliseconds per step untraced (fastest of three) and per part; a call is one step with second pass, `STEPS` without."""
     calls, count = (STEPS, 1) if second else (1, STEPS)
@@ -78,14 +82,14 @@ def _traced(
     return untraced, dict(spent)
 
 
-def durations_us(folder: Path) -> dict[str, float]:
-    """Microseconds spent in each instruction of the traced programs, by name."""
-    spent: dict[str, float] = defaultdict(float)
+def durations_us(folder: Path) -> dict[tuple[str, str], float]:
+    """Microseconds spent in each instruction of the traced programs, by its program's name and its own."""
+    spent: dict[tuple[str, str], float] = defaultdict(float)
     for path in folder.rglob("*.trace.json.gz"):
         with gzip.open(path) as file:
             events = json.load(file)["traceEvents"]
         for event in events:
-            name = (event.get("args") or {}).get("hlo_op")
-            if name is not None:
-                spent[name] += event.get("dur", 0.0)
+            told = event.get("args") or {}
+            if "hlo_op" in told:
+                spent[told.get("hlo_module", ""), told["hlo_op"]] += event.get("dur", 0.0)
     return dict(spent)

@@ -46,7 +46,7 @@ def _error(config: Config, normalisation: Normalisation, trained: Pixels, held: 
     advance, keep_up = step.compiled(state, trained), step.compiled_upkeep(state)
     for chunk in range(CHUNKS):
         progress = jnp.asarray(0.1 + 0.9 * chunk / CHUNKS, jnp.float32)
-        state, _ = advance(state, trained, seed, progress, jnp.asarray(STEPS // CHUNKS, jnp.int32), jnp.asarray(False))
+        state, _ = advance(state, trained, seed, progress, STEPS // CHUNKS, False)
         state = keep_up(state, seed) if chunk else state
     *rays, target = held.over_white(np.arange(held.directions.shape[0]))
     rendered = Renderer(normalisation).rays(state.model, *rays)["rgb"]

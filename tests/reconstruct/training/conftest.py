@@ -1,10 +1,16 @@
 """Trainings without the minute that their steps take to compile."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from reconstruct.training.loop import Training
+from reconstruct import checkpoint
+from reconstruct.run import CHECKPOINTS
+from reconstruct.training.training import Training
 
 
 @pytest.fixture
@@ -17,3 +23,15 @@ def two_steps_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Training, "compile", lambda training: 0.0)
     monkeypatch.setattr(Training, "chunk", chunk)
+
+
+@pytest.fixture
+def final_leaves() -> Callable[[Path], list[np.ndarray]]:
+    """What the newest checkpoint of a run holds, as its arrays."""
+
+    def leaves(run: Path) -> list[np.ndarray]:
+        found = checkpoint.steps(run / CHECKPOINTS)[-1]
+        content = checkpoint._checkpointer().restore(found.resolve())
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(content["state"])]
+
+    return leaves

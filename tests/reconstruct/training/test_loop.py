@@ -33,13 +33,6 @@ def config(small_config: Config) -> Config:
     return Config.model_validate(tree)
 
 
-def final_leaves(run: Path) -> list[np.ndarray]:
-    """What the newest checkpoint of a run holds, as its arrays."""
-    found = checkpoint.steps(run / CHECKPOINTS)[-1]
-    content = checkpoint._checkpointer().restore(found.resolve())
-    return [np.asarray(leaf) for leaf in jax.tree.leaves(content["state"])]
-
-
 @pytest.mark.parametrize("enabled", [True, False])
 def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_due(
     ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, enabled: bool
@@ -52,7 +45,7 @@ def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_du
         done.append((int(count), bool(second)))
         return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
 
-    training._advance, training._keep_up = advance, lambda state, seed: state
+    training.advance, training.keep_up = advance, lambda state, seed: state
     for _ in range(4):
         training.chunk()
     assert done == ([(8, True)] * 4 if enabled else [(16, False)] * 4)
@@ -60,7 +53,9 @@ def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_du
 
 
 @pytest.mark.slow
-def test_a_resumed_training_ends_at_the_same_bits(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
+def test_a_resumed_training_ends_at_the_same_bits(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, final_leaves: Callable[[Path], list[np.ndarray]]
+) -> None:
     scene, folder = ball_scene
     config = merged_config(config, {"poses": {"enabled": True}})
     whole = train(scene, folder, config, tmp_path / "whole")

@@ -38,7 +38,7 @@ def test_each_chunk_draws_from_the_pool_of_its_step(ball_scene: tuple[Scene, Pat
         seen.append(np.asarray(pixels.colour).copy())
         return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
 
-    training._advance, training._keep_up = advance, lambda state, seed: state
+    training.advance, training.keep_up = advance, lambda state, seed: state
     assert training.pool is not None and training.pool.period == 16 and len(training.pixels.view) == 2000
     assert training.held is not None and len(training.held.view) == 76, "a hundredth"
     while training.clock.step < 40:

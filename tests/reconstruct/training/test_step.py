@@ -1,9 +1,12 @@
 """The step: accumulated batches, gains of views, several devices. That every model trains is in test_every_model."""
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -19,7 +22,8 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.training.batches import Division
 from reconstruct.training.optimiser import Optimiser
-from reconstruct.training.step import Step, TrainState
+from reconstruct.training.programs import Programs
+from reconstruct.training.step import Part, Step, TrainState
 
 SMALL = {
     "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
@@ -64,24 +68,26 @@ def stepped(config: Config, scene: Scene, steps: int) -> tuple[TrainState, Train
 
 def test_accumulated_batches_step_by_their_mean_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
     config = Config.model_validate(models.merged(small("surfnerf_voxels").model_dump(), {"train": {"accumulate": 3}}))
-    one_step = Step.of(config, FACTS)
+    one_step = replace(Step.of(config, FACTS), second_pass=None)
     state = one_step.initial(jax.random.key(0))
     stepped: list = []
 
-    def gradient(self, model, pixels, key, progress, second):
-        value = jax.random.uniform(key)
+    def begun(self, model, step, pixels, seed, progress, index):
+        value = jax.random.uniform(self._keys(step, seed, index)["pixels"])
         cell = (1000 * value).astype(jnp.int32)[None]
-        return jax.tree.map(lambda leaf: jnp.full_like(leaf, value), model.split()[0]), {"mse": value}, (cell, value[None])
+        gradient = jax.tree.map(lambda leaf: jnp.full_like(leaf, value), model.split()[0])
+        return Part(gradient, {"mse": value}, (cell, value[None]), None, None)
 
     def descended(self, learned, gradient, moments, *_):
         stepped.append(gradient)
         return learned, moments
 
-    monkeypatch.setattr(Step, "gradient", gradient)
+    monkeypatch.setattr(Step, "begun", begun)
     monkeypatch.setattr(Optimiser, "descended", descended)
     pixels = Pixels(*(jnp.zeros(s) for s in ((1, 4), (1, 3))), jnp.zeros(1, jnp.int32), jnp.zeros((1, 3)), jnp.zeros(1))
     after, terms = one_step(state, pixels, jnp.asarray(5), jnp.asarray(0.5), jnp.asarray(False))
-    values = jax.vmap(jax.random.uniform)(jax.random.split(jax.random.fold_in(jax.random.key(5), 0), 3))
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(5), 0), 3)
+    values = [jax.random.uniform(jax.random.split(key, 4)[0]) for key in keys]
     np.testing.assert_allclose(jax.tree.leaves(stepped[0])[0], np.mean(values), rtol=1e-6)
     np.testing.assert_allclose(terms["mse"], np.mean(values), rtol=1e-6)
     known = [np.isfinite(one.model.sampler.grid.density) for one in (after, state)]
@@ -152,6 +158,53 @@ def test_four_devices_come_to_the_result_of_one(world: str) -> None:
         [sys.executable, "-c", SHARDED, json.dumps(small), world], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-3000:]
+
+
+@pytest.fixture(scope="module")
+def programs(ball_scene: tuple[Scene, Path]) -> tuple[Step, TrainState, Pixels, Programs]:
+    """A small step with a table that no other array is as large as, compiled."""
+    config = Config.model_validate(models.merged(small("surfnerf_voxels").model_dump(), {"encoding": {"log2_size": 12}}))
+    one_step = Step.of(config, SceneFacts(Normalisation.of(ball_scene[0])))
+    views = ball_scene[0].split("train")
+    with progress("reading", len(views)) as shown:
+        pixels = Pixels.load(views, Normalisation.of(ball_scene[0]), 1.0, shown)
+    state = one_step.initial(jax.random.key(0), None, len(views))
+    return one_step, state, pixels, one_step.compiled(state, pixels)
+
+
+def test_no_program_copies_a_table(programs: tuple[Step, TrainState, Pixels, Programs]) -> None:
+    """Zeros into which a gradient is scattered are made by copying zeros; nothing else as large as a table is copied."""
+    _, state, _, compiled = programs
+    sizes = {leaf.size for leaf in (state.model.field.encoding.table, state.model.sampler.grid.density)}
+    copied = []
+    for stage in compiled.stages:
+        for match in re.finditer(r"= \w+\[([\d,]+)\]\S* copy(?:-start)?\(%?([\w.\-]+)\)", stage.as_text()):
+            if math.prod(map(int, match[1].split(","))) in sizes:
+                copied.append(match[0])
+    assert [line for line in copied if "broadcast" not in line] == []
+    descend = compiled.descend.memory_analysis()
+    assert descend.alias_size_in_bytes > 0.9 * descend.output_size_in_bytes, "state is overwritten"
+    assert descend.temp_size_in_bytes < state.model.field.encoding.table.nbytes, "no second table beside the first"
+    for stage in compiled.stages:
+        assert not re.search(r" conditional\(", stage.as_text()), "nothing passes through a branch"
+
+
+def test_programs_do_what_one_function_does(programs: tuple[Step, TrainState, Pixels, Programs]) -> None:
+    one_step, state, pixels, compiled = programs
+    seed, progress = jnp.asarray(3, jnp.int32), jnp.asarray(0.5, jnp.float32)
+    expected = state
+    one = jax.jit(one_step).lower(state, pixels, seed, progress, jnp.asarray(True))
+    one = one.compile(compiler_options={"xla_backend_optimization_level": 0})
+    for i in range(3):
+        expected, terms = one(expected, pixels, seed, progress, jnp.asarray(i == 2))
+    found, same = compiled(jax.tree.map(jnp.copy, state), pixels, seed, progress, 3, True)
+    assert terms.keys() == same.keys() and int(found.step) == 3
+    for name in terms:
+        np.testing.assert_allclose(same[name], terms[name], rtol=1e-4, atol=1e-7, err_msg=name)
+    for one, other in zip(jax.tree.leaves(found.model), jax.tree.leaves(expected.model), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
+    _, plain = compiled(found, pixels, seed, progress, 1, False)
+    assert plain.keys() == same.keys() and not plain["normal_consistency"], "a second pass that is left out costs nothing"
 
 
 def test_devices_that_do_not_divide_a_batch_are_left_out() -> None:

@@ -1,0 +1,142 @@
+"""How many steps a budget of seconds is: from a short trial of the step, corrected once if the machine's rate changes.
+
+The trial's steps are thrown away, and their time counts. From then on the training is one of a known number of steps, which
+`train.steps` repeats to the bit where nothing was corrected. RUN/run.json keeps the number and what it was found from.
+"""
+
+import time
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reconstruct.config import SurfaceConfig
+from reconstruct.surface.second_pass import second_pass_period
+from reconstruct.training import distributed
+from reconstruct.training.clock import Clock, Leg
+
+if TYPE_CHECKING:
+    from reconstruct.training.training import Training
+
+SHARE, LONGEST_S = 0.04, 2.0
+"""The trial takes this share of the budget, and no longer than this."""
+OFTEN = 2
+"""Chunks of plain steps in a trial for one second pass."""
+TOLERANCE = 0.1
+"""A number of steps that is wrong by less is left as it is."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the number of steps was found from, and what became of it. Kept in run.json as "plan"."""
+
+    plain_s: float
+    """Time of a step without second pass, the sampler's upkeep included."""
+    second_s: float
+    """Time of a step with it."""
+    began: tuple[float, int, int]
+    """Seconds, steps and second passes before the plan."""
+    legs: list[Leg] = field(default_factory=list)
+    checked: bool = False
+    """Whether it was looked at half-way."""
+
+    @classmethod
+    def of_json(cls, content: dict[str, Any]) -> "Plan":
+        """As `to_json` wrote it."""
+        seconds, step, passes = content["began"]
+        legs = [Leg(int(step), float(progress), int(steps)) for step, progress, steps in content["legs"]]
+        return cls(content["plain_s"], content["second_s"], (seconds, int(step), int(passes)), legs, content["checked"])
+
+    def to_json(self) -> dict[str, Any]:
+        """For run.json."""
+        return asdict(self)
+
+    def step_s(self, surface: SurfaceConfig, lenience: int, begin: float) -> float:
+        """Mean time of a step from this progress to the end: second passes become more frequent."""
+        if not surface.enabled:
+            return self.plain_s
+        places = begin + (1 - begin) * (np.arange(256) + 0.5) / 256
+        periods = [second_pass_period(place, first=surface.first_period, last=surface.last_period) for place in places]
+        share = float(np.mean(1 / (lenience * np.array(periods, np.float64))))
+        return self.plain_s + share * (self.second_s - self.plain_s)
+
+    def leg(self, clock: Clock, surface: SurfaceConfig, begin: float, rate: float = 1.0) -> Leg:
+        """From now to the end of the budget, on a machine whose steps take `rate` times as long as in the trial."""
+        assert clock.budget_s is not None
+        step_s = rate * self.step_s(surface, clock.lenience, begin)
+        return Leg(clock.step, begin, clock.step + max(1, round((clock.budget_s - clock.seconds) / step_s)))
+
+    def corrected(self, clock: Clock, surface: SurfaceConfig) -> "Plan":
+        """The plan as it is half-way, with a second leg where the first would miss the budget."""
+        seconds, step, passes = self.began
+        passes = clock.passes - passes
+        planned_s = self.plain_s * (clock.step - step - passes) + self.second_s * passes
+        leg = self.leg(clock, surface, clock.progress, (clock.seconds - seconds) / planned_s)
+        wrong = abs(leg.steps / self.legs[-1].steps - 1) > TOLERANCE
+        return Plan(self.plain_s, self.second_s, self.began, [*self.legs, leg] if wrong else self.legs, True)
+
+
+def begin(training: "Training") -> None:
+    """Find the number of steps where there is a budget and it is not known yet."""
+    clock = training.clock
+    if clock.budget_s is None or clock.legs:
+        return
+    done = min(0.999, clock.seconds / clock.budget_s) if clock.step else 0.0
+    started = time.perf_counter()
+    plain_s, second_s = _tried(training, clock.budget_s)
+    clock.seconds = distributed.decided(clock.seconds + time.perf_counter() - started)
+    plan = Plan(plain_s, second_s, (clock.seconds, clock.step, clock.passes))
+    plan.legs.append(plan.leg(clock, training.run.config.surface, done))
+    _follow(training, plan)
+
+
+def check(training: "Training") -> None:
+    """Half-way, in steps or in seconds, correct the number of steps if it misses the budget. Every process has the same clock."""
+    clock, plan = training.clock, training.plan
+    if clock.budget_s is None or plan is None or plan.checked or clock.step <= plan.began[1] or clock.progress >= 1:
+        return
+    if clock.progress >= 0.5 or clock.seconds >= 0.5 * clock.budget_s:
+        _follow(training, plan.corrected(clock, training.run.config.surface))
+
+
+def _follow(training: "Training", plan: Plan) -> None:
+    training.plan = plan
+    training.clock.legs, training.clock.steps = plan.legs, plan.legs[-1].steps
+    training.run.amend({"plan": plan.to_json()})
+
+
+def _tried(training: "Training", budget_s: float) -> tuple[float, float]:
+    """Seconds of a step without and with the second pass, by steps on a copy of the state."""
+    from reconstruct.training.training import CHUNK
+
+    seed, surface = jnp.asarray(training.run.config.train.seed, jnp.int32), training.run.config.surface
+    state, longest = jax.tree.map(jnp.copy, training.state), min(LONGEST_S, SHARE * budget_s)
+    begun, progress = time.perf_counter(), jnp.zeros((), jnp.float32)
+
+    def timed(state: Any, count: int, second: bool) -> tuple[Any, float]:
+        start = time.perf_counter()
+        state, terms = training.advance(state, training.pixels, seed, progress, count, second)
+        if count == CHUNK and state.model.sampler.upkeep_due(count, 1.0):
+            state = training.keep_up(state, seed)
+        jax.block_until_ready((state, terms))
+        return state, (time.perf_counter() - start) / count
+
+    state, first = timed(state, 1, False)
+    count = int(np.clip(distributed.decided(longest / 8 / max(first, 1e-6)), 1, CHUNK))
+    plain: list[float] = []
+    passes: list[float] = []
+    while not plain or distributed.decided(time.perf_counter() - begun) < longest:
+        state, seconds = timed(state, count, False)
+        plain.append(seconds)
+        if surface.enabled and len(passes) <= len(plain) // OFTEN:
+            state, seconds = timed(state, 1, True)
+            passes.append(seconds)
+    plain_s = distributed.decided(_mean(plain))
+    return plain_s, distributed.decided(_mean(passes)) if passes else plain_s
+
+
+def _mean(seconds: list[float]) -> float:
+    """Without the first, which finds nothing in the cache, where there are more."""
+    return float(np.mean(seconds[1:] or seconds))

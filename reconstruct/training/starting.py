@@ -1,0 +1,102 @@
+"""How a training begins, or goes on from its newest checkpoint."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from datasets.core.console import hint
+from datasets.core.files import refuse_existing
+from datasets.core.space import require_room
+from datasets.scene import Scene
+from reconstruct import checkpoint
+from reconstruct.config import Config
+from reconstruct.rendering.pictures import Renderer
+from reconstruct.run import CHECKPOINTS, Run, copies_beside
+from reconstruct.training.budget import Plan
+from reconstruct.training.clock import Clock
+from reconstruct.training.preparation import Prepared, prepare
+from reconstruct.training.skipping import record
+from reconstruct.training.skipping.plan import normalisation_of
+from reconstruct.training.step import TrainState
+from reconstruct.training.training import Training
+
+LOOKS = 40
+"""Lines in the log over a whole training."""
+LINE_BYTES = 4000
+"""More than a line of the log takes."""
+
+
+def start(
+    scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None = None, start_from: Run | None = None
+) -> Training:
+    """A training that is about to begin, its run written into `out`; see `train`."""
+    refuse_existing(out)
+    known = None if start_from is None else start_from.facts
+    normalisation = normalisation_of(scene, config) if known is None else known.normalisation
+    prepared = prepare(scene, config, normalisation, known, copies=copies_beside(out))
+    config, state = prepared.step.config, prepared.state
+    about = {
+        "scene_name": scene.name,
+        "box": scene.box.tolist(),
+        "bounds_from": scene.bounds_from,
+        "notes": list(scene.notes),
+        "budget_s": budget_s,
+        "device": jax.devices()[0].device_kind,
+        "devices": jax.device_count(),
+        "versions": {"jax": jax.__version__, "numpy": np.__version__},
+    }
+    if start_from is not None:
+        state = _continued(state, start_from)
+        about["from"] = str(start_from.path.resolve())
+    _require_room(out, state)
+    record.write(out, prepared.skips)
+    run = Run.create(out, config, scene_path, prepared.step.facts, about)
+    return _training(run, prepared, state, Clock(config.train.steps, budget_s), prepared.skips)
+
+
+def _continued(fresh: TrainState, run: Run) -> TrainState:
+    """The newest state of a run, its steps counted from zero again.
+
+    Raises:
+        ReconstructError: the run was trained with other sizes, or has no checkpoint.
+    """
+    state, _ = checkpoint.load(run.path / CHECKPOINTS, fresh)
+    return eqx.tree_at(lambda s: (s.step, s.skipped), state, (fresh.step, fresh.skipped))
+
+
+def resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
+    """The training of a run from its newest checkpoint on; from its first step where it was killed before there was one."""
+    run = Run.open(out)
+    prepared = prepare(scene, run.config, run.normalisation, run.facts, fresh=False, copies=run.copies)
+    state, stored, source = prepared.state, {"seconds": 0.0}, run.content.get("from")
+    if checkpoint.steps(run.path / CHECKPOINTS):
+        state, stored = checkpoint.load(run.path / CHECKPOINTS, state)
+    elif source is not None:
+        state = _continued(state, Run.open(Path(source)))
+    _require_room(out, state)
+    run.rewind(int(state.step))
+    seconds = stored.pop("seconds")
+    counts = {name: int(value) for name, value in stored.items()}
+    known, plan = run.content.get("budget_s"), run.content.get("plan")
+    plan = None if plan is None else Plan.of_json(plan)
+    if plan is not None and budget_s not in (None, known):
+        hint(f"goes on to the {plan.legs[-1].steps} steps that were planned for {known:g} s")
+        budget_s = known
+    clock = Clock(run.config.train.steps, budget_s or known, seconds, **counts, legs=[] if plan is None else plan.legs)
+    training = _training(run, prepared, state, clock, record.read(out))
+    training.plan = plan
+    return training
+
+
+def _require_room(out: Path, state: TrainState) -> None:
+    """Raise KoalaError where the disk has no room for the log and the checkpoints, one of them unfinished."""
+    checkpoints = checkpoint.KEPT + 1 - len(checkpoint.steps(out / CHECKPOINTS))
+    require_room(out, checkpoints * checkpoint.state_bytes(state) + LOOKS * LINE_BYTES, "the checkpoints and the log")
+
+
+def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:
+    step, _, pixels, probe, held, pool, _ = prepared
+    renderer = Renderer(run.normalisation, light=run.facts.light)
+    return Training(run, step, state, pixels, probe, clock, renderer, held, pool, skips)

@@ -1,0 +1,159 @@
+"""A training that is under way: chunks of steps, looks for the log, checkpoints."""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from datasets.core.console import hint
+from reconstruct import checkpoint
+from reconstruct.errors import ReconstructError
+from reconstruct.rendering.pictures import Renderer
+from reconstruct.rendering.probe import Probe, held_out_psnr
+from reconstruct.run import CHECKPOINTS, Run
+from reconstruct.scene.pool import Pool
+from reconstruct.scene.rays import Pixels
+from reconstruct.surface.second_pass import second_pass_period
+from reconstruct.training import distributed
+from reconstruct.training.budget import Plan
+from reconstruct.training.clock import Clock
+from reconstruct.training.event_log import EventLog
+from reconstruct.training.faults import FAULTS, RECURS, cause
+from reconstruct.training.skipping import outcome, record
+from reconstruct.training.step import Step, TrainState
+
+CHUNK = 16
+"""Largest number of steps between two checks of the clock."""
+WORTH_DB = 0.02
+"""Improvement of held-out pixels by which a training counts as still improving [dB]."""
+
+
+@dataclass
+class Training:
+    """A training that is under way."""
+
+    run: Run
+    one_step: Step
+    state: TrainState
+    pixels: Pixels
+    probe: Probe | None
+    clock: Clock
+    renderer: Renderer
+    held: Pixels | None = None
+    """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
+    pool: Pool | None = None  # what renews `pixels`, where they are only a part of all
+    skips: list[record.Skip] = field(default_factory=list)
+    """What is left out, and why."""
+    events: EventLog | None = None
+    """Where each look goes beside the run's log."""
+    plan: Plan | None = None
+    """How the number of steps follows from a budget."""
+    advance: Any = field(default=None)
+    keep_up: Any = field(default=None)
+    _finite: dict[str, jax.Array] = field(default_factory=dict)
+
+    def chunk(self) -> dict[str, jax.Array]:
+        """Up to `CHUNK` steps, the last of them with the second pass where it is due.
+
+        Returns:
+            The last step's terms, or where they were not finite those of the last chunk that was; empty before there is one.
+        """
+        surface, clock = self.run.config.surface, self.clock
+        period = clock.lenience * second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
+        left = CHUNK if clock.left is None else min(CHUNK, clock.left)
+        until_due = period - clock.since_second_pass if surface.enabled else left
+        count = max(1, min(left, until_due))
+        second = surface.enabled and count >= until_due
+        start, seed = time.perf_counter(), jnp.asarray(self.run.config.train.seed, jnp.int32)
+        done = jnp.asarray(clock.progress, jnp.float32)
+        if self.pool is not None:
+            self.pixels = self.pool.renewed(self.pixels, clock.step)
+        self.state, terms = self.advance(self.state, self.pixels, seed, done, count, second)
+        clock.since_look += count
+        if self.state.model.sampler.upkeep_due(clock.since_look, clock.progress):
+            self.state = self.keep_up(self.state, seed)
+            clock.since_look = 0
+        jax.block_until_ready(terms)
+        clock.seconds += time.perf_counter() - start
+        clock.step += count
+        clock.since_second_pass = 0 if second else clock.since_second_pass + count
+        if second:
+            self._count_second_pass(terms)
+        faults = int(terms.pop(FAULTS))
+        self._report_faults(faults, terms)
+        if not faults:
+            self._finite = terms
+        return self._finite  # steps that are left out change nothing
+
+    def _count_second_pass(self, terms: dict[str, jax.Array]) -> None:
+        """Count a second pass, and find out when the next one is worth its time."""
+        clock, config = self.clock, self.run.config
+        clock.passes, clock.passes_left_out = clock.passes + 1, clock.passes_left_out + clock.lenience - 1
+        if config.skip.consistent_passes:
+            clock.lenience = outcome.lenience(clock.lenience, terms, config.surface)
+
+    def _report_faults(self, faults: int, terms: dict[str, jax.Array]) -> None:
+        """Say what was not finite in the last steps. Raises ReconstructError where that recurs."""
+        if not faults:
+            return
+        skipped, reason = int(self.state.skipped), cause(faults, self.state.model.split()[0], terms)
+        hint(f"up to step {self.clock.step} {skipped} left out, not finite: {reason}")
+        self.run.append_fault({"step": self.clock.step, "skipped": skipped, "cause": reason})
+        if skipped >= RECURS:
+            raise ReconstructError(
+                "training does not stay finite",
+                where=f"step {self.clock.step}",
+                why=f"{skipped} steps; the last: {reason}",
+                remedy="lower train.rate, and look for values that are not finite in the scene's cameras",
+            )
+
+    def compile(self) -> float:
+        """Compile the step; returns the seconds that it took."""
+        start = time.perf_counter()
+        if (everywhere := self.one_step.division.everywhere) is not None:
+            self.state, self.pixels = distributed.on_all((self.state, self.pixels), everywhere)
+        self.advance = self.one_step.compiled(self.state, self.pixels)
+        self.keep_up = self.one_step.compiled_upkeep(self.state)
+        return time.perf_counter() - start
+
+    def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:
+        """One line for the log; renders the probe."""
+        state = distributed.own_copy(self.state)
+        model = state.model
+        seconds, done = round(self.clock.seconds, 3), round(self.clock.progress, 5)
+        line: dict[str, Any] = {"step": self.clock.step, "seconds": seconds, "progress": done}
+        if "mse" in terms:
+            line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
+        if self.probe is not None:
+            line["psnr_unseen"] = self.probe.psnr(model, self.renderer)
+        if self.held is not None:
+            line["psnr_held_out"] = held_out_psnr(self.held, model, self.renderer)
+        line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
+        line |= model.sampler.figures()
+        self.run.append_log(line)
+        if self.events is not None:
+            self.events.write(line)
+        return line
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether held-out pixels got no better for as long as the configuration has patience."""
+        measured = [(line["psnr_held_out"], line["progress"]) for line in self.run.log() if "psnr_held_out" in line]
+        if self.held is None or not measured:
+            return False
+        best, since = measured[0]
+        for psnr, done in measured[1:]:
+            if psnr > best + WORTH_DB:
+                best, since = psnr, done
+        return measured[-1][1] - since >= self.run.config.train.patience
+
+    def save(self) -> None:
+        """Checkpoint state and clock, where this process is the one that does."""
+        if not distributed.writes():
+            return
+        kept = ("seconds", "step", "since_second_pass", "since_look", "lenience", "passes", "passes_left_out")
+        clock = {name: getattr(self.clock, name) for name in kept}
+        checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)
