@@ -59,7 +59,9 @@ class Optimiser:
         trees = [eqx.partition(tree, tables) for tree in (gradient, learned, state.mu, state.nu)]
         others = self._others([rest for _, rest in trees], state.count, rate, progress, finite, origins)
         new = _with_tables([table for table, _ in trees], others, state.count, rate, finite)
-        return new[0], optax.ScaleByAdamState(jnp.where(finite, optax.safe_increment(state.count), state.count), *new[1:])
+        return new[0], optax.ScaleByAdamState(
+            jnp.where(finite, optax.safe_increment(state.count), state.count), *_parameters(new[1:])
+        )
 
     def _others(
         self,
@@ -72,7 +74,9 @@ class Optimiser:
     ) -> list[Model]:
         """Parameters, means and squares of what no compiled kernel takes, from gradient, parameters, means and squares."""
         gradient, learned, means, squares = trees
-        update, state = ADAM.update(_parameters(gradient), optax.ScaleByAdamState(count, _parameters(means), squares))
+        update, state = ADAM.update(
+            _parameters(gradient), optax.ScaleByAdamState(count, _parameters(means), _parameters(squares))
+        )
         new = jax.tree.map_with_path(lambda path, p, u: p - rate * self._share(path) * u, learned, update)
         if learned.poses is not None:
             sigma = jnp.array(self.pose_sigma)
@@ -95,7 +99,7 @@ def _with_tables(
     tables: list[Model], others: list[Model], count: Array, rate: Float[Array, ""], finite: Bool[Array, ""]
 ) -> list[Model]:
     """Parameters, means and squares of everything: those of tables, each read and written once, with those of the others."""
-    count = optax.safe_increment(count)
+    count = jnp.asarray(optax.safe_increment(count))
     new: list[list[Array]] = [[], [], []]
     for table in zip(*map(jax.tree.leaves, tables), strict=True):
         found = adam.descended(*table, decays=DECAYS, smallest=SMALLEST, count=count, rate=rate, finite=finite)
