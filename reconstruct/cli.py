@@ -25,6 +25,14 @@ def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
     console.report({"models": rows}, as_json=as_json, text=models_text(rows))
 
 
+def backend(as_json: console.Json = False) -> None:
+    """Say what training will run on, and with which kernels."""
+    from reconstruct.backend import found
+
+    about = found()
+    console.report(about, as_json=as_json, text=str(about["text"]))
+
+
 def view(
     path: Annotated[Path, Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
     mesh: Annotated[Path | None, Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
@@ -53,6 +61,7 @@ def view(
 
 app.command()(train_command.train)
 app.command()(models)
+app.command()(backend)
 app.add_typer(study_commands.app)
 app.add_typer(output_commands.app)
 app.command()(diagnosis_command.diagnose)

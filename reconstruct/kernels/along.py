@@ -6,9 +6,8 @@ Vocabulary: cuts, (4, n): near, enter, leave and far of each ray; counts, (3,): 
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from reconstruct.kernels.frame import compiled, compiled_exactly
+from reconstruct.kernels.compiler import compiled, compiled_exactly, intrinsic
 
 f4 = np.float32
 LOG2_E = f4(1.4426950408889634)

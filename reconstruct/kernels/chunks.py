@@ -12,10 +12,10 @@ What the threads share is a block of six integers, which the last of them gives 
 """
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 
+from reconstruct.kernels.compiler import intrinsic, plain
 from reconstruct.kernels.frame import API, CALL_FRAME, load_word, store_word
 
 _API, _CONTEXT, _SCHEDULE = CALL_FRAME["api"], CALL_FRAME["context"], API["schedule"]
@@ -119,7 +119,7 @@ def address_of(work, arguments):
     return address
 
 
-@njit
+@plain
 def _take(block):
     """Do chunks as long as there are any."""
     count = load_word(block + _COUNT)
@@ -131,13 +131,13 @@ def _take(block):
         _fetch_add(block + _DONE, 1)
 
 
-@njit
+@plain
 def _release(block):
     if _fetch_add(block + _HOLDERS, -1) == 1:
         _give_back(block)
 
 
-@njit
+@plain
 def _help(block):
     _take(block)
     _release(block)
@@ -146,7 +146,7 @@ def _help(block):
 _address_of_help = address_of(_help, 1)
 
 
-@njit
+@plain
 def _ask_for_help(frame, block):
     """Put `_help` in the queue of XLA's threads; where they refuse, nobody helps."""
     _fetch_add(block + _HOLDERS, 1)
@@ -162,7 +162,7 @@ def _ask_for_help(frame, block):
         _release(block)
 
 
-@njit
+@plain
 def in_chunks(frame, work, count, worth_help):
     """Call the function at address `work` with the frame and each chunk below `count`; by one thread unless another is worth it."""
     if count < 2 or not worth_help:

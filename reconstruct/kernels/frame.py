@@ -9,14 +9,10 @@ Functions here are compiled by Numba into the kernels that use them. An address 
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, njit, types
+from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 
-OPTIONS = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
-"""Of the compiler: no exception is raised, products and sums may be joined."""
-EXACT = {"error_model": "numpy", "fastmath": False}
-"""The same with each operation rounded by itself."""
+from reconstruct.kernels.compiler import array_at, handler, intrinsic, plain
 
 CALL_FRAME = {"size": 168, "extension": 8, "api": 16, "context": 24, "stage": 32, "arguments": 40, "results": 80}
 BUFFERS = {"size": 40, "count": 16, "list": 32}
@@ -33,21 +29,6 @@ _ARGUMENT_LIST, _RESULT_LIST = CALL_FRAME["arguments"] + BUFFERS["list"], CALL_F
 _ARGUMENT_COUNT, _RESULT_COUNT = CALL_FRAME["arguments"] + BUFFERS["count"], CALL_FRAME["results"] + BUFFERS["count"]
 _EXTENSION, _STAGE = CALL_FRAME["extension"], CALL_FRAME["stage"]
 _DATA, _RANK, _DIMS = BUFFER["data"], BUFFER["rank"], BUFFER["dims"]
-
-
-def handler(function):
-    """Decorator: a compiled kernel, a function of the frame's address that returns zero."""
-    return cfunc(types.int64(types.int64), cache=True, **OPTIONS)(function)
-
-
-def compiled(function):
-    """Decorator: a part of a kernel."""
-    return njit(**OPTIONS)(function)
-
-
-def compiled_exactly(function):
-    """Decorator: a part of a kernel whose operations are rounded one by one, as they are written."""
-    return njit(**EXACT)(function)
 
 
 @intrinsic
@@ -94,7 +75,7 @@ def store_half_word(context, address, value):
 
 @intrinsic
 def _as_pointer(context, address):
-    """The address as `carray` takes it."""
+    """The address as `array_at` takes it."""
 
     def code(context, builder, signature, arguments):
         return builder.inttoptr(arguments[0], cgutils.voidptr_t)
@@ -102,7 +83,7 @@ def _as_pointer(context, address):
     return types.voidptr(types.int64), code
 
 
-@njit
+@plain
 def executes(frame):
     """Whether a kernel has to compute now; where XLA asks for its version, it is answered."""
     extension = load_word(frame + _EXTENSION)
@@ -114,68 +95,68 @@ def executes(frame):
     return load_half_word(frame + _STAGE) == EXECUTE
 
 
-@njit
+@plain
 def _argument(frame, index):
     return load_word(load_word(frame + _ARGUMENT_LIST) + 8 * index)
 
 
-@njit
+@plain
 def _result(frame, index):
     return load_word(load_word(frame + _RESULT_LIST) + 8 * index)
 
 
-@njit
+@plain
 def argument_count(frame):
     """Number of arguments."""
     return load_word(frame + _ARGUMENT_COUNT)
 
 
-@njit
+@plain
 def result_count(frame):
     """Number of results."""
     return load_word(frame + _RESULT_COUNT)
 
 
-@njit
+@plain
 def argument_rank(frame, index):
     """Number of axes of an argument."""
     return load_word(_argument(frame, index) + _RANK)
 
 
-@njit
+@plain
 def argument_size(frame, index, axis):
     """Length of an argument along an axis."""
     return load_word(load_word(_argument(frame, index) + _DIMS) + 8 * axis)
 
 
-@njit
+@plain
 def result_size(frame, index, axis):
     """Length of a result along an axis."""
     return load_word(load_word(_result(frame, index) + _DIMS) + 8 * axis)
 
 
-@njit
+@plain
 def argument_address(frame, index):
     """Where an argument's numbers are."""
     return load_word(_argument(frame, index) + _DATA)
 
 
-@njit
+@plain
 def result_address(frame, index):
     """Where a result's numbers are to be."""
     return load_word(_result(frame, index) + _DATA)
 
 
-@njit
+@plain
 def argument(frame, index, shape, dtype):
     """An argument as an array of this shape and type, which the caller knows."""
-    return carray(_as_pointer(argument_address(frame, index)), shape, dtype)
+    return array_at(_as_pointer(argument_address(frame, index)), shape, dtype)
 
 
-@njit
+@plain
 def result(frame, index, shape, dtype):
     """A result as an array to be written."""
-    return carray(_as_pointer(result_address(frame, index)), shape, dtype)
+    return array_at(_as_pointer(result_address(frame, index)), shape, dtype)
 
 
 @handler

@@ -16,24 +16,13 @@ Arrays of a call, in this order:
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
 from reconstruct.field.encodings.simplex import LIFT
 from reconstruct.field.encodings.tables import MIXER, PRIMES
 from reconstruct.kernels.along import fma, rint
 from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.frame import (
-    argument,
-    argument_count,
-    argument_size,
-    compiled,
-    compiled_exactly,
-    executes,
-    handler,
-    result,
-    result_count,
-    result_size,
-)
+from reconstruct.kernels.compiler import compiled, compiled_exactly, handler, intrinsic
+from reconstruct.kernels.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
 
 BLOCK = 256
 LINE = 16

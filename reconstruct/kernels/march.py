@@ -11,7 +11,8 @@ import numpy as np
 
 from reconstruct.kernels.along import fma, from_half
 from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.frame import argument, argument_size, compiled, compiled_exactly, executes, handler, result
+from reconstruct.kernels.compiler import compiled, compiled_exactly, handler
+from reconstruct.kernels.frame import argument, argument_size, executes, result
 
 RAYS = 64
 """Of a chunk."""

@@ -90,14 +90,15 @@ def _failure() -> str | None:
 
 def _compiled() -> dict[str, Any]:
     """All kernels by name; compiled, or read from the folder of what was compiled before."""
-    import numba
+    from numba.core import config
 
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder() / "numba" / _digest())  # read while functions are decorated
+    options: Any = config
+    before = options.CACHE_DIR
+    options.CACHE_DIR = str(cache_folder() / "numba" / _digest())  # read while functions are decorated
     try:
         modules = {name: importlib.import_module(f"reconstruct.kernels.{name}") for name in KERNELS}
     finally:
-        numba.config.CACHE_DIR = before
+        options.CACHE_DIR = before
     return {name: getattr(modules[module], name) for module, names in KERNELS.items() for name in names}
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from reconstruct.kernels.along import at, exp_of_minus
 from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.frame import argument, argument_size, compiled, compiled_exactly, executes, handler, result, result_size
+from reconstruct.kernels.compiler import compiled, compiled_exactly, handler
+from reconstruct.kernels.frame import argument, argument_size, executes, result, result_size
 
 RAYS = 32
 """Of a chunk."""

@@ -95,6 +95,16 @@ def test_models_are_listed_with_their_parts(command: Callable[..., tuple[int, st
     assert code == 0 and {row["name"] for row in json.loads(out)["models"]} >= {"surfnerf", "mipnerf", "finetune"}
 
 
+def test_the_backend_is_one_line(command: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, _ = command("backend")
+    assert code == 0 and len(out.splitlines()) == 1
+    monkeypatch.setenv("KOALA_KERNELS", "off")
+    code, out, _ = command("backend")
+    assert code == 0 and "plain JAX, for KOALA_KERNELS=off" in out and len(out.splitlines()) == 1
+    code, out, _ = command("backend", "--json")
+    assert code == 0 and json.loads(out)["kernels"] is False
+
+
 def test_settings_are_listed_with_the_defaults_of_the_model_and_preset(command: Callable[..., tuple[int, str, str]]) -> None:
     code, out, _ = command("train", "--list-settings", "--model", "zipnerf", "--set", "scale=0.5")
     lines = out.splitlines()
