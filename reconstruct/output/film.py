@@ -42,7 +42,8 @@ def _pictures(trained: TrainedModel, frames, shown: Sequence[str], bar) -> Itera
     view = trained.scene.views[0]
     camera, limits = trained.camera(view).undistorted(), None
     for world_from_camera in frames:
-        picture = trained.renderer.picture(trained.model, replace(view, world_from_camera=world_from_camera), camera)
+        moved, normals = replace(view, world_from_camera=world_from_camera), "normals" in shown
+        picture = trained.renderer.picture(trained.model, moved, camera, normals=normals)
         if limits is None:
             known = picture.depth[picture.depth > 0]
             limits = tuple(np.percentile(known, [1, 99]).tolist()) if known.size else (0.0, 1.0)

@@ -125,13 +125,22 @@ def composite(
     return jnp.zeros((samples.num_rays, values.shape[0]), values.dtype).at[samples.ray].add(rows, mode="promise_in_bounds")
 
 
-def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
+def render(
+    field: Field,
+    rays: Rays,
+    samples: RaySamples,
+    cloud: Cloud,
+    known: tuple[Float[Array, " n"], Material] | None = None,
+) -> tuple[Rendered, Float[Array, " n"]]:
     """Composite the samples of each ray, and shade them as the field is shaded.
+
+    Args:
+        known: density and material of the samples, where they have been evaluated already.
 
     Returns:
         The rays, and the density of every sample [1 / scene unit].
     """
-    density, material = barrier(field(cloud))
+    density, material = barrier(field(cloud) if known is None else known)
     weights = barrier(sample_weights(density, samples, rays.speed))
     flat = barrier(samples.packed(weights))
     light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)

@@ -1,5 +1,6 @@
 """Whole pictures from a trained model: rays in chunks, each as long as its occupied space allows."""
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
 from datasets.scene import View
+from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import jit
@@ -27,6 +29,8 @@ Lists = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDA
 """Origins, directions and radii of many rays, and their lamps' rotations (None where lamps stand still), on the host."""
 BLOCK = 8192
 """Samples whose normals are found at once."""
+AT_ONCE = 3
+"""Programs that are under way at the same time: one alone leaves a core idle in its serial parts, and while it is read back."""
 FAINT = 1e-3
 """Share of a ray's opacity below which a sample's normal is left out: two dozen of them turn the sum by 1.4 degrees at most."""
 CHANNELS = {"rgb": 3, "opacity": 1, "diffuse": 3, "specular": 3, "roughness": 1, "depth": 1, "normals_pred": 3, "normals": 3}
@@ -72,6 +76,24 @@ def composited_normals(field: Field, cloud: Cloud, samples: RaySamples, rendered
     return jax.lax.fori_loop(0, (count + size - 1) // size, add, jnp.zeros((samples.num_rays, 3)))
 
 
+def by_blocks(field: Field, cloud: Cloud, samples: RaySamples) -> tuple[Float[Array, " n"], Material]:
+    """What `field` returns, evaluated for as many blocks as samples fill; zero for the rest of the list, which nobody sees."""
+    size, count = min(BLOCK, samples.t.shape[0]), jnp.sum(samples.valid)
+    if samples.t.shape[0] % size:
+        return field(cloud)
+
+    def evaluated(block: Array) -> tuple[Array, Material]:
+        return field(cloud.of(block * size + jnp.arange(size)))
+
+    def add(block: Array, whole: tuple[Array, Material]) -> tuple[Array, Material]:
+        put = lambda whole, part: jax.lax.dynamic_update_slice_in_dim(whole, part, block * size, axis=-1)  # noqa: E731
+        return jax.tree.map(put, whole, evaluated(block))
+
+    shapes = jax.eval_shape(evaluated, jnp.zeros((), jnp.int32))
+    empty = jax.tree.map(lambda leaf: jnp.zeros((*leaf.shape[:-1], samples.t.shape[0]), leaf.dtype), shapes)
+    return jax.lax.fori_loop(0, (count + size - 1) // size, add, empty)
+
+
 def _size(picture: int) -> int:
     """Rays at once for a picture of so many: one size for each picture, so that nothing is compiled in its midst."""
     return next((size for size in SIZES if size >= picture), SIZES[-1])
@@ -80,6 +102,11 @@ def _size(picture: int) -> int:
 def _slice(start: int, end: int, picture: int) -> Int[np.ndarray, " size"]:
     """The indices from `start` on that are rendered at once, the last before `end` repeated."""
     return np.minimum(np.arange(start, start + _size(picture)), end - 1)
+
+
+def _filled(rows: Int[np.ndarray, " n"], size: int) -> Int[np.ndarray, " size"]:
+    """As many indices as are rendered at once, the last one repeated."""
+    return rows[np.minimum(np.arange(size), len(rows) - 1)]
 
 
 def taken(rays: Lists, rows: Int[np.ndarray, " size"]) -> Lists:
@@ -151,16 +178,18 @@ class Renderer:
         given = (origins, directions, radii, light)
         values = np.zeros((len(origins), sum(CHANNELS.values())), np.float32)
         values[:, :3] = np.clip(self.behind, 0, 1)
-        wanted = np.flatnonzero(self._meets(model, given))
+        left, size = np.flatnonzero(self._meets(model, given)), _size(len(origins))
         function = self._function(normals, furthest is not None)
         limit = jnp.asarray(np.inf if furthest is None else furthest, jnp.float32)
-        start = 0
-        while start < len(wanted):
-            rows = wanted[_slice(start, len(wanted), len(origins))]
-            found, done = function(model, on_device(taken(given, rows)), limit)
-            count = min(int(done), len(wanted) - start)
-            values[rows[:count]] = found[:count]
-            start += count
+        running: deque[Any] = deque()
+        while len(left) or running:
+            while len(left) and len(running) < AT_ONCE:
+                rows, left = left[:size], left[size:]
+                running.append((rows, function(model, on_device(taken(given, _filled(rows, size))), limit)))
+            rows, (found, done) = running.popleft()
+            count = min(int(done), len(rows))
+            values[rows[:count]] = np.asarray(found)[:count]
+            left = np.concatenate([rows[count:], left])  # those that found no room
         ends = np.cumsum(list(CHANNELS.values()))
         return dict(zip(CHANNELS, np.split(values, ends[:-1], -1), strict=True))
 
@@ -199,7 +228,7 @@ class Renderer:
         if furthest is not None:  # an interval of no length absorbs nothing
             samples = eqx.tree_at(lambda s: s.length, samples, jnp.where(samples.t > furthest, 0.0, samples.length))
         cloud = cloud_of(rays, samples, space=self.normalisation.space, footprint=found.footprint)
-        rendered, _ = render(model.field, rays, samples, cloud)
+        rendered, _ = render(model.field, rays, samples, cloud, by_blocks(model.field, cloud, samples))
         normals = jnp.zeros_like(rendered.normals_pred)
         if with_normals:
             normals = composited_normals(model.field, cloud, samples, rendered)

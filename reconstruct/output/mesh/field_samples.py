@@ -1,6 +1,8 @@
 """Samples of a trained field for its mesh: density on a regular grid, colours and predicted normals at vertices."""
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,8 @@ from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.light import LightFrame
 from reconstruct.scene.space import Space
 
-CHUNK = 1 << 17  # points evaluated at once
+CHUNK = 1 << 15  # points evaluated by one program
+AT_ONCE = 3  # programs under way
 Axes = tuple[NDArray[np.float64], ...]  # coordinates of the grid points along x, y and z [scene unit]
 
 
@@ -38,13 +41,28 @@ def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y 
     index = np.flatnonzero(wanted)
     field, space = trained.model.field, trained.run.normalisation.space
     with progress("sampling density", len(index) / 1e6, "million points") as bar:
-        for start in range(0, len(index), CHUNK):
-            part = index[start : start + CHUNK]
-            places = np.unravel_index(part, wanted.shape)
-            points = _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
-            density.reshape(-1)[part] = np.asarray(_density(field, points, space))[: len(part)]
+
+        def chunks() -> Iterator[tuple[NDArray, Float[Array, " n"]]]:
+            for start in range(0, len(index), CHUNK):
+                part = index[start : start + CHUNK]
+                places = np.unravel_index(part, wanted.shape)
+                points = _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
+                yield part, _density(field, points, space)
+
+        for part, values in _ahead(chunks()):
+            density.reshape(-1)[part] = np.asarray(values)[: len(part)]
             bar.advance(len(part) / 1e6)
     return density
+
+
+def _ahead(begun: Iterator[Any]) -> Iterator[Any]:
+    """The same, each after the next ones have been begun: they are computed while the first is read, and beside it."""
+    waiting: deque[Any] = deque()
+    for one in begun:
+        waiting.append(one)
+        if len(waiting) == AT_ONCE:
+            yield waiting.popleft()
+    yield from waiting
 
 
 def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
@@ -64,9 +82,9 @@ def predicted_normals(trained: TrainedModel, points: NDArray) -> NDArray[np.floa
 def _by_chunks(function: Callable[..., Float[Array, "3 n"]], *arrays: NDArray) -> NDArray[np.float32]:
     """(n, 3) values of a function of (3, CHUNK) arrays at the rows of (n, 3) arrays."""
     values = np.zeros((len(arrays[0]), 3), np.float32)
-    for start in range(0, len(values), CHUNK):
-        part = slice(start, min(start + CHUNK, len(values)))
-        values[part] = np.asarray(function(*(_padded(array[part]) for array in arrays)))[:, : part.stop - start].T
+    parts = (slice(start, min(start + CHUNK, len(values))) for start in range(0, len(values), CHUNK))
+    for part, found in _ahead((part, function(*(_padded(array[part]) for array in arrays))) for part in parts):
+        values[part] = np.asarray(found)[:, : part.stop - part.start].T
     return values
 
 
