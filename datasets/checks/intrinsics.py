@@ -1,5 +1,7 @@
 """Focal length, distortion and principal point against the matches: errors that all views share."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +51,7 @@ def without_error(evidence: Evidence) -> Evidence:
     return evidence.with_cameras(rays, evidence.matrices)
 
 
+@lru_cache(maxsize=1)
 def best(evidence: Evidence) -> tuple[str, NDArray[np.float64], Correction]:
     """The one correction that helps most: its name, the (4,) change of (log focal length, k1, principal point x and y in px) that
     all views share, and its fit. One at a time, since where few matches lie far from the axis several together cancel."""
