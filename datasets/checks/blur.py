@@ -28,6 +28,7 @@ FEWEST = 12
 def find(evidence: Evidence) -> list[Finding]:
     """One finding per view that is blurrier than its neighbours."""
     values, std = sharpness(evidence)
+    values = against_neighbours(evidence, values)
     known = np.isfinite(values)
     if known.sum() < 4:
         return []
@@ -65,6 +66,16 @@ def sharpness(evidence: Evidence) -> tuple[NDArray[np.float64], NDArray[np.float
     values, deviations = values_of_views(len(maps), pairs, np.array(differences), np.array(std))
     compared = np.bincount(np.array(pairs, np.int64).reshape(-1), minlength=len(maps))
     return np.where(compared >= FEWEST_PAIRS, values, np.nan), deviations
+
+
+def against_neighbours(evidence: Evidence, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(views,) values less the median of the views that each is matched with: around a scene, small errors of pairs add up."""
+    near: list[list[int]] = [[] for _ in values]
+    for i, j in matching.pairs_of(evidence.matrices, evidence.focus):
+        near[i].append(j)
+        near[j].append(i)
+    around = [values[some][np.isfinite(values[some])] for some in near]
+    return values - np.array([np.median(some) if len(some) else np.nan for some in around])
 
 
 def equivalent(evidence: Evidence, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What the checks by picture look at: small pictures, matches and triangulated points of up to forty views."""
+"""What the checks by picture look at: small pictures, matches and triangulated points of up to eighty views."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,8 +12,8 @@ from datasets.structure.epipolar import Pairs
 from datasets.structure.matching import Features, Matches
 from datasets.structure.triangulate import Cloud, triangulate
 
-VIEWS = 40
-"""Largest number of views that are matched."""
+VIEWS = 80
+"""Largest number of views that are matched. Of more, neighbours would be too far apart on shiny objects."""
 OUTSTANDING = 3.5
 """A view stands out from the others beyond this many robust standard deviations of theirs."""
 

@@ -43,8 +43,7 @@ def _exposure(found: ExposureGains) -> list[Finding]:
         "log_std": dict(zip(found.names, std.tolist(), strict=True)),
     }
     what = "the same points are not equally bright in all views: exposure drifts, or the light moves"
-    remedy = "fix exposure, gain and white balance while recording, drop these views, or train with a gain per view: "
-    remedy += "--set train.per_image=exposure"
+    remedy = "fix exposure, gain and white balance while recording, or drop these views; training learns a gain for each view"
     where = f"{len(chosen)} of {int(np.isfinite(gains).sum())} views"
     return [Finding("warning", what, where, why, remedy, "exposure", figures)]
 
@@ -60,5 +59,6 @@ def _white_balance(found: ExposureGains) -> list[Finding]:
     why = f"red/green/blue compared with the median view, less the common gain: {listed}"
     figures = {"views": {found.names[i]: np.exp(colour[i]).tolist() for i in worst}}
     where = f"{len(chosen)} of {int(np.isfinite(colour).all(1).sum())} views"
-    what, remedy = "white balance differs between views", "fix the white balance while recording"
+    what = "white balance differs between views"
+    remedy = "fix the white balance while recording; training learns a gain of each colour for each view"
     return [Finding("warning", what, where, why, remedy, "white balance", figures)]

@@ -1,28 +1,35 @@
 """Focal length, distortion and principal point against the matches: errors that all views share."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.checks.evidence import Evidence
 from datasets.core.findings import Finding
-from datasets.structure.epipolar import Correction, Pairs, corrected
+from datasets.structure.epipolar import CLOSE, WIDTHS, Correction, Pairs, corrected
 
 LEAST_PX = 1.0
 """Shift at the middle of the picture's edge from which an error is reported [px of the image that was searched]."""
-LEAST_GAIN = 0.955
-"""The median distance of right matches must fall to this share of what it was."""
+LEAST_GAIN = 0.003
+"""Share of the matches' robust cost that the correction must remove. Untouched scenes reach 0.001."""
+MATCHES = 15_000
+"""So many of the matches are looked at, drawn at random."""
+PARTS = 4
+"""Disjoint parts of the pairs of views, each of which must ask for the correction in the same direction."""
 USUAL = 0.5
 """The correction must make this share of all matches right ones: else something other than intrinsics is wrong."""
-NAMES = ("focal length", "distortion", "principal point")
+ROWS = {"focal length": [0], "distortion": [1], "principal point": [2, 3]}
+"""What may be wrong, and its rows in a change of (log focal length, k1, principal point x and y in px)."""
+NAMES = tuple(ROWS)
 
 
 def find(evidence: Evidence) -> list[Finding]:
     """One finding where a common change of all cameras makes the matches agree clearly better."""
     name, change, fit = best(evidence)
     shift = float(np.linalg.norm(shifts(change, evidence)))
-    certain = bool((np.abs(fit.change) > 5 * fit.std).any())
-    few = fit.inliers < max(150, USUAL * len(evidence.pairs.first))
-    if few or not certain or shift < LEAST_PX or fit.after_px > LEAST_GAIN * fit.before_px:
+    few = fit.inliers < max(150, USUAL * min(len(evidence.pairs.first), MATCHES))
+    if few or shift < LEAST_PX or fit.gain < LEAST_GAIN or not _everywhere(evidence, name, change):
         return []
     words = {
         "focal length": f"a focal length {100 * np.expm1(change[0]):+.1f}%",
@@ -44,23 +51,46 @@ def without_error(evidence: Evidence) -> Evidence:
     return evidence.with_cameras(rays, evidence.matrices)
 
 
+@lru_cache(maxsize=1)
 def best(evidence: Evidence) -> tuple[str, NDArray[np.float64], Correction]:
     """The one correction that helps most: its name, the (4,) change of (log focal length, k1, principal point x and y in px) that
     all views share, and its fit. One at a time, since where few matches lie far from the axis several together cancel."""
-    pairs, matrices = evidence.pairs, evidence.matrices
-    half, pixel = edge(evidence), float(np.median(pairs.pixel))
-    steps = np.array([pixel / half, pixel / half**3, 1.0, 1.0])
+    found, some = [], _drawn(evidence.pairs)
+    for name in NAMES:
+        fit = _fitted(evidence, name, some)
+        found.append((name, _at(ROWS[name], fit.change), fit))
+    large = [one for one in found if np.linalg.norm(shifts(one[1], evidence)) >= LEAST_PX]
+    return max(large or found, key=lambda one: one[2].gain)
 
-    def distances(change: NDArray[np.float64]) -> NDArray[np.float64]:
+
+def _fitted(evidence: Evidence, name: str, pairs: Pairs) -> Correction:
+    """The best change of one of `NAMES` for some of the matches."""
+    half, pixel, rows = edge(evidence), float(np.median(evidence.pairs.pixel)), ROWS[name]
+    steps = np.array([pixel / half, pixel / half**3, 1.0, 1.0])[rows]
+
+    def distances(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        change = _at(rows, values)
         a, b = (bent(rays, change, pairs.pixel[:, None]) for rays in (pairs.a, pairs.b))
         size = pairs.pixel * np.exp(-change[0])  # with a longer lens a pixel is a smaller angle
-        return Pairs(pairs.first, pairs.second, a, b, size).distances(matrices)
+        return Pairs(pairs.first, pairs.second, a, b, size).distances(evidence.matrices)
 
-    found = []
-    for name, rows in zip(NAMES, ([0], [1], [2, 3]), strict=True):
-        fit = corrected(lambda some, rows=rows: distances(_at(rows, some)), steps[rows].tolist())
-        found.append((name, _at(rows, fit.change), fit))
-    return min(found, key=lambda one: one[2].after_px / max(one[2].inliers, 1))
+    return corrected(distances, steps.tolist(), widths=(*WIDTHS, *CLOSE))
+
+
+def _drawn(pairs: Pairs) -> Pairs:
+    count = len(pairs.first)
+    return pairs if count <= MATCHES else pairs.at(np.random.default_rng(0).choice(count, MATCHES, replace=False))
+
+
+def _everywhere(evidence: Evidence, name: str, change: NDArray[np.float64]) -> bool:
+    """Whether disjoint parts of the pairs of views all gain by a change in the same direction: else a few of them decide."""
+    pairs = _drawn(evidence.pairs)
+    part = np.unique(np.stack([pairs.first, pairs.second]), axis=1, return_inverse=True)[1].reshape(-1) % PARTS
+    for one in range(PARTS):
+        fit = _fitted(evidence, name, pairs.at(np.flatnonzero(part == one)))
+        if fit.gain <= 0 or float(_at(ROWS[name], fit.change) @ change) <= 0:
+            return False
+    return True
 
 
 def _at(rows: list[int], values: NDArray[np.float64]) -> NDArray[np.float64]:

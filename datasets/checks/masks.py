@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from datasets.checks.evidence import OUTSTANDING, Evidence
 from datasets.core.findings import Finding
 
-CELLS = 88
-"""Cells of the grid along the box's longest side."""
+CELLS = 72
+"""Cells of the grid along the box's longest side; those that stay, and their neighbours, are halved once."""
 VETOES = 0.13
 """Share of the views that may contradict a cell which stays."""
-LEAST_PX, LEAST_CELLS = 2.5, 0.9
+RARE = 3.91 / 1.177
+"""Median lengths of a shift, which has two directions, from which it is as rare as `OUTSTANDING` deviations of one figure."""
+LEAST_PX, LEAST_CELLS = 2.5, 1.1
 """Shift or growth of a mask from which it is reported [px of the image that was searched], and the same in cells of the hull."""
 EXCESS = 0.1
 """Weight of an outline inside the silhouette against one outside: a hull is larger than the object where no view cuts into it, so
@@ -60,7 +62,8 @@ def find(evidence: Evidence) -> list[Finding]:
     moved -= np.nanmedian(moved, axis=0)
     length = np.linalg.norm(moved, axis=1)
     least = np.array([np.inf if one is None else max(LEAST_PX, LEAST_CELLS * one.cell_px) for one in outlines])
-    eroded, shifted = (_outstanding(size, least) for size in (np.abs(grown), length))
+    eroded = _outstanding(np.abs(grown), least, 1.4826 * OUTSTANDING)
+    shifted = _outstanding(length, least, RARE)
     found = []
     for view in np.flatnonzero(eroded | shifted):
         name = evidence.views[view].name
@@ -73,27 +76,36 @@ def find(evidence: Evidence) -> list[Finding]:
     return found
 
 
-def _outstanding(size: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _outstanding(size: NDArray[np.float64], least: NDArray[np.float64], medians: float) -> NDArray[np.bool_]:
     known = size[np.isfinite(size)]
-    return np.nan_to_num(size) > np.maximum(least, OUTSTANDING * 1.4826 * float(np.median(known)))
+    return np.nan_to_num(size) > np.maximum(least, medians * float(np.median(known)))
 
 
 def hull(evidence: Evidence) -> tuple[NDArray[np.float64], float]:
     """(n, 3) centres of the cells that nearly all masks allow, and half a cell's side."""
+    from scipy.ndimage import binary_dilation
+
     low, high = evidence.scene.box
     margin = 0.05 * (high - low).max()
     low, high = low - margin, high + margin
     cell = float((high - low).max()) / CELLS
     axes = [np.arange(a + cell / 2, b, cell) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    kept = _upheld(evidence, grid.reshape(-1, 3)).reshape(grid.shape[:3])
+    halves = (np.indices((2, 2, 2)).reshape(3, -1).T - 0.5) * cell / 2
+    fine = (grid[binary_dilation(kept, np.ones((3, 3, 3)))][:, None] + halves).reshape(-1, 3)
+    return fine[_upheld(evidence, fine)], cell / 4
+
+
+def _upheld(evidence: Evidence, centres: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) True for centres of cells that enough views see and that nearly all of their masks allow."""
+    points = centres.astype(np.float32)
     seen, vetoes = np.zeros(len(points), np.int16), np.zeros(len(points), np.int16)
     for view, picture in enumerate(evidence.pictures):
         row, column, inside = placed(evidence, view, points)
         seen += inside
         vetoes += inside & (picture[row, column, 3] <= 0.5)
-    allowed = np.maximum(1, np.floor(VETOES * seen))
-    kept = (seen >= max(3, len(evidence.views) // 3)) & (vetoes <= allowed)
-    return points[kept].astype(np.float64), cell / 2
+    return (seen >= max(3, len(evidence.views) // 3)) & (vetoes <= np.maximum(1, np.floor(VETOES * seen)))
 
 
 def placed(evidence: Evidence, view: int, points: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
@@ -108,6 +120,11 @@ def placed(evidence: Evidence, view: int, points: NDArray) -> tuple[NDArray[np.i
     row = np.floor(camera.fy * local[:, 1] / depth + camera.cy)
     inside = front & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64), inside
+
+
+def cut(mask: NDArray) -> bool:
+    """Whether the object goes on beyond the picture, so that its (height, width) mask is not judged."""
+    return bool(np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).mean() > CUT)
 
 
 def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: float) -> Outline | None:
@@ -126,8 +143,7 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
     edge = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)).astype(bool)
     edge[:MARGIN] = edge[-MARGIN:] = edge[:, :MARGIN] = edge[:, -MARGIN:] = False
     rows, columns = np.nonzero(edge)
-    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
-    if len(rows) < FEWEST or border.mean() > CUT or not silhouette.any() or silhouette.all():
+    if len(rows) < FEWEST or cut(mask) or not silhouette.any() or silhouette.all():
         return None
     within = cv2.distanceTransform(silhouette, cv2.DIST_L2, 5) - cv2.distanceTransform(1 - silhouette, cv2.DIST_L2, 5)
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 3)

@@ -23,6 +23,8 @@ TIMES = 2.5
 """A wrong pose moves its picture by this many times the median of the others."""
 USUAL = 0.6
 """Median share of explained matches above which single views are judged by theirs."""
+MATCHED = 0.5
+"""Matches of such a view, as a share of the usual number: one that shows little that others show too has only wrong ones."""
 REMEDY = "check its pose, drop it, or let training refine poses: --set poses.enabled=true"
 WHAT = "pose does not fit the neighbours' pictures"
 
@@ -50,7 +52,9 @@ def find(evidence: Evidence) -> list[Finding]:
     if not np.isfinite(share).any():
         return []
     wrong, usual = wrong_poses(evidence)
-    lost = set(np.flatnonzero((share < DOUBTFUL) & (np.nanmedian(share) > USUAL)).tolist()) - wrong.keys()
+    count = np.array([len(evidence.pairs.of_view(view).first) for view in range(len(evidence.views))])
+    enough = count > MATCHED * np.median(count)
+    lost = set(np.flatnonzero((share < DOUBTFUL) & enough & (np.nanmedian(share) > USUAL)).tolist()) - wrong.keys()
     if len(wrong) > EVERYWHERE * len(evidence.views):
         moved = float(np.median([one.moved_px for one in wrong.values()]))
         why = f"{len(wrong)} of {len(evidence.views)} agree better with their neighbours when moved, by {moved:.1f} px (median)"

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from datasets.core import files
 from datasets.core.budgets import budget, free_memory
 from datasets.core.errors import DatasetError, UsageError
+from datasets.imaging.pixels import area_average, upright
 
 PIXELS = "KOALA_MAX_PIXELS"
 FREE_PIXELS, PIXELS_PER_BYTE = 2**25, 64
@@ -146,18 +147,18 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
 
 def to_uint8(array: ArrayLike) -> NDArray[np.uint8]:
     """0..1 clipped and rounded to 0..255. Raises DatasetError where a value is NaN."""
-    array = np.asarray(array, np.float32)
-    if np.isnan(array).any():
-        raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
-    return (np.clip(array, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return (_within(np.asarray(array, np.float32)) * 255 + 0.5).astype(np.uint8)
 
 
 def to_uint16(array: ArrayLike) -> NDArray[np.uint16]:
     """0..1 clipped and rounded to 0..65535. Raises DatasetError where a value is NaN."""
-    array = np.asarray(array, np.float64)
+    return (_within(np.asarray(array, np.float64)) * 65535 + 0.5).astype(np.uint16)
+
+
+def _within(array: NDArray[Any]) -> NDArray[Any]:
     if np.isnan(array).any():
         raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
-    return (np.clip(array, 0, 1) * 65535 + 0.5).astype(np.uint16)
+    return np.clip(array, 0, 1)
 
 
 def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:
@@ -214,46 +215,23 @@ def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> N
     if pixels.shape[:2] == (height, width):
         return pixels.copy()
     if not srgb:
-        return _area_average(pixels, width, height)
+        return area_average(pixels, width, height)
     if pixels.shape[-1] in (2, 4):
         light = np.concatenate([linear_from_srgb(pixels[..., :-1]), pixels[..., -1:]], axis=-1)
         small = resize_light(light, width, height)
         return np.concatenate([srgb_from_linear(small[..., :-1]), small[..., -1:]], axis=-1)
-    return srgb_from_linear(_area_average(linear_from_srgb(pixels), width, height))
+    return srgb_from_linear(area_average(linear_from_srgb(pixels), width, height))
 
 
 def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
     """`resize` of linear light: 1 or 3 channels of colour, or 2 or 4 with a straight alpha, which weights the colours."""
     if light.shape[:2] == (height, width) or light.shape[-1] not in (2, 4):
-        return _area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
+        return area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
     alpha = light[..., -1:]
-    small = _area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
+    small = area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
     small_alpha = small[..., -1:]
     straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
     return np.concatenate([straight, small_alpha], axis=-1, dtype=np.float32)
-
-
-def _area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    old_height, old_width, channels = pixels.shape
-    if width <= old_width and height <= old_height and channels <= 4:
-        import cv2
-
-        small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
-        return np.asarray(small, np.float32).reshape(height, width, channels)
-    rows = _overlaps(old_height, height) @ pixels.reshape(old_height, -1)
-    turned = rows.reshape(height, old_width, channels).transpose(1, 0, 2).reshape(old_width, -1)
-    columns = _overlaps(old_width, width) @ turned
-    return np.ascontiguousarray(columns.reshape(width, height, channels).transpose(1, 0, 2), np.float32)
-
-
-def _overlaps(old: int, new: int) -> Any:
-    """Sparse (new, old) matrix: the share of new pixel i that old pixel j covers; rows sum to 1."""
-    from scipy.sparse import csr_array
-
-    edges = np.unique(np.concatenate([np.arange(old + 1) / old, np.arange(new + 1) / new]).round(12))
-    middle, length = (edges[1:] + edges[:-1]) / 2, np.diff(edges) * new
-    entry = (np.minimum((middle * new).astype(int), new - 1), np.minimum((middle * old).astype(int), old - 1))
-    return csr_array((length.astype(np.float32), entry), shape=(new, old))
 
 
 def _open(path: Path) -> tuple[Any, int]:
@@ -318,14 +296,3 @@ def _is_whole(path: Path) -> bool:
     except DatasetError:
         return False
     return True
-
-
-def upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Undo an EXIF orientation: 5 to 8 transpose, the others only mirror."""
-    if orientation >= 5:
-        pixels = pixels.transpose(1, 0, 2)
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    return pixels

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from datasets.checks import coverage
-from datasets.checks.evidence import Evidence
+from datasets.checks.evidence import VIEWS, Evidence
 from datasets.checks.matches import check_evidence
 from datasets.core.findings import Finding
 from datasets.core.progress import Step, ignore
 from datasets.imaging import images
-from datasets.injuries.injure import INJURIES, Injury
+from datasets.injuries.injure import INJURIES, Injury, whole
 from datasets.injuries.studio import Studio, write
 from datasets.scene import Scene
 
-SIDE, VIEWS = 400, 32
-"""Pictures are shrunk to this many pixels a side, and so many views are used, evenly spread."""
+SIDE = 400
+"""Pictures are shrunk to this many pixels a side. As many views are used as the checks look at, evenly spread."""
 LIGHTS = (0.15, 0.3, 0.6)
 """Shares of the light from lamps that do not stand still with the object."""
 MOST_NAMED = 0.5
@@ -98,6 +98,8 @@ def fits(injury: Injury, scene: Scene) -> bool:
     """Whether a scene is of the kind that an injury needs."""
     if injury.needs == "masks":
         return scene.background == "white"
+    if injury.needs == "whole masks":
+        return scene.background == "white" and 3 * len(whole(scene)) >= len(scene.views)
     if injury.needs == "surroundings":
         return scene.background != "white"
     if injury.needs == "all around":

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import pose
+from datasets.checks import masks
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from datasets.structure import bounds
@@ -34,13 +35,20 @@ class Injury:
     unit: str
     apply: Callable[[Scene, float, Path], Hurt]
     needs: str = ""
-    """"masks", "surroundings" or "all around": kind of scene; empty for any."""
+    """"masks", "whole masks" (a third of them or more end inside their pictures), "surroundings" or "all around"; empty for any."""
 
 
-def chosen(scene: Scene) -> list[int]:
-    """Indices of the views that are hurt, at least two, in no regular order."""
-    count = max(2, len(scene.views) // EVERY)
-    return sorted(np.random.default_rng(5).choice(len(scene.views), count, replace=False).tolist())
+def chosen(scene: Scene, among: list[int] | None = None) -> list[int]:
+    """Indices of the views that are hurt, one in `EVERY` of all or of those given, at least two, in no regular order."""
+    among = list(range(len(scene.views))) if among is None else among
+    count = max(2, len(among) // EVERY)
+    return sorted(np.random.default_rng(5).choice(among, count, replace=False).tolist())
+
+
+def whole(scene: Scene) -> list[int]:
+    """Indices of the views with a mask that does not reach the picture's edge: the others are not judged."""
+    pictures = [view.read() for view in scene.views]
+    return [index for index, picture in enumerate(pictures) if picture.shape[-1] == 4 and not masks.cut(picture[..., 3] > 0.5)]
 
 
 def _replaced(scene: Scene, changed: dict[int, View]) -> Hurt:
@@ -80,13 +88,26 @@ def wrong_focal(scene: Scene, strength: float, folder: Path) -> Hurt:
 
 
 def wrong_distortion(scene: Scene, strength: float, folder: Path) -> Hurt:
-    """A radial distortion that nothing shows: `strength` pixels at the middle of the picture's edge."""
-    views = []
+    """A radial distortion that nothing shows: `strength` pixels at the middle of the picture's edge, or of masked objects'."""
+    views, share = [], shown(scene)
     for view in scene.views:
-        half = bounds.half_field(view.camera)
+        half = share * bounds.half_field(view.camera)
         k1 = view.camera.k1 - strength / view.camera.fx / half**3
         views.append(replace(view, camera=replace(view.camera, k1=k1)))
     return scene.with_views(tuple(views)), set()
+
+
+def shown(scene: Scene) -> float:
+    """Share of a picture's half width or height within which nearly all of the object lies; 1 without masks."""
+    if scene.background != "white":
+        return 1.0
+    ends = []
+    for view in scene.views[:: max(1, len(scene.views) // 12)]:
+        picture, half = view.read(), max(view.camera.width, view.camera.height) / 2
+        if picture.shape[-1] == 4 and (picture[..., 3] > 0.5).any():
+            row, column = np.nonzero(picture[..., 3] > 0.5)
+            ends.append(np.quantile(np.hypot(row + 0.5 - view.camera.cy, column + 0.5 - view.camera.cx), 0.98) / half)
+    return min(1.0, float(np.median(ends))) if ends else 1.0
 
 
 def wrong_exposure(scene: Scene, strength: float, folder: Path) -> Hurt:
@@ -135,7 +156,7 @@ def _remasked(scene: Scene, folder: Path, change: Callable[[Picture], Picture]) 
     def paint(picture: Picture, _: int) -> Picture:
         return np.concatenate([picture[..., :3], change(np.ascontiguousarray(picture[..., 3]))[..., None]], axis=-1)
 
-    return _repainted(scene, folder, chosen(scene), paint)
+    return _repainted(scene, folder, chosen(scene, whole(scene)), paint)
 
 
 def moving_thing(scene: Scene, strength: float, folder: Path) -> Hurt:
@@ -187,8 +208,8 @@ INJURIES = (
     Injury("exposure", "exposure", (0.8, 0.6, 0.4), "x", wrong_exposure),
     Injury("white balance", "white balance", (1.15, 1.3, 1.6), "x", wrong_white),
     Injury("blur", "blur", (1.5, 3, 6), "px", blurred),
-    Injury("mask shifted", "mask", (3, 8, 20), "px", shifted_masks, "masks"),
-    Injury("mask eroded", "mask", (3, 8, 20), "px", eroded_masks, "masks"),
+    Injury("mask shifted", "mask", (3, 8, 20), "px", shifted_masks, "whole masks"),
+    Injury("mask eroded", "mask", (3, 8, 20), "px", eroded_masks, "whole masks"),
     Injury("moving thing", "motion", (12, 20, 35), "%", moving_thing, "surroundings"),
     Injury("gap", "coverage", (35, 50, 65), "deg", gap, "all around"),
     Injury("box", "box", (40, 70, 120), "%", wrong_box, "masks"),

@@ -1,4 +1,4 @@
-"""The commands `datasets process` and `datasets align`; `datasets.cli` registers them."""
+"""The commands `datasets process`, `align` and `compare`; `datasets.cli` registers them."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,7 +34,7 @@ Up = Annotated[
 
 def add_to(app: typer.Typer) -> None:
     """Register the commands."""
-    for command in (process, align):
+    for command in (process, align, compare):
         app.command()(command)
 
 
@@ -102,6 +102,38 @@ def align(
     result = {"scene": str(out), "metric": found.scene.metric, "scale_from": found.scale_from, "up_from": found.up_from}
     lines = [*_evidence(found), f"written to {out}"]
     console.report({**result, "hint": found.hint}, as_json=as_json, text="\n".join(lines))
+
+
+def compare(
+    scene: options.Scene,
+    reference: Annotated[str, typer.Argument(metavar="REFERENCE", help="Scene of the same photographs with known poses.")],
+    data_root: DataRoot = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the poses of two scenes of the same photographs.
+
+    Photographs may have been renamed. Unit, origin and orientation may differ: a similarity is fitted to the camera positions."""
+    import numpy as np
+
+    from datasets.formats import load_scene
+    from datasets.process.world.comparison import compared
+
+    found = compared(load_scene(scene, data_root=data_root), load_scene(reference, data_root=data_root))
+    rows = {
+        "position": (100 * found.positions, "%"),
+        "direction": (found.turns_deg, " deg"),
+        "fitted": (found.fitted_deg, " deg"),
+    }
+    result: dict[str, Any] = {"views": len(found.names)}
+    cells = {}
+    for name, (values, unit) in rows.items():
+        middle, largest = float(np.median(values)), float(values.max())
+        result[name] = {"median": middle, "largest": largest, "of": found.names[int(np.argmax(values))]}
+        cells[name] = f"median {middle:.2f}{unit}, largest {largest:.2f}{unit} ({result[name]['of']})"
+    text = f"{len(found.names)} views are in both scenes\n"
+    text += f"position   {cells['position']} of the distance to where the cameras look\ndirection  {cells['direction']}; "
+    text += f"if directions are fitted: {cells['fitted']}"
+    console.report(result, as_json=as_json, text=text)
 
 
 def _one_of(option: str, word: str, valid: tuple[str, ...]) -> None:

@@ -18,6 +18,8 @@ Vector = NDArray[np.float64]
 
 WIDTHS = (16.0, 8.0, 4.0, 2.0, 1.0, 1.0)
 """Residuals beyond which a match counts little, round by round [px]."""
+CLOSE = (0.6,) * 6
+"""Widths that may follow where right matches are known to lie nearer: wrong ones a pixel or two away then pull no more [px]."""
 INLIER_PX = 3.0
 """Matches nearer than this after the correction are right ones."""
 
@@ -49,7 +51,10 @@ class Pairs:
 
     def of_view(self, view: int) -> "Pairs":
         """The matches of one view."""
-        rows = np.flatnonzero((self.first == view) | (self.second == view))
+        return self.at(np.flatnonzero((self.first == view) | (self.second == view)))
+
+    def at(self, rows: NDArray[np.intp]) -> "Pairs":
+        """Some of the matches."""
         return Pairs(self.first[rows], self.second[rows], self.a[rows], self.b[rows], self.pixel[rows])
 
     def distances(self, world_from_camera: Vector) -> Vector:
@@ -77,20 +82,25 @@ class Correction:
     after_px: float
     """Median distance of the right matches, before and after."""
     inliers: int
+    gain: float
+    """Share of the robust cost that the change removes; negative where the last width finds that it helps nothing."""
 
 
-def corrected(distances: Callable[[Vector], Vector], steps: Sequence[float], *, damping: float = 1e-3) -> Correction:
+def corrected(
+    distances: Callable[[Vector], Vector], steps: Sequence[float], *, damping: float = 1e-3, widths: Sequence[float] = WIDTHS
+) -> Correction:
     """The change of k parameters from zero that reduces robust distances.
 
     Args:
         distances: (k,) change to (m,) distances [px].
         steps: change of each parameter that moves pixels by about one; for derivatives, and the scale of damping.
         damping: towards no change, in matches per parameter; keeps what no match fixes.
+        widths: residuals beyond which a match counts little, round by round [px].
     """
     scale, change = np.asarray(steps, np.float64), np.zeros(len(steps))
     start = residual = distances(change)
     normal = np.eye(len(steps))
-    for width in WIDTHS:
+    for width in widths:
         weight = 1 / (1 + (residual / width) ** 2) ** 2
         slope = [(distances(change + step) - distances(change - step)) / 0.2 for step in 0.1 * np.diag(scale)]
         slope = np.stack(slope, axis=1)  # per step
@@ -99,7 +109,13 @@ def corrected(distances: Callable[[Vector], Vector], steps: Sequence[float], *, 
         residual = distances(change)
     inlier = np.abs(residual) < INLIER_PX
     if not inlier.any():
-        return Correction(np.zeros(len(steps)), np.full(len(steps), np.inf), np.inf, np.inf, 0)
+        return Correction(np.zeros(len(steps)), np.full(len(steps), np.inf), np.inf, np.inf, 0, 0.0)
     before, after = (float(np.median(np.abs(values[inlier]))) for values in (start, residual))
     std = scale * np.sqrt(np.diag(np.linalg.inv(normal))) * max(1.4826 * after, 1e-3)
-    return Correction(change, std, before, after, int(inlier.sum()))
+    gain = 1 - cost(residual, widths[-1]) / max(cost(start, widths[-1]), 1e-12)
+    return Correction(change, std, before, after, int(inlier.sum()), gain)
+
+
+def cost(distances: Vector, width: float) -> float:
+    """The sum of Geman and McClure's loss: what a match adds grows from 0 to 1, and is a half at `width` [px]."""
+    return float((distances**2 / (distances**2 + width**2)).sum())

@@ -95,7 +95,7 @@ def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> 
     grey = 255 * small[..., :3].mean(-1)
     grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # NaN, as behind a mask, becomes black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
-    sift = cv2.SIFT.create(nfeatures=count, contrastThreshold=0.02)
+    sift = cv2.SIFT.create(count, 3, 0.02, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
     keypoints, descriptors = sift.detectAndCompute(grey, mask)
     pixel = 1 / (view.camera.fx * width / view.camera.width)
     if descriptors is None:

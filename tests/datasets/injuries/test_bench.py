@@ -1,10 +1,12 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from datasets.checks.evidence import Evidence
+from datasets.imaging import images
 from datasets.injuries import bench
-from datasets.injuries.injure import INJURIES, gap, wrong_box, wrong_focal
+from datasets.injuries.injure import INJURIES, gap, shown, whole, wrong_box, wrong_distortion, wrong_focal
 from datasets.injuries.studio import Studio, write
 
 
@@ -35,3 +37,16 @@ def test_geometric_injuries_do_what_they_say(tmp_path: Path) -> None:
     moved, _ = wrong_box(scene, 50.0, tmp_path)
     assert np.abs(moved.box - scene.box).max() == 0.5 * (scene.box[1] - scene.box[0]).max()
     assert {one.cause for one in INJURIES} >= {"pose", "intrinsics", "exposure", "blur", "mask", "motion", "coverage", "box"}
+
+
+def test_distortion_is_measured_where_the_object_is_and_cut_masks_are_spared(tmp_path: Path) -> None:
+    scene = write(Studio(views=6, width=64, height=48, table=False), tmp_path)
+    assert 0.2 < shown(scene) < 0.9 and whole(scene) == [0, 1, 2, 4, 5]  # in view 3 it touches the edge
+    injured, _ = wrong_distortion(scene, 2.0, tmp_path)
+    half = shown(scene) * 32 / scene.views[0].camera.fx
+    assert -injured.views[0].camera.k1 * half**3 * scene.views[0].camera.fx == pytest.approx(
+        2.0, rel=0.2
+    )  # the edge is measured from the principal point
+    for view in scene.views[:5]:
+        images.write(view.image, np.ones((48, 64, 4), np.float32))  # the object fills the picture
+    assert whole(scene) == [5] and not bench.fits(next(one for one in INJURIES if one.name == "mask shifted"), scene)

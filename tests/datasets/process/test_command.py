@@ -59,3 +59,11 @@ def test_without_the_library_nothing_begins(shots, tmp_path: Path, monkeypatch: 
     with pytest.raises(ModuleNotFoundError) as error:
         run(shots.folder, "--out", tmp_path / "out")
     assert error.value.name == "pycolmap" and not list(tmp_path.iterdir())
+
+
+def test_a_scene_is_compared_with_a_reference(shots, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(shots.folder, "--out", tmp_path / "scene")
+    capsys.readouterr()
+    app(["compare", str(tmp_path / "scene"), str(tmp_path / "scene"), "--json"], standalone_mode=False)
+    found = json.loads(capsys.readouterr().out)
+    assert found["views"] == 10 and found["position"]["largest"] < 1e-6 and found["direction"]["largest"] < 1e-4
