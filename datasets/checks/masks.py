@@ -93,7 +93,8 @@ def hull(evidence: Evidence) -> tuple[NDArray[np.float64], float]:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     kept = _upheld(evidence, grid.reshape(-1, 3)).reshape(grid.shape[:3])
     halves = (np.indices((2, 2, 2)).reshape(3, -1).T - 0.5) * cell / 2
-    fine = (grid[binary_dilation(kept, np.ones((3, 3, 3)))][:, None] + halves).reshape(-1, 3)
+    near = np.asarray(binary_dilation(kept, np.ones((3, 3, 3))), np.bool_)
+    fine = (grid[near][:, None] + halves).reshape(-1, 3)
     return fine[_upheld(evidence, fine)], cell / 4
 
 
