@@ -23,6 +23,9 @@ STAGES = {
 """Stage by a function on the stack; everything else belongs to the samples along the rays."""
 SAMPLES = "samples on rays"
 KERNELS = {
+    "kernels/encoding.py": "encoding",
+    "kernels/sampling.py": "packing",
+    "kernels/adam.py": "optimiser",
     "encodings/directional.py": "shading",
     "encodings/": "encoding",
     "mlp.py": "networks",

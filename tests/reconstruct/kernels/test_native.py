@@ -1,6 +1,7 @@
 """When compiled kernels run, and that everything runs without them."""
 
 import os
+import shutil
 import subprocess
 import sys
 from typing import Any
@@ -33,11 +34,11 @@ def output_of(environment: dict[str, str] | None = None, *prefix: str) -> list[s
     return done.stdout.split("\n")
 
 
+@pytest.mark.skipif(shutil.which("taskset") is None, reason="no taskset")
 def test_one_core_and_all_cores_give_the_same_bits() -> None:
     assert output_of({}, "taskset", "-c", "0") == output_of()
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no taskset")
 @pytest.mark.parametrize(
     ("environment", "reason"),
     [
