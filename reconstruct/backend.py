@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 
 def cache_folder() -> Path:
@@ -17,23 +16,3 @@ def cache_compilations() -> None:
 
     jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-
-
-def found() -> dict[str, Any]:
-    """What JAX computes on, whether compiled kernels run there, and a line that says so."""
-    import jax
-
-    from reconstruct.kernels import native
-
-    devices, why_not = jax.devices(), native.why_not()
-    where = f"{len(devices)} x {devices[0].device_kind}" if len(devices) > 1 else devices[0].device_kind
-    text = f"{where}: compiled kernels" if why_not is None else f"{where}: plain JAX, for {why_not}"
-    if why_not is not None and devices[0].platform == "cpu":
-        text += "; a training step takes 1.5 to 2 times as long as with compiled kernels"
-    return {
-        "platform": devices[0].platform,
-        "devices": len(devices),
-        "kernels": why_not is None,
-        "why_not": why_not,
-        "text": text,
-    }

@@ -27,7 +27,7 @@ def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
 
 def backend(as_json: console.Json = False) -> None:
     """Say what training will run on, and with which kernels."""
-    from reconstruct.backend import found
+    from reconstruct.device import found
 
     about = found()
     console.report(about, as_json=as_json, text=str(about["text"]))

@@ -35,7 +35,7 @@ class Injury:
     unit: str
     apply: Callable[[Scene, float, Path], Hurt]
     needs: str = ""
-    """"masks", "whole masks" (a third of them or more end inside their pictures), "surroundings" or "all around"; empty for any."""
+    """"masks", "whole masks" (at least a third end inside their pictures), "surroundings" or "all around"; empty for any."""
 
 
 def chosen(scene: Scene, among: list[int] | None = None) -> list[int]:

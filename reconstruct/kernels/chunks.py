@@ -164,7 +164,7 @@ def _ask_for_help(frame, block):
 
 @plain
 def in_chunks(frame, work, count, worth_help):
-    """Call the function at address `work` with the frame and each chunk below `count`; by one thread unless another is worth it."""
+    """Call the function at address `work` with the frame and each chunk below `count`; by one thread unless two are worth it."""
     if count < 2 or not worth_help:
         for chunk in range(count):
             _do(work, frame, chunk)

@@ -1,7 +1,8 @@
 """One step of Adam as a compiled loop: gradient, both moments and parameter are each read once and written in place.
 
-Arrays of a call: gradient, parameter, mean, square (all of one shape), numbers (7,): the decays of both moments, the corrections of
-their bias, the smallest denominator, the rate, and one, or zero where the step is to be left out. Results: parameter, mean, square.
+Arrays of a call: gradient, parameter, mean, square (all of one shape), numbers (7,): the decays of both moments, the corrections
+of their bias, the smallest denominator, the rate, and one, or zero where the step is to be left out. Results: parameter, mean,
+square.
 """
 
 from math import sqrt

@@ -17,12 +17,11 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from reconstruct.field.encodings.simplex import LIFT
-from reconstruct.field.encodings.tables import MIXER, PRIMES
 from reconstruct.kernels.along import fma, rint
 from reconstruct.kernels.chunks import address_of, in_chunks
 from reconstruct.kernels.compiler import compiled, compiled_exactly, handler, intrinsic
 from reconstruct.kernels.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
+from reconstruct.numerics.lattice_constants import LIFT, MIXER, PRIMES
 
 BLOCK = 256
 LINE = 16
@@ -246,7 +245,7 @@ def encode(frame):
 
 @handler
 def scatter(frame):
-    """Cotangents of the values and, where there is one more, of the derivatives, to the gradient of the table (features, rows)."""
+    """Cotangents of the values, and of the derivatives where they are given, to the gradient of the table (features, rows)."""
     if executes(frame):
         in_chunks(frame, _address_of_scattering(), argument_size(frame, 1, 0), True)
     return 0

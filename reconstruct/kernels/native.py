@@ -1,7 +1,7 @@
 """Whether compiled kernels are used, and calling them.
 
-They run on one CPU device, compiled by Numba at the first use and kept on disk. Everywhere else, and with KOALA_KERNELS=off, their
-twins in plain JAX run: on a GPU, on several devices, without Numba, and where XLA's interface is not the one they were written for.
+They run on one CPU device, compiled by Numba at the first use and kept on disk. Everywhere else, and with KOALA_KERNELS=off,
+their twins in plain JAX run: on a GPU, on several devices, without Numba, and where XLA has another interface than expected.
 """
 
 import functools
@@ -66,7 +66,7 @@ def float32(*shape: int) -> jax.ShapeDtypeStruct:
 
 @functools.cache
 def _digest() -> str:
-    """Of the kernels' source: compiled programs that call others must not be found again."""
+    """Of the kernels' source: programs compiled with other kernels must not be found again."""
     sources = sorted(Path(__file__).parent.glob("*.py"))
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:12]
 

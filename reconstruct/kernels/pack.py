@@ -2,8 +2,8 @@
 `reconstruct.sampling.packing`.
 
 Arrays of a call: depth (rows, steps), order (rays,): row of each ray, chosen (1,): rays that count, the others have no depth,
-offset (rays,), jitter (rays,), cuts (4, rays), choices (5,): steps in front, inside and behind, most samples of a ray, and how many
-are wanted. Results: ray, slot, t, length, valid (capacity,), fits (rays,), then room for what one ray after the other finds:
+offset (rays,), jitter (rays,), cuts (4, rays), choices (5,): steps in front, inside and behind, most samples of a ray, and how
+many are wanted. Results: ray, slot, t, length, valid (capacity,), fits (rays,), then room for what one ray after the other finds:
 kept (rays,), its t and length (rays, most samples).
 """
 

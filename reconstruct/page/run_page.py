@@ -29,7 +29,7 @@ from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoin
 from reconstruct.page.status import curves, is_training, skips_text, status_text
 from reconstruct.rendering.pictures import taken
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training.pause import PauseRequests
+from reconstruct.training.pace.pause import PauseRequests
 
 if TYPE_CHECKING:
     import trimesh

@@ -13,8 +13,8 @@ from datasets.scene import View
 from reconstruct.config import Config
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
-from reconstruct.kernels import sampling as kernels
 from reconstruct.numerics.compiling import barrier
+from reconstruct.sampling import compiled as kernels
 from reconstruct.sampling import focus
 from reconstruct.sampling.hull import cells_in_masks, cells_in_sight
 from reconstruct.sampling.occupancy import Occupancy

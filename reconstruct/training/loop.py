@@ -17,9 +17,10 @@ from reconstruct.config import Config
 from reconstruct.convergence import figures_of, warn_early
 from reconstruct.run import Run
 from reconstruct.scene import poses
-from reconstruct.training import budget, distributed
+from reconstruct.training import distributed
 from reconstruct.training.event_log import event_log, require_writer
-from reconstruct.training.pause import give_way
+from reconstruct.training.pace import budget
+from reconstruct.training.pace.pause import give_way
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.starting import LOOKS, resumed, start
 from reconstruct.training.training import Training

@@ -21,7 +21,7 @@ from reconstruct.scene.twists import followed
 from reconstruct.surface.first_surface import Surface, find_surfaces
 from reconstruct.surface.second_pass import Place
 from reconstruct.training import losses
-from reconstruct.training.schedules import late
+from reconstruct.training.pace.schedules import late
 
 Terms = dict[str, Float[Array, ""]]
 

@@ -14,7 +14,7 @@ from reconstruct.kernels import adam
 from reconstruct.rendering.model import Model
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.twists import without_gauge
-from reconstruct.training.schedules import late, learning_rate
+from reconstruct.training.pace.schedules import late, learning_rate
 
 DECAYS, SMALLEST = (0.9, 0.99), 1e-15
 """Of Adam: what its mean and its mean square keep of the steps before, and what is added to the root of the latter."""

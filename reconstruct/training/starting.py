@@ -14,8 +14,8 @@ from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run, copies_beside
-from reconstruct.training.budget import Plan
-from reconstruct.training.clock import Clock
+from reconstruct.training.pace.budget import Plan
+from reconstruct.training.pace.clock import Clock
 from reconstruct.training.preparation import Prepared, prepare
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.plan import normalisation_of

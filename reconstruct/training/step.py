@@ -24,8 +24,8 @@ from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
 from reconstruct.training.faults import FAULTS, finite_parts, packed
 from reconstruct.training.objective import Objective, Terms, total
 from reconstruct.training.optimiser import Optimiser
+from reconstruct.training.pace.schedules import encoding_blur
 from reconstruct.training.programs import Programs, traced
-from reconstruct.training.schedules import encoding_blur
 
 UPKEEP = 16
 """Folded into the random key of a sampler's upkeep."""
@@ -99,7 +99,7 @@ class Step:
     def __call__(
         self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], second: Bool[Array, ""]
     ) -> tuple[TrainState, Terms]:
-        """One step as one function, with the regularisers' second pass where `second` is true; `Programs` is its compiled form."""
+        """One step as one function, with the regularisers' second pass where `second` is true; `Programs` compiles it in parts."""
         parts: list[Part] = []
         for index in range(self.config.train.accumulate):
             part = self.begun(state.model, state.step, pixels, seed, progress, index)

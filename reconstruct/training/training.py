@@ -18,10 +18,10 @@ from reconstruct.scene.pool import Pool
 from reconstruct.scene.rays import Pixels
 from reconstruct.surface.second_pass import second_pass_period
 from reconstruct.training import distributed
-from reconstruct.training.budget import Plan
-from reconstruct.training.clock import Clock
 from reconstruct.training.event_log import EventLog
 from reconstruct.training.faults import FAULTS, RECURS, cause
+from reconstruct.training.pace.budget import Plan
+from reconstruct.training.pace.clock import Clock
 from reconstruct.training.skipping import outcome, record
 from reconstruct.training.step import Step, TrainState
 

@@ -17,9 +17,10 @@ from reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
 from reconstruct.field.encodings.directional import integrated_directional_encoding, view_encoding
 from reconstruct.field.encodings.frequencies import Frequencies
 from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
-from reconstruct.field.encodings.simplex import LIFT, VERTICES_PER_UNIT_VOLUME
+from reconstruct.field.encodings.simplex import VERTICES_PER_UNIT_VOLUME
 from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
 from reconstruct.numerics import stepfun
+from reconstruct.numerics.lattice_constants import LIFT
 from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.sampling.packing import draw_probability
@@ -29,7 +30,7 @@ from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import BALL, BOX
 from reconstruct.surface import first_surface, regularisers
 from reconstruct.training import losses
-from reconstruct.training.schedules import encoding_blur, learning_rate
+from reconstruct.training.pace.schedules import encoding_blur, learning_rate
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "numerics.md"
 RNG = np.random.default_rng(0)

@@ -24,7 +24,7 @@ STAGES = {
 SAMPLES = "samples on rays"
 KERNELS = {
     "kernels/encoding.py": "encoding",
-    "kernels/sampling.py": "packing",
+    "sampling/compiled.py": "packing",
     "kernels/adam.py": "optimiser",
     "encodings/directional.py": "shading",
     "encodings/": "encoding",

@@ -22,10 +22,11 @@ from reconstruct.field.encodings.simplex import (
     rank_of,
     weight_slopes,
 )
-from reconstruct.field.encodings.tables import PRIMES, row_of, starts
+from reconstruct.field.encodings.tables import row_of, starts
 from reconstruct.kernels import native
 from reconstruct.kernels.encoding import encode
 from reconstruct.numerics.compiling import barrier
+from reconstruct.numerics.lattice_constants import PRIMES
 
 
 def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:

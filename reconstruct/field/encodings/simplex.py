@@ -16,13 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from reconstruct.numerics.lattice_constants import LIFT
+
 Coordinate = Float[Array, "..."]
 
 VERTICES_PER_UNIT_VOLUME = 32.0 ** (1 / 3)
 """Lifted length that gives one vertex per unit volume: A3* scaled to integers has cells of volume 32."""
-
-LIFT = np.array([[1, 1, 1], [-1, 1, 1], [0, -2, 1], [0, 0, -3]]) / np.sqrt([2.0, 6.0, 12.0]) / 4
-"""(4, 3): e = LIFT @ (x, y, z), a quarter of an isometry (Adams 2010, figure 3)."""
 
 
 def lift(x: Coordinate, y: Coordinate, z: Coordinate) -> list[Coordinate]:

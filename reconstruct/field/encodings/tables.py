@@ -10,10 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
 from reconstruct.numerics.compiling import barrier
+from reconstruct.numerics.lattice_constants import MIXER
 
-PRIMES = (2531011, 3674653429, 2097192037)
-"""Factors of the three coordinates in the hash."""
-MIXER = np.uint32(2654435769)
 HEADROOM, SMALLEST = 4, 8
 """Rows per vertex that a small table has, so that few of them share one; and its smallest size, as a power of two."""
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from reconstruct.training import pause
-from reconstruct.training.pause import MOVING, PauseRequests, give_way, wanted_share
+from reconstruct.training.pace import pause
+from reconstruct.training.pace.pause import MOVING, PauseRequests, give_way, wanted_share
 
 
 def test_nobody_moves(tmp_path: Path) -> None:

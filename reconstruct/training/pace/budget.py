@@ -15,7 +15,7 @@ import numpy as np
 from reconstruct.config import SurfaceConfig
 from reconstruct.surface.second_pass import second_pass_period
 from reconstruct.training import distributed
-from reconstruct.training.clock import Clock, Leg
+from reconstruct.training.pace.clock import Clock, Leg
 
 if TYPE_CHECKING:
     from reconstruct.training.training import Training

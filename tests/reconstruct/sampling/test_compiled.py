@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstruct.kernels import sampling as kernels
 from reconstruct.numerics.compiling import jit
+from reconstruct.sampling import compiled as kernels
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
 from reconstruct.sampling.samples import RaySamples

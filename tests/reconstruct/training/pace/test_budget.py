@@ -15,11 +15,12 @@ from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.models import merged_config
 from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training import budget, training
-from reconstruct.training.budget import Plan
-from reconstruct.training.clock import Clock, Leg
+from reconstruct.training import training
 from reconstruct.training.faults import FAULTS
 from reconstruct.training.loop import train
+from reconstruct.training.pace import budget
+from reconstruct.training.pace.budget import Plan
+from reconstruct.training.pace.clock import Clock, Leg
 from reconstruct.training.training import Training
 
 PLAIN_S, SECOND_S = 0.04, 0.12
