@@ -99,7 +99,7 @@ class Step:
     def __call__(
         self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], second: Bool[Array, ""]
     ) -> tuple[TrainState, Terms]:
-        """One step as one function, with the regularisers' second pass where `second` is true; `Programs` compiles it in parts."""
+        """One step as one function, with the regularisers' second pass where `second` is true; `Programs` has it in parts."""
         parts: list[Part] = []
         for index in range(self.config.train.accumulate):
             part = self.begun(state.model, state.step, pixels, seed, progress, index)
