@@ -265,6 +265,7 @@ def _text(found: dict[str, Any]) -> str:
     unit = "m" if found["metric"] else "units"
     low, high = ([round(value, 4) for value in corner] for corner in found["box"])
     nearest, furthest = found["distance_to_focus"]
+    far = "infinity" if found["far"] is None else f"{found['far']:.4g} {unit}"
     lines = [
         f"scene        {found['name']} ({found['format']})",
         f"views        {views}; {sizes} px, {found['channels']} channels{', masks' if found['masks'] else ''}",
@@ -272,7 +273,7 @@ def _text(found: dict[str, Any]) -> str:
         + (f" (first of {found['cameras']})" if found["cameras"] > 1 else ""),
         f"object box   {low} to {high} {unit}",
         f"cameras      {nearest:.3g} to {furthest:.3g} {unit} from where they look",
-        f"near, far    {found['near']:.4g}, {'infinity' if found['far'] is None else format(found['far'], '.4g')} {unit}",
+        f"near, far    {found['near']:.4g} {unit}, {far}",
         f"bounds from  {found['bounds_from']}",
         f"background   {found['background']}",
         f"truth        {', '.join(f'{key} ({count})' for key, count in found['truth'].items()) or 'none'}",

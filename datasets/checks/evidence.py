@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.core.console import progress
 from datasets.scene import Scene, View
 from datasets.structure import bounds, matching
 from datasets.structure.epipolar import Pairs
@@ -35,10 +36,14 @@ class Evidence:
         """Read and match up to `count` views, evenly spread. Raises as `View.read` does."""
         views = tuple(scene.views[i] for i in np.unique(np.linspace(0, len(scene.views) - 1, count).round().astype(int)))
         matrices = np.stack([view.world_from_camera for view in views])
-        pictures = tuple(matching.shrunk(view.read()) for view in views)
-        features = [matching.detect_in(picture, view) for picture, view in zip(pictures, views, strict=True)]
+        pictures, features = [], []
+        with progress("matching pictures", len(views), "images") as shown:
+            for view in views:
+                pictures.append(matching.shrunk(view.read()))
+                features.append(matching.detect_in(pictures[-1], view))
+                shown.advance()
         pairs = matching.pairs_of(matrices, focus_of(scene, matrices))
-        return cls(scene, views, pictures, matching.joined(views, features, pairs), matrices)
+        return cls(scene, views, tuple(pictures), matching.joined(views, features, pairs), matrices)
 
     @cached_property
     def focus(self) -> NDArray[np.float64]:

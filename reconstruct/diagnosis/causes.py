@@ -31,7 +31,7 @@ def standing_out(values: NDArray[np.float64], least: float) -> NDArray[np.int64]
         return np.zeros(0, np.int64)
     off = np.abs(values - np.median(values[known]))
     limit = max(least, OUTSTANDING * 1.4826 * float(np.median(off[known])))
-    return np.flatnonzero(np.nan_to_num(off) > limit)
+    return np.flatnonzero(off > limit)
 
 
 def _light(residuals: Sequence[Residual]) -> list[Finding]:
@@ -40,12 +40,13 @@ def _light(residuals: Sequence[Residual]) -> list[Finding]:
     found = []
     for i in standing_out(common, GAIN):
         why = f"its picture has {np.exp(common[i] - np.nanmedian(common)):.2f} times the light of its rendering"
-        remedy = "train with a gain per view: --set train.per_image=exposure"
+        remedy = "fix the exposure while recording, or learn a gain per view: --set train.per_image=exposure"
         found.append(_of_view(residuals[i], "exposure differs from the other views'", why, remedy, "exposure", np.exp(common[i])))
     colour = logs - common[:, None]
     for i in sorted({int(i) for channel in colour.T for i in standing_out(channel, COLOUR)}):
         words = "/".join(f"{value:.2f}" for value in np.exp(colour[i]))
-        why, remedy = f"red/green/blue against its rendering: {words}", "train with: --set train.per_image=colour"
+        why = f"red/green/blue against its rendering: {words}"
+        remedy = "fix the white balance while recording, or learn a gain per colour: --set train.per_image=colour"
         strength = float(np.abs(colour[i]).max())
         found.append(
             _of_view(residuals[i], "white balance differs from the other views'", why, remedy, "white balance", strength)
