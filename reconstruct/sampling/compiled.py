@@ -13,9 +13,14 @@ from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import Ball, Box, Space
 
 
-def takes(space: Space, rays: Rays) -> bool:
-    """Whether the kernels are for rays in this space."""
-    return isinstance(space, Box | Ball) and native.usable(rays.origins, rays.directions)
+def marches(space: Space, rays: Rays) -> bool:
+    """Whether `expected_depth` is for rays in this space."""
+    return isinstance(space, Box | Ball) and packs(rays)
+
+
+def packs(rays: Rays) -> bool:
+    """Whether `packed_samples` is for these rays."""
+    return native.usable(rays.origins, rays.directions)
 
 
 def expected_depth(

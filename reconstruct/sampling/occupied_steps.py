@@ -124,7 +124,7 @@ class OccupiedSteps(Sampler):
 
     def expected_depth(self, rays: Rays, jitter: Float[Array, " rays"]) -> Float[Array, "rays steps"]:
         """Optical depth that the grid expects in the steps of rays."""
-        if kernels.takes(self.space, rays):
+        if kernels.marches(self.space, rays):
             return kernels.expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)[0]
         return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
 
@@ -142,7 +142,7 @@ class OccupiedSteps(Sampler):
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
         """Rays that meet something, with their samples."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
-        if kernels.takes(self.space, rays):
+        if kernels.marches(self.space, rays):
             return self._compiled_batch(rays, colour, jitter, offset)
         depth = barrier(self.expected_depth(rays, jitter))
         hit = jnp.any(depth > 0, -1)
@@ -179,7 +179,7 @@ class OccupiedSteps(Sampler):
         capacity: int,
     ) -> tuple[RaySamples, Bool[Array, " rays"]]:
         """Samples of rays whose steps' expected optical depth is known, and which rays found room."""
-        if kernels.takes(self.space, rays):
+        if kernels.packs(rays):
             order, chosen = jnp.arange(depth.shape[0]), jnp.asarray(depth.shape[0])
             size = {"capacity": capacity, "max_per_ray": self.max_per_ray}
             return kernels.packed_samples(depth, order, chosen, self.steps_of(rays), jitter, offset, **size)

@@ -201,3 +201,12 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer:
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
     assert run.normalisation.bounded and run.normalisation == renderer.normalisation
     return TrainedModel(run, ball_scene[0], model, 0, renderer)
+
+
+@pytest.fixture
+def kernels_run() -> None:
+    """For tests of compiled kernels: elsewhere, on a GPU or without Numba, there is nothing to test."""
+    from reconstruct.kernels import native
+
+    if (reason := native.why_not()) is not None:
+        pytest.skip(reason)

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from reconstruct.kernels import adam
 from reconstruct.training.optimiser import ADAM, DECAYS, SMALLEST
 
+pytestmark = pytest.mark.usefixtures("kernels_run")
+
 RATE = 0.01
 
 

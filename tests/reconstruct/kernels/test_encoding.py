@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from reconstruct.field.encodings.grid import HashedGrid
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 
+pytestmark = pytest.mark.usefixtures("kernels_run")
+
 BARRIERS = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 jit = functools.partial(jax.jit, compiler_options=BARRIERS)
 """As training is compiled: with optimisation, unlike other tests, since products and sums are joined only then."""

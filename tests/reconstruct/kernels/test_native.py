@@ -15,6 +15,8 @@ from reconstruct.field.encodings.grid import HashedGrid
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 from reconstruct.kernels import native
 
+pytestmark = pytest.mark.usefixtures("kernels_run")
+
 PROGRAM = """
 import hashlib, jax, numpy as np, jax.numpy as jnp
 from reconstruct.kernels import native

@@ -16,8 +16,11 @@ from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import BALL, BOX, Space
+
+pytestmark = pytest.mark.usefixtures("kernels_run")
 
 MARCH_TWIN = jit(expected_depth, static_argnums=4)
 MARCH = jit(kernels.expected_depth, static_argnums=4)
@@ -61,8 +64,11 @@ def assert_alike(ours: tuple[RaySamples, jax.Array], theirs: tuple[RaySamples, j
     np.testing.assert_array_equal(ours[1], theirs[1])
     for name in ("ray", "slot", "valid"):
         np.testing.assert_array_equal(getattr(ours[0], name), getattr(theirs[0], name))
-    for name in ("t", "length"):  # the draw's probabilities are sums in another order
-        np.testing.assert_allclose(getattr(ours[0], name), getattr(theirs[0], name), rtol=2e-5, atol=2e-6)
+    for name in (
+        "t",
+        "length",
+    ):  # far away, 1 / t is the small difference of disparities below 20 = 1 / near: 2e-6 of error times t
+        np.testing.assert_allclose(getattr(ours[0], name), getattr(theirs[0], name), rtol=2e-4, atol=2e-6)
 
 
 def both(depth: jax.Array, rays: Rays, space: Space, capacity: int, most: int, seed: int = 3) -> None:
@@ -93,6 +99,12 @@ def test_packing_equals_the_twin(space: Space, capacity: int, most: int) -> None
     steps = steps_of(rays, space)
     depth, _ = MARCH(some_grid(space, 0.1), rays, steps, jnp.full(200, 0.5), space)
     both(depth, rays, space, capacity, most)
+
+
+def test_packing_equals_the_twin_in_a_frustum() -> None:
+    frustum = Frustum(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, -1.5), 0.8, 0.4, 0.5, 3.0)
+    depth = jnp.where(jax.random.uniform(jax.random.key(0), (100, STEPS)) < 0.3, 0.2, 0.0)
+    both(depth, some_rays(100), frustum, 3000, 24)
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-4, 1.0, 60.0])
