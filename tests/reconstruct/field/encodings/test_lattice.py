@@ -5,6 +5,7 @@ import pytest
 
 from reconstruct.field.encodings import simplex, tables
 from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
+from reconstruct.numerics import lattice_constants
 
 EVALUATE = jax.jit(lambda grid, points, scale=None: grid.value_and_jacobian(points, scale))
 LOCATE = jax.jit(lambda grid, points: grid.located(points, None, with_slopes=True))
@@ -31,7 +32,7 @@ def hashed(corners: np.ndarray, log2_size: int) -> np.ndarray:
     """Rows within a level's table from whole vertices, with Python's own integers: the hash's definition."""
     rows = []
     for vertex in corners.reshape(-1, 4).tolist():
-        key = sum(v * p for v, p in zip(vertex[:3], tables.PRIMES, strict=True)) % 2**32
+        key = sum(v * p for v, p in zip(vertex[:3], lattice_constants.PRIMES, strict=True)) % 2**32
         key = (key ^ (key >> 15)) * int(tables.MIXER) % 2**32
         rows.append(key >> (32 - log2_size))
     return np.array(rows).reshape(corners.shape[:-1])

@@ -7,6 +7,7 @@ import pytest
 
 from reconstruct.field.encodings import tables
 from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
+from reconstruct.numerics import lattice_constants
 
 EVALUATE = jax.jit(lambda grid, points, scale=None: grid.value_and_jacobian(points, scale))
 
@@ -19,7 +20,7 @@ def grid() -> VoxelGrid:
 
 def hashed(vertex: np.ndarray, log2_size: int) -> int:
     """Row within a level's table of one vertex, with Python's own integers: the hash's definition."""
-    key = sum(int(v) * p for v, p in zip(vertex, tables.PRIMES, strict=True)) % 2**32
+    key = sum(int(v) * p for v, p in zip(vertex, lattice_constants.PRIMES, strict=True)) % 2**32
     key = (key ^ (key >> 15)) * int(tables.MIXER) % 2**32
     return key >> (32 - log2_size)
 
