@@ -78,7 +78,7 @@ def find(evidence: Evidence) -> list[Finding]:
 
 def _outstanding(size: NDArray[np.float64], least: NDArray[np.float64], medians: float) -> NDArray[np.bool_]:
     known = size[np.isfinite(size)]
-    return np.nan_to_num(size) > np.maximum(least, medians * float(np.median(known)))
+    return size > np.maximum(least, medians * float(np.median(known)))
 
 
 def hull(evidence: Evidence) -> tuple[NDArray[np.float64], float]:

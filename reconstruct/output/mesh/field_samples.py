@@ -16,11 +16,11 @@ from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.pictures import AT_ONCE
 from reconstruct.scene.light import LightFrame
 from reconstruct.scene.space import Space
 
 CHUNK = 1 << 15  # points evaluated by one program
-AT_ONCE = 3  # programs under way
 Axes = tuple[NDArray[np.float64], ...]  # coordinates of the grid points along x, y and z [scene unit]
 
 
