@@ -37,9 +37,14 @@ class Material(eqx.Module):
     """Unit; zero where the model predicts none."""
     bottleneck: Float[Array, "channels n"]
 
+    @property
+    def parts(self) -> tuple[Float[Array, "_ n"], ...]:
+        """All of it, to be composited."""
+        return self.diffuse, self.tint, self.roughness, self.normals_pred, self.bottleneck
+
     def stacked(self) -> Float[Array, "channels n"]:
-        """All of it as one array, to be composited."""
-        return jnp.concatenate([self.diffuse, self.tint, self.roughness, self.normals_pred, self.bottleneck])
+        """`parts` as one array."""
+        return jnp.concatenate(self.parts)
 
     @classmethod
     def unstacked(cls, channels: Float[Array, "channels n"]) -> "Material":

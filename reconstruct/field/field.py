@@ -73,9 +73,8 @@ class Field(eqx.Module):
         exp is monotonic, so the raw density's gradient has the same direction and never overflows.
         """
         features, jacobian = cloud.encoded_with_jacobian(self.encoding)
-        raw, pull = jax.vjp(self.spatial, features)
-        (sensitivity,) = pull(jnp.zeros_like(raw).at[0].set(1.0))
-        gradient = jnp.einsum("cn,cxn->xn", sensitivity, jacobian)
+        raw, sensitivity = self.spatial.with_sensitivity(features)
+        gradient = jnp.sum(sensitivity[:, None] * jacobian, 0)
         return *self._heads(raw, cloud), -normalise(gradient, axis=0)
 
     def lit(self, material: Material, light: Lit | None) -> Material:

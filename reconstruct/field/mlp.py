@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from reconstruct.kernels import network
+
 
 class Mlp(eqx.Module):
     """Layers of `width` with ReLU between them; the input joins again before layer `skip`, where that is not zero."""
@@ -36,6 +38,28 @@ class Mlp(eqx.Module):
 
     def __call__(self, inputs: Float[Array, "channels n"]) -> Float[Array, "outputs n"]:
         """Evaluate for n columns."""
+        if self._in_kernels(inputs):
+            return network.evaluate(self._layers, inputs)
+        return self.in_jax(inputs)
+
+    def with_sensitivity(
+        self, inputs: Float[Array, "channels n"]
+    ) -> tuple[Float[Array, "outputs n"], Float[Array, "channels n"]]:
+        """Outputs, and the derivative of the first of them to the inputs."""
+        if self._in_kernels(inputs) and len(self.weights) == 2:
+            return network.evaluate_with_sensitivity(self._layers, inputs)
+        outputs, pull = jax.vjp(self.in_jax, inputs)
+        return outputs, pull(jnp.zeros_like(outputs).at[0].set(1.0))[0]
+
+    @property
+    def _layers(self) -> network.Layers:
+        return tuple(zip(self.weights, self.biases, strict=True))
+
+    def _in_kernels(self, inputs: Float[Array, "channels n"]) -> bool:
+        return not self.skip and self.precision == "float32" and network.takes(self._layers, inputs)
+
+    def in_jax(self, inputs: Float[Array, "channels n"]) -> Float[Array, "outputs n"]:
+        """Evaluate without compiled kernels."""
         hidden = inputs
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if self.skip and layer == self.skip:

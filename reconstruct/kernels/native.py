@@ -26,6 +26,8 @@ KERNELS = {
     "descent": ("descend",),
     "march": ("march",),
     "pack": ("pack",),
+    "layers": ("evaluate", "evaluate_back"),
+    "along_rays": ("composite", "composite_back"),
 }
 """Compiled functions that XLA calls, by module of this folder."""
 

@@ -15,7 +15,7 @@ from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from reconstruct.numerics.volume import volume_weights
+from reconstruct.rendering.compositing import composited
 from reconstruct.sampling.create import create
 from reconstruct.sampling.sampler import Sampler
 from reconstruct.sampling.samples import RaySamples
@@ -112,19 +112,6 @@ class Rendered(eqx.Module):
         return eqx.tree_at(lambda r: r.rgb, self, srgb_from_linear(light) * opacity)
 
 
-def sample_weights(density: Float[Array, " n"], samples: RaySamples, speed: Float[Array, " rays"]) -> Float[Array, "rays slots"]:
-    """`volume_weights` of packed samples; `speed` is the length of each ray's direction [scene unit per t]."""
-    return volume_weights(samples.padded(density), samples.padded(samples.length) * speed[:, None])
-
-
-def composite(
-    values: Float[Array, "channels n"], weights: Float[Array, " n"], samples: RaySamples
-) -> Float[Array, "rays channels"]:
-    """Sum of weighted sample values over each ray."""
-    rows = (values * weights).T
-    return jnp.zeros((samples.num_rays, values.shape[0]), values.dtype).at[samples.ray].add(rows, mode="promise_in_bounds")
-
-
 def render(
     field: Field,
     rays: Rays,
@@ -141,35 +128,33 @@ def render(
         The rays, and the density of every sample [1 / scene unit].
     """
     density, material = barrier(field(cloud) if known is None else known)
-    weights = barrier(sample_weights(density, samples, rays.speed))
-    flat = barrier(samples.packed(weights))
     light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
     material = field.lit(material, light)
-    channels = jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], material.stacked()])
+    values = material.parts
     if not field.deferred:
         directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
         shading = barrier(field.shade(material, directions, light=light))
-        channels = jnp.concatenate([channels, shading.rgb, shading.specular])
-    sums = barrier(composite(channels, flat, samples))
-    opacity = sums[:, 0]
-    mean = sums / jnp.maximum(opacity, 1e-6)[:, None]
-    diffuse = sums[:, 2:5]
+        values = (*values, shading.rgb, shading.specular)
+    weights, sums = barrier(composited(density, values, samples, rays.speed))
+    opacity = sums[0]
+    mean = sums / jnp.maximum(opacity, 1e-6)
+    diffuse = sums[2:5]
     if field.deferred:
-        light = Lit.on(rays, mean[:, 1])
-        material = field.lit(Material.unstacked(barrier(mean[:, 2:].T)), light)
+        light = Lit.on(rays, mean[1])
+        material = field.lit(Material.unstacked(barrier(mean[2:])), light)
         shading = barrier(field.shade(material, rays.viewdirs.T, light=light))
-        rgb, specular = shading.rgb.T * opacity[:, None], shading.specular.T * opacity[:, None]
-        diffuse = diffuse if light is None else material.diffuse.T * opacity[:, None]
+        rgb, specular = shading.rgb * opacity, shading.specular * opacity
+        diffuse = diffuse if light is None else material.diffuse * opacity
     else:
-        rgb, specular = sums[:, -6:-3], sums[:, -3:]
+        rgb, specular = sums[-6:-3], sums[-3:]
     rendered = Rendered(
-        rgb=rgb,
+        rgb=rgb.T,
         opacity=opacity,
-        diffuse=diffuse,
-        specular=specular,
-        roughness=sums[:, 8],
-        normals_pred=sums[:, 9:12],
-        depth=mean[:, 1],
+        diffuse=diffuse.T,
+        specular=specular.T,
+        roughness=sums[8],
+        normals_pred=sums[9:12].T,
+        depth=mean[1],
         weights=weights,
     )
     return barrier((rendered, density))

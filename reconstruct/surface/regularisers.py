@@ -2,7 +2,7 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 def density_smoothness(
@@ -56,16 +56,31 @@ def specular_variation(
 ) -> Float[Array, " rays"]:
     """L_s: graph total variation over directions (supplement D), the mean |c_i - c_j| over the nearest j by `likeness`.
 
-    Gradients go to the sample and not to its neighbours. The nearest are found by repeated maximum, which for a handful beats
-    a sort.
+    Gradients go to the sample and not to its neighbours.
     """
-    count = likeness.shape[1]
-    likeness = likeness - 4 * jnp.eye(count, dtype=likeness.dtype)
-    held = jax.lax.stop_gradient(specular)
+    held, wanted = jax.lax.stop_gradient(specular), min(neighbours, likeness.shape[1] - 1)
     total = jnp.zeros(specular.shape[0], specular.dtype)
-    for _ in range(min(neighbours, count - 1)):
-        nearest = jnp.argmax(likeness, -1)
+    for nearest in _nearest(likeness, wanted):
         other = jnp.take_along_axis(held, nearest[..., None], 1)
         total = total + jnp.mean(jnp.sum(jnp.abs(specular - other), -1), -1)
-        likeness = likeness - 4 * jax.nn.one_hot(nearest, count, dtype=likeness.dtype)
-    return total / max(min(neighbours, count - 1), 1)
+    return total / max(wanted, 1)
+
+
+def _nearest(likeness: Float[Array, "rays n n"], wanted: int) -> list[Int[Array, "rays n"]]:
+    """For each direction the `wanted` others most like it, the first of them first; differences below 1e-5 do not count.
+
+    Repeated maximum, which for a handful beats a sort: of whole numbers that hold a likeness and, in their last bits, its index.
+    They are unique and their maximum is taken down the columns of a matrix that is symmetric, both for the sake of vectors.
+    """
+    count = likeness.shape[1]
+    bits = max(count - 1, 1).bit_length()
+    shifted = (likeness + 2).astype(jnp.float32)  # in [1, 3]: positive numbers have the order of their bits
+    index = jnp.arange(count, dtype=jnp.int32)[:, None]
+    keys = (jax.lax.bitcast_convert_type(shifted, jnp.int32) >> bits << bits) | (count - 1 - index)
+    keys = jnp.where(jnp.eye(count, dtype=bool), 0, keys)
+    found = []
+    for _ in range(wanted):
+        largest = jnp.max(keys, 1)
+        found.append(count - 1 - (largest & ((1 << bits) - 1)))
+        keys = jnp.where(keys == largest[:, None], 0, keys)
+    return found

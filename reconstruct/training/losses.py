@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from reconstruct.numerics.volume import sum_before
+
 NOTHING = 1e-35
 """A density that no length makes visible; nothing is divided by less."""
 
@@ -26,8 +28,7 @@ def distortion(
 
     Middles ascend, so the double sum is 2 sum_i w_i (m_i W_i - M_i) with the running sums W of w and M of w m.
     """
-    before = jnp.cumsum(weights, -1) - weights
-    moment = jnp.cumsum(weights * middle, -1) - weights * middle
+    before, moment = sum_before(weights), sum_before(weights * middle)
     pairs = 2 * jnp.sum(weights * (middle * before - moment), -1)
     return pairs + jnp.sum(weights * weights * length, -1) / 3
 
@@ -40,7 +41,7 @@ def hollowness(weights: Float[Array, "rays n"], density: Float[Array, "rays n"])
     All but d_i is held, so that the only remedy is to fill what is hollow, never to thin the front.
     """
     before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
-    met = jnp.cumsum(weights, -1) - weights
+    met = sum_before(weights)
     held, before = jax.lax.stop_gradient((weights * met, before))
     solid = before > NOTHING
     fall = jnp.where(solid, 1 - density / jnp.where(solid, before, 1.0), 0.0)

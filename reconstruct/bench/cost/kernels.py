@@ -21,7 +21,8 @@ from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.field.encodings.lattice import PermutohedralLattice
 from reconstruct.field.encodings.voxels import VoxelGrid
 from reconstruct.numerics.compiling import jit
-from reconstruct.rendering.model import Model, composite, sample_weights
+from reconstruct.rendering.compositing import composited
+from reconstruct.rendering.model import Model
 from reconstruct.sampling.occupied_steps import OccupiedSteps
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
@@ -156,11 +157,10 @@ class Bench:
 
     def _compositing(self) -> list[Piece]:
         samples, rays = self._samples()
-        channels = jnp.ones((12 + self.config.field.bottleneck, samples.t.shape[0]))
+        channels = jnp.ones((10 + self.config.field.bottleneck, samples.t.shape[0]))
 
         def rendered(density, values):
-            weights = sample_weights(density, samples, rays.speed)
-            return jnp.sum(jnp.square(composite(values, samples.packed(weights), samples)))
+            return jnp.sum(jnp.square(composited(density, (values,), samples, rays.speed)[1]))
 
         density, count = jnp.ones(samples.t.shape[0]), float(samples.t.shape[0])
         both_ways = count * (4 + len(channels))

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reconstruct.numerics.volume import volume_weights
-from reconstruct.rendering.model import composite, sample_weights
+from reconstruct.rendering.compositing import composite, sample_weights
 from reconstruct.sampling.samples import RaySamples
 
 

@@ -12,7 +12,8 @@ from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering import pictures
-from reconstruct.rendering.model import Model, Rendered, composite, render
+from reconstruct.rendering.compositing import composite
+from reconstruct.rendering.model import Model, Rendered, render
 from reconstruct.rendering.pictures import Renderer, composited_normals
 from reconstruct.run import Run
 from reconstruct.sampling.samples import RaySamples, cloud_of
