@@ -26,6 +26,7 @@ KERNELS = {
     "descent": ("descend",),
     "march": ("march",),
     "pack": ("pack",),
+    "look": ("look",),
 }
 """Compiled functions that XLA calls, by module of this folder."""
 

@@ -125,32 +125,33 @@ def composite(
     return jnp.zeros((samples.num_rays, values.shape[0]), values.dtype).at[samples.ray].add(rows, mode="promise_in_bounds")
 
 
-def render(
-    field: Field,
-    rays: Rays,
-    samples: RaySamples,
-    cloud: Cloud,
-    known: tuple[Float[Array, " n"], Material] | None = None,
-) -> tuple[Rendered, Float[Array, " n"]]:
+def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
     """Composite the samples of each ray, and shade them as the field is shaded.
-
-    Args:
-        known: density and material of the samples, where they have been evaluated already.
 
     Returns:
         The rays, and the density of every sample [1 / scene unit].
     """
-    density, material = barrier(field(cloud) if known is None else known)
+    density, material = barrier(field(cloud))
     weights = barrier(sample_weights(density, samples, rays.speed))
     flat = barrier(samples.packed(weights))
+    sums = barrier(composite(channels_of(field, material, rays, samples), flat, samples))
+    return barrier((seen(field, rays, sums, weights), density))
+
+
+def channels_of(field: Field, material: Material, rays: Rays, samples: RaySamples) -> Float[Array, "channels n"]:
+    """What is composited of each sample: 1, t, the material and, where samples are shaded, colour and specular part."""
     light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
     material = field.lit(material, light)
-    channels = jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], material.stacked()])
-    if not field.deferred:
-        directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
-        shading = barrier(field.shade(material, directions, light=light))
-        channels = jnp.concatenate([channels, shading.rgb, shading.specular])
-    sums = barrier(composite(channels, flat, samples))
+    channels = jnp.concatenate([jnp.ones_like(samples.t)[None], samples.t[None], material.stacked()])
+    if field.deferred:
+        return channels
+    directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
+    shading = barrier(field.shade(material, directions, light=light))
+    return jnp.concatenate([channels, shading.rgb, shading.specular])
+
+
+def seen(field: Field, rays: Rays, sums: Float[Array, "rays channels"], weights: Float[Array, "rays slots"]) -> Rendered:
+    """Rays whose samples are composited, shaded where the field shades rays. `sums`: of what `channels_of` lists."""
     opacity = sums[:, 0]
     mean = sums / jnp.maximum(opacity, 1e-6)[:, None]
     diffuse = sums[:, 2:5]
@@ -162,7 +163,7 @@ def render(
         diffuse = diffuse if light is None else material.diffuse.T * opacity[:, None]
     else:
         rgb, specular = sums[:, -6:-3], sums[:, -3:]
-    rendered = Rendered(
+    return Rendered(
         rgb=rgb,
         opacity=opacity,
         diffuse=diffuse,
@@ -172,4 +173,3 @@ def render(
         depth=mean[:, 1],
         weights=weights,
     )
-    return barrier((rendered, density))
