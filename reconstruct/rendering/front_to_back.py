@@ -72,7 +72,9 @@ def composited(
         lengths, density = jnp.where(active[:, None], extent * own.speed[:, None], 0.0), density.reshape(places, TOGETHER)
         weights = barrier(volume_weights(density, lengths) * jnp.exp(-depth)[:, None])
         passed = jnp.sum(jnp.minimum(density * lengths, OPAQUE), -1)
-        return jnp.concatenate([passed[None], jnp.sum(channels.reshape(-1, places, TOGETHER) * weights, -1)]).T
+        weighted = channels * weights.reshape(-1)
+        sums = sum(weighted[:, k::TOGETHER] for k in range(TOGETHER))  # a reduction over so short an axis is three times as slow
+        return jnp.concatenate([passed[None], sums]).T
 
     def advance(now: _Round) -> _Round:
         active = now.place < queue.count
