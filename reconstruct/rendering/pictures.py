@@ -1,7 +1,7 @@
 """Whole pictures from a trained model: rays in chunks, each as long as its occupied space allows."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
+from datasets.imaging.downscale import streamed
 from datasets.scene import View
 from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
@@ -86,6 +87,13 @@ def ahead(begun: Iterator[Any]) -> Iterator[Any]:
         if len(waiting) == AT_ONCE:
             yield waiting.popleft()
     yield from waiting
+
+
+def two_at_a_time(picture: Callable[[Any], Picture], items: Sequence[Any]) -> Iterator[Picture]:
+    """A picture for each item, in their order. The first is alone: it compiles what all need. Then one picture fills the core
+    that the other leaves idle at its end and in what is done on the host."""
+    yield from map(picture, items[:1])
+    yield from streamed(picture, items[1:])
 
 
 @dataclass
