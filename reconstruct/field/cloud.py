@@ -47,13 +47,21 @@ class Cloud(eqx.Module):
         slopes = jax.lax.stop_gradient(jacobian)
         return self._averaged(features + jnp.einsum("cxn,xn->cn", slopes, points - held))  # adds nothing but a gradient
 
-    def encoded_with_jacobian(self, encoding: Encoding) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"]]:
-        """Features and their derivative to the scene's coordinates."""
-        points, scale = barrier(self.mapped())
-        features, jacobian = encoding.value_and_jacobian(points, scale)
-        if not self.space.bounded:
-            jacobian = self.space.pull_back(self.points.T, jacobian.transpose(0, 2, 1)).transpose(0, 2, 1)
-        return self._averaged(features), self._averaged(jacobian)
+    def encoded_with_jacobian(self, encoding: Encoding) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n_group"]]:
+        """Features of each place, and of each Gaussian the features' derivative to the encoding's coordinates."""
+        features, jacobian = encoding.value_and_jacobian(*barrier(self.mapped()))
+        return self._averaged(features), jacobian
+
+    def gradient(
+        self, sensitivity: Float[Array, "channels n"], jacobian: Float[Array, "channels 3 n_group"]
+    ) -> Float[Array, "3 n"]:
+        """Derivative to the scene's coordinates of what has these derivatives to each place's features.
+
+        Args:
+            jacobian: of `encoded_with_jacobian`.
+        """
+        along = jnp.sum(jnp.repeat(sensitivity, self.group, axis=1)[:, None] * jacobian, 0)
+        return self._averaged(along if self.space.bounded else self.space.pull_back(self.points.T, along.T).T)
 
     def centres(self) -> Float[Array, "3 n"]:
         """Where each place is around the object: the mean of its Gaussians'."""

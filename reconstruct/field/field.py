@@ -7,7 +7,6 @@ Points, directions and channels come first: (3, n), (channels, n).
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import EncodingConfig, FieldConfig
@@ -74,8 +73,7 @@ class Field(eqx.Module):
         """
         features, jacobian = cloud.encoded_with_jacobian(self.encoding)
         raw, sensitivity = self.spatial.with_sensitivity(features)
-        gradient = jnp.sum(sensitivity[:, None] * jacobian, 0)
-        return *self._heads(raw, cloud), -normalise(gradient, axis=0)
+        return *self._heads(raw, cloud), -normalise(cloud.gradient(sensitivity, jacobian), axis=0)
 
     def lit(self, material: Material, light: Lit | None) -> Material:
         """The material with its diffuse colour under lamps that move about it; as it is where they stand still (None)."""

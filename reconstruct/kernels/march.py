@@ -1,8 +1,9 @@
 """What the occupancy grid expects along rays, as a compiled loop; see `reconstruct.sampling.packing.expected_depth`.
 
 Arrays of a call: origins (n, 3), directions (n, 3), cuts (4, n), jitter (n,), depths of the cells in half precision (cells,),
-choices (6,): steps in front, inside and behind, cells along an edge of the inner and of the outer grid, and whether what lies
-outside the unit ball is contracted. Results: depth (n, steps) and hit (n,), whether any of a ray's is not zero.
+choices (6,): steps in front, inside and behind, cells along an edge of the inner and of the outer grid, and the map: AS_IS,
+CONTRACTED outside the unit ball, or STRAIGHTENED; numbers (17,) of a frustum: rotation, row by row, origin, across, deep, slope,
+1 / far and the smallest w. Results: depth (n, steps) and hit (n,), whether any of a ray's is not zero.
 """
 
 from math import sqrt
@@ -16,14 +17,16 @@ from reconstruct.kernels.frame import argument, argument_size, executes, result
 
 RAYS = 64
 """Of a chunk."""
+AS_IS, CONTRACTED, STRAIGHTENED = 0, 1, 2
+"""Maps: those of `Box`, `Ball` and `Frustum`."""
 f4, i4 = np.float32, np.int32
 
 
 @compiled_exactly
-def _find_t(ray, part, first, last, jitter, cuts, choices, t):
+def _find_t(ray, part, first, last, extra, cuts, choices, t):
     """t of the steps from `first` to before `last`, all of one part of the ray; `along.at` without a branch."""
     near, enter, leave, far = cuts[0, ray], cuts[1, ray], cuts[2, ray], cuts[3, ray]
-    begin, count, extra = f4(first), f4(choices[part]), jitter[ray]
+    begin, count = f4(first), f4(choices[part])
     if part < 2:
         start, extent = (near, enter - near) if part == 0 else (enter, leave - enter)
         for i in range(last - first):
@@ -36,20 +39,43 @@ def _find_t(ray, part, first, last, jitter, cuts, choices, t):
 
 
 @compiled_exactly
-def _find_points(t, count, origins, directions, ray, contracts, points):
-    """Coordinates in the map of the points of a ray at the first `count` of `t`; see `contraction.contract_coordinates`."""
+def _contract(count, points):
+    """The first `count` points in the map of a `Ball`; see `contraction.contract_coordinates`."""
+    x, y, z = points[0], points[1], points[2]
+    for i in range(count):
+        inverse = f4(1) / sqrt(max(fma(z[i], z[i], fma(x[i], x[i], y[i] * y[i])), f4(1)))
+        shrink = (f4(2) - inverse) * inverse
+        x[i] *= shrink
+        y[i] *= shrink
+        z[i] *= shrink
+
+
+@compiled_exactly
+def _straighten(count, points, numbers):
+    """The first `count` points in the map of a `Frustum`; see its `mapped_coordinates`."""
+    x, y, z = points[0], points[1], points[2]
+    a, b, c, d, e, f, g, h, k = numbers[:9]
+    first, second, third, across, deep, slope, last, smallest = numbers[9:]
+    for i in range(count):
+        p, q, r = x[i] - first, y[i] - second, z[i] - third
+        disparity = f4(1) / max(fma(k, r, fma(h, q, g * p)), smallest)
+        share = disparity / across
+        x[i] = fma(c, r, fma(b, q, a * p)) * share
+        y[i] = fma(f, r, fma(e, q, d * p)) * share
+        z[i] = deep - slope * (disparity - last)
+
+
+@compiled_exactly
+def _find_points(t, count, origins, directions, ray, kind, numbers, points):
+    """Coordinates in the map of the points of a ray at the first `count` of `t`."""
     for axis in range(3):
         origin, direction, along = origins[ray, axis], directions[ray, axis], points[axis]
         for i in range(count):
             along[i] = fma(t[i], direction, origin)
-    if contracts:
-        x, y, z = points[0], points[1], points[2]
-        for i in range(count):
-            inverse = f4(1) / sqrt(max(fma(z[i], z[i], fma(x[i], x[i], y[i] * y[i])), f4(1)))
-            shrink = (f4(2) - inverse) * inverse
-            x[i] *= shrink
-            y[i] *= shrink
-            z[i] *= shrink
+    if kind == CONTRACTED:
+        _contract(count, points)
+    elif kind == STRAIGHTENED:
+        _straighten(count, points, numbers)
 
 
 @compiled_exactly
@@ -77,8 +103,8 @@ def _find_cells(points, count, size, outer, cells):
 
 
 @compiled_exactly
-def _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, points, cells, depth):
-    """Depths along one ray; whether there is any."""
+def march_ray(ray, origins, directions, cuts, jitter, grid, choices, numbers, t, points, cells, depth):
+    """Write depths along one ray; whether there is any. `jitter`: its own; t, points and cells: room for a ray's steps."""
     any_depth, last = i4(0), 0
     for part in range(3):
         first, last = last, last + np.int64(choices[part])
@@ -88,7 +114,7 @@ def _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, points,
                 there[i] = f4(0)
             continue
         _find_t(ray, part, first, last, jitter, cuts, choices, t)
-        _find_points(t, count, origins, directions, ray, choices[5] != 0, points)
+        _find_points(t, count, origins, directions, ray, choices[5], numbers, points)
         _find_cells(points, count, choices[3], choices[4], cells)
         for i in range(count):
             found = grid[np.uint64(cells[i])]
@@ -104,11 +130,12 @@ def _march_rays(frame, chunk):
     origins, directions = argument(frame, 0, (count, 3), np.float32), argument(frame, 1, (count, 3), np.float32)
     cuts, jitter = argument(frame, 2, (4, count), np.float32), argument(frame, 3, (count,), np.float32)
     grid, choices = argument(frame, 4, (num_cells,), np.uint16), argument(frame, 5, (6,), np.int32)
+    numbers = argument(frame, 6, (17,), np.float32)
     steps = choices[0] + choices[1] + choices[2]
     depth, hit = result(frame, 0, (count, steps), np.float32), result(frame, 1, (count,), np.uint8)
     t, points, cells = np.empty(steps, f4), np.empty((3, steps), f4), np.empty(steps, i4)
     for ray in range(chunk * RAYS, min((chunk + 1) * RAYS, count)):
-        hit[ray] = _march_ray(ray, origins, directions, cuts, jitter, grid, choices, t, points, cells, depth[ray])
+        hit[ray] = march_ray(ray, origins, directions, cuts, jitter[ray], grid, choices, numbers, t, points, cells, depth[ray])
 
 
 _address_of_march = address_of(_march_rays, 2)

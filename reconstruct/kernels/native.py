@@ -28,6 +28,7 @@ KERNELS = {
     "pack": ("pack",),
     "layers": ("evaluate", "evaluate_back"),
     "along_rays": ("composite", "composite_back"),
+    "look": ("look",),
 }
 """Compiled functions that XLA calls, by module of this folder."""
 

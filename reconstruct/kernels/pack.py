@@ -74,6 +74,23 @@ def _draw(importance, found, factor, offset, most, steps, shares):
 
 
 @compiled
+def draw_ray(depth, ray, cuts, choices, jitter, offset, most, wanted, steps, importance, shares, t, length):
+    """Write t and length of the samples that a ray draws; how many there are, at most `most`.
+
+    The rest of the arguments are as in `along.at`, or room for a ray's steps: `steps` with one more, `importance`, `shares`.
+    """
+    found = _find_importance(depth, steps, importance)
+    factor = _factor(importance, found, wanted)
+    drawn = _draw(importance, found, factor, offset, most, steps, shares)
+    for slot in range(drawn):
+        u = f4(steps[slot])
+        t[slot] = at(u + jitter, cuts, ray, choices)
+        extent = at(u + f4(1), cuts, ray, choices) - at(u, cuts, ray, choices)
+        length[slot] = extent / max(shares[slot], LEAST_SHARE)
+    return drawn
+
+
+@compiled
 def _pack_rays(frame, chunk):
     """What the rays of a chunk draw."""
     count, num_steps = argument_size(frame, 1, 0), argument_size(frame, 0, 1)
@@ -91,15 +108,9 @@ def _pack_rays(frame, chunk):
         kept[ray] = 0
         if ray >= chosen[0]:
             continue
-        found = _find_importance(depth[np.uint64(order[ray])], steps, importance)
-        factor = _factor(importance, found, f4(choices[4]))
-        drawn = _draw(importance, found, factor, offset[ray], most, steps, shares)
-        kept[ray] = drawn
-        for slot in range(drawn):
-            u = f4(steps[slot])
-            t[ray, slot] = at(u + jitter[ray], cuts, ray, choices)
-            extent = at(u + f4(1), cuts, ray, choices) - at(u, cuts, ray, choices)
-            length[ray, slot] = extent / max(shares[slot], LEAST_SHARE)
+        row = depth[np.uint64(order[ray])]
+        room = (steps, importance, shares, t[ray], length[ray])
+        kept[ray] = draw_ray(row, ray, cuts, choices, jitter[ray], offset[ray], most, f4(choices[4]), *room)
 
 
 @compiled

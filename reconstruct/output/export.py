@@ -25,7 +25,7 @@ from datasets.core.console import progress
 from datasets.formats.links import file_name
 from datasets.imaging import images
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import Picture
+from reconstruct.rendering.pictures import Picture, two_at_a_time
 
 EXR = {"depth", "normals_exr"}  # channels written as EXR, unscaled
 
@@ -37,7 +37,7 @@ def render(trained: TrainedModel, out: Path, *, split: str = "test") -> dict[str
     """
     files.refuse_existing(out)
     views = trained.scene.split(split)
-    _write(((file_name(view), trained.picture(view)) for view in views), len(views), out)
+    _write(zip(map(file_name, views), two_at_a_time(trained.picture, views), strict=True), len(views), out)
     return {"out": str(out), "split": split, "views": len(views)}
 
 
@@ -51,8 +51,12 @@ def render_along(trained: TrainedModel, frames: Sequence[NDArray[np.float64]], o
     files.refuse_existing(out)
     view = trained.scene.views[0]
     camera = trained.camera(view).undistorted()
-    pictures = (trained.renderer.picture(trained.model, replace(view, world_from_camera=frame), camera) for frame in frames)
-    _write(((f"{number:04d}", picture) for number, picture in enumerate(pictures)), len(frames), out)
+
+    def picture(frame: NDArray[np.float64]) -> Picture:
+        return trained.renderer.picture(trained.model, replace(view, world_from_camera=frame), camera)
+
+    names = (f"{number:04d}" for number in range(len(frames)))
+    _write(zip(names, two_at_a_time(picture, frames), strict=True), len(frames), out)
     return {"out": str(out), "views": len(frames)}
 
 

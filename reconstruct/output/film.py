@@ -14,6 +14,7 @@ from datasets.core.files import atomic_path, refuse_existing
 from datasets.imaging import images
 from reconstruct.output.export import EXR, brightness_of_depth, channels
 from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.pictures import Picture, two_at_a_time
 
 CHANNELS = ("rgb", "diffuse", "specular", "normals", "normals_pred", "depth_view", "opacity", "roughness")
 
@@ -39,11 +40,15 @@ def film(
 
 def _pictures(trained: TrainedModel, frames, shown: Sequence[str], bar) -> Iterator[NDArray[np.uint8]]:
     """The channels of each frame side by side; depth over the range of the first frame, to prevent flicker."""
-    view = trained.scene.views[0]
+    view, normals = trained.scene.views[0], "normals" in shown
     camera, limits = trained.camera(view).undistorted(), None
-    for world_from_camera in frames:
-        moved, normals = replace(view, world_from_camera=world_from_camera), "normals" in shown
-        picture = trained.renderer.picture(trained.model, moved, camera, normals=normals)
+
+    def frame(world_from_camera: NDArray[np.float64]) -> Picture:
+        return trained.renderer.picture(
+            trained.model, replace(view, world_from_camera=world_from_camera), camera, normals=normals
+        )
+
+    for picture in two_at_a_time(frame, frames):
         if limits is None:
             known = picture.depth[picture.depth > 0]
             limits = tuple(np.percentile(known, [1, 99]).tolist()) if known.size else (0.0, 1.0)

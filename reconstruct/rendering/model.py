@@ -112,30 +112,30 @@ class Rendered(eqx.Module):
         return eqx.tree_at(lambda r: r.rgb, self, srgb_from_linear(light) * opacity)
 
 
-def render(
-    field: Field,
-    rays: Rays,
-    samples: RaySamples,
-    cloud: Cloud,
-    known: tuple[Float[Array, " n"], Material] | None = None,
-) -> tuple[Rendered, Float[Array, " n"]]:
+def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
     """Composite the samples of each ray, and shade them as the field is shaded.
-
-    Args:
-        known: density and material of the samples, where they have been evaluated already.
 
     Returns:
         The rays, and the density of every sample [1 / scene unit].
     """
-    density, material = barrier(field(cloud) if known is None else known)
+    density, material = barrier(field(cloud))
+    weights, sums = barrier(composited(density, values_of(field, material, rays, samples), samples, rays.speed))
+    return barrier((seen(field, rays, sums, weights), density))
+
+
+def values_of(field: Field, material: Material, rays: Rays, samples: RaySamples) -> tuple[Float[Array, "_ n"], ...]:
+    """What is composited of each sample: the material and, where samples are shaded, colour and specular part."""
     light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
     material = field.lit(material, light)
-    values = material.parts
-    if not field.deferred:
-        directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
-        shading = barrier(field.shade(material, directions, light=light))
-        values = (*values, shading.rgb, shading.specular)
-    weights, sums = barrier(composited(density, values, samples, rays.speed))
+    if field.deferred:
+        return material.parts
+    directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
+    shading = barrier(field.shade(material, directions, light=light))
+    return (*material.parts, shading.rgb, shading.specular)
+
+
+def seen(field: Field, rays: Rays, sums: Float[Array, "channels rays"], weights: Float[Array, "rays slots"]) -> Rendered:
+    """Rays whose samples are composited, shaded where the field shades rays. `sums`: of weights, of t and of `values_of`."""
     opacity = sums[0]
     mean = sums / jnp.maximum(opacity, 1e-6)
     diffuse = sums[2:5]
@@ -147,7 +147,7 @@ def render(
         diffuse = diffuse if light is None else material.diffuse * opacity
     else:
         rgb, specular = sums[-6:-3], sums[-3:]
-    rendered = Rendered(
+    return Rendered(
         rgb=rgb.T,
         opacity=opacity,
         diffuse=diffuse.T,
@@ -157,4 +157,3 @@ def render(
         depth=mean[1],
         weights=weights,
     )
-    return barrier((rendered, density))

@@ -1,6 +1,7 @@
 """Whole pictures from a trained model: rays in chunks, each as long as its occupied space allows."""
 
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,31 +9,29 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
+from datasets.imaging.downscale import streamed
 from datasets.scene import View
-from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import jit
 from reconstruct.numerics.safe import normalise
-from reconstruct.rendering.model import Model, Rendered, render
-from reconstruct.sampling.samples import RaySamples, cloud_of
+from reconstruct.rendering.front_to_back import Queue, composited
+from reconstruct.rendering.model import Model, seen
 from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, Rays, view_rays
 
-SIZES = (256, 1024, 4096)
-"""Rays that are rendered at once, the fewest that hold a whole picture."""
+SIZES = (256, 1024, 4096, 16384, 65536)
+"""Rays of one program, the fewest that hold a picture's share."""
 Lists = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]
 """Origins, directions and radii of many rays, and their lamps' rotations (None where lamps stand still), on the host."""
-BLOCK = 8192
-"""Samples whose normals are found at once."""
+SHARES = 4
+"""Programs that a picture is rendered by, or more."""
 AT_ONCE = 3
 """Programs that are under way at the same time: one alone leaves a core idle in its serial parts, and while it is read back."""
-FAINT = 1e-3
-"""Share of a ray's opacity below which a sample's normal is left out: two dozen of them turn the sum by 1.4 degrees at most."""
+SHADED = 4096
+"""Rays that are shaded at once."""
 CHANNELS = {"rgb": 3, "opacity": 1, "diffuse": 3, "specular": 3, "roughness": 1, "depth": 1, "normals_pred": 3, "normals": 3}
 
 
@@ -56,57 +55,15 @@ class Picture:
     """The same from the predicted normals."""
 
 
-def composited_normals(field: Field, cloud: Cloud, samples: RaySamples, rendered: Rendered) -> Float[Array, "rays 3"]:
-    """Sum of each ray's weighted density normals, of those samples that add to it; as many blocks of them as there are.
-
-    A gradient costs three times what the density costs, and most samples lie before the surface or behind it.
-    """
-    weights = samples.packed(rendered.weights)
-    adds = weights > FAINT * rendered.opacity[samples.ray]
-    (chosen,) = jnp.nonzero(adds, size=weights.shape[0], fill_value=0)
-    count = jnp.sum(adds)
-    size = min(BLOCK, weights.shape[0])
-
-    def add(block: Array, total: Float[Array, "rays 3"]) -> Float[Array, "rays 3"]:
-        entry = block * size + jnp.arange(size)
-        sample = chosen[jnp.minimum(entry, weights.shape[0] - 1)]
-        _, _, normals = field.with_normals(cloud.of(sample))
-        return total.at[samples.ray[sample]].add((normals * jnp.where(entry < count, weights[sample], 0.0)).T)
-
-    return jax.lax.fori_loop(0, (count + size - 1) // size, add, jnp.zeros((samples.num_rays, 3)))
-
-
-def by_blocks(field: Field, cloud: Cloud, samples: RaySamples) -> tuple[Float[Array, " n"], Material]:
-    """What `field` returns, evaluated for as many blocks as samples fill; zero for the rest of the list, which nobody sees."""
-    size, count = min(BLOCK, samples.t.shape[0]), jnp.sum(samples.valid)
-    if samples.t.shape[0] % size:
-        return field(cloud)
-
-    def evaluated(block: Array) -> tuple[Array, Material]:
-        return field(cloud.of(block * size + jnp.arange(size)))
-
-    def add(block: Array, whole: tuple[Array, Material]) -> tuple[Array, Material]:
-        put = lambda whole, part: jax.lax.dynamic_update_slice_in_dim(whole, part, block * size, axis=-1)  # noqa: E731
-        return jax.tree.map(put, whole, evaluated(block))
-
-    shapes = jax.eval_shape(evaluated, jnp.zeros((), jnp.int32))
-    empty = jax.tree.map(lambda leaf: jnp.zeros((*leaf.shape[:-1], samples.t.shape[0]), leaf.dtype), shapes)
-    return jax.lax.fori_loop(0, (count + size - 1) // size, add, empty)
-
-
 def _size(picture: int) -> int:
-    """Rays at once for a picture of so many: one size for each picture, so that nothing is compiled in its midst."""
-    return next((size for size in SIZES if size >= picture), SIZES[-1])
+    """Rays of one program for a picture of so many: one size for each picture, so that nothing is compiled in its midst."""
+    return next((size for size in SIZES if SHARES * size >= picture), SIZES[-1])
 
 
-def _slice(start: int, end: int, picture: int) -> Int[np.ndarray, " size"]:
-    """The indices from `start` on that are rendered at once, the last before `end` repeated."""
-    return np.minimum(np.arange(start, start + _size(picture)), end - 1)
-
-
-def _filled(rows: Int[np.ndarray, " n"], size: int) -> Int[np.ndarray, " size"]:
-    """As many indices as are rendered at once, the last one repeated."""
-    return rows[np.minimum(np.arange(size), len(rows) - 1)]
+def _part(rays: Lists, start: int, size: int) -> tuple[Rays, Int[Array, ""]]:
+    """`size` rays from `start` on, and how many of them there are: the last is repeated."""
+    count = len(rays[0])
+    return on_device(taken(rays, np.minimum(np.arange(start, start + size), count - 1))), jnp.asarray(min(count - start, size))
 
 
 def taken(rays: Lists, rows: Int[np.ndarray, " size"]) -> Lists:
@@ -120,6 +77,23 @@ def on_device(rays: Lists) -> Rays:
     origins, directions, radii, light = rays
     lit = None if light is None else jnp.asarray(light)
     return Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), light=lit)
+
+
+def ahead(begun: Iterator[Any]) -> Iterator[Any]:
+    """The same, each after the next ones have been begun: they are computed while the first is read, and beside it."""
+    waiting: deque[Any] = deque()
+    for one in begun:
+        waiting.append(one)
+        if len(waiting) == AT_ONCE:
+            yield waiting.popleft()
+    yield from waiting
+
+
+def two_at_a_time(picture: Callable[[Any], Picture], items: Sequence[Any]) -> Iterator[Picture]:
+    """A picture for each item, in their order. The first is alone: it compiles what all need. Then one picture fills the core
+    that the other leaves idle at its end and in what is done on the host."""
+    yield from map(picture, items[:1])
+    yield from streamed(picture, items[1:])
 
 
 @dataclass
@@ -175,71 +149,63 @@ class Renderer:
             furthest: what is beyond this depth is left out [scene unit]; infinity leaves out nothing. None: the same, in a
                 program without this limit.
         """
-        given = (origins, directions, radii, light)
-        values = np.zeros((len(origins), sum(CHANNELS.values())), np.float32)
-        values[:, :3] = np.clip(self.behind, 0, 1)
-        left, size = np.flatnonzero(self._meets(model, given)), _size(len(origins))
+        given, count = (origins, directions, radii, light), len(origins)
+        values, size = np.empty((count, sum(CHANNELS.values())), np.float32), _size(count)
         function = self._function(normals, furthest is not None)
         limit = jnp.asarray(np.inf if furthest is None else furthest, jnp.float32)
-        running: deque[Any] = deque()
-        while len(left) or running:
-            while len(left) and len(running) < AT_ONCE:
-                rows, left = left[:size], left[size:]
-                running.append((rows, function(model, on_device(taken(given, _filled(rows, size))), limit)))
-            rows, (found, done) = running.popleft()
-            count = min(int(done), len(rows))
-            values[rows[:count]] = np.asarray(found)[:count]
-            left = np.concatenate([rows[count:], left])  # those that found no room
+        begun = ((start, function(model, *_part(given, start, size), limit)) for start in range(0, count, size))
+        for start, found in ahead(begun):
+            values[start : start + size] = np.asarray(found)[: count - start]
         ends = np.cumsum(list(CHANNELS.values()))
         return dict(zip(CHANNELS, np.split(values, ends[:-1], -1), strict=True))
 
     def warm_up(self, model: Model, given: Lists) -> None:
         """Compile what `rays` needs for as many rays, normals included, by rendering a few of them."""
-        rows = _slice(0, len(given[0]), len(given[0]))
-        few = taken(given, rows)
-        self._meets(model, few)
-        jax.block_until_ready(self._function(True, False)(model, on_device(few), jnp.asarray(np.inf, jnp.float32)))
-
-    def _meets(self, model: Model, rays: Lists) -> Bool[np.ndarray, " n"]:
-        """Which rays are worth rendering: in pictures of an object alone, most meet nothing."""
-        count = len(rays[0])
-        if not model.sampler.skips_rays:
-            return np.ones(count, bool)
-        if "meets" not in self._compiled:
-            self._compiled["meets"] = jit(lambda model, rays: model.sampler.meets(rays))
-        look = self._compiled["meets"]
-        parts = [look(model, on_device(taken(rays, _slice(start, count, count)))) for start in range(0, count, _size(count))]
-        return np.concatenate(parts)[:count]
+        few = _part(given, 0, _size(len(given[0])))
+        jax.block_until_ready(self._function(True, False)(model, *few, jnp.asarray(np.inf, jnp.float32)))
 
     def _function(self, normals: bool, limited: bool):
         key = (normals, limited)
         if key not in self._compiled:
             self._compiled[key] = jit(
-                lambda model, rays, furthest: self._render(model, rays, normals, furthest if limited else None)
+                lambda model, rays, count, furthest: self._render(model, rays, count, normals, furthest if limited else None)
             )
         return self._compiled[key]
 
     def _render(
-        self, model: Model, rays: Rays, with_normals: bool, furthest: Float[Array, ""] | None
-    ) -> tuple[Float[Array, "rays channels"], Array]:
-        """All channels side by side, and how many rays from the first on found room."""
-        found = model.sampler.look(rays)
-        samples = found.samples
+        self, model: Model, rays: Rays, count: Int[Array, ""], with_normals: bool, furthest: Float[Array, ""] | None
+    ) -> Float[Array, "rays channels"]:
+        """All channels of the first `count` rays side by side."""
+        found, size = model.sampler.look(rays), min(SHADED, rays.radii.shape[0])
         if furthest is not None:  # an interval of no length absorbs nothing
-            samples = eqx.tree_at(lambda s: s.length, samples, jnp.where(samples.t > furthest, 0.0, samples.length))
-        cloud = cloud_of(rays, samples, space=self.normalisation.space, footprint=found.footprint)
-        rendered, _ = render(model.field, rays, samples, cloud, by_blocks(model.field, cloud, samples))
-        normals = jnp.zeros_like(rendered.normals_pred)
-        if with_normals:
-            normals = composited_normals(model.field, cloud, samples, rendered)
+            cut = jnp.where(found.samples.t > furthest, 0.0, found.samples.length)
+            found = eqx.tree_at(lambda f: f.samples.length, found, cut)
+        queue = Queue.of(found.samples, count)
+        sums = composited(model.field, rays, found, queue, self.normalisation.space, normals=with_normals)
+
+        def shade(block: Array, values: Float[Array, "rays channels"]) -> Float[Array, "rays channels"]:
+            ray = queue.ray[jnp.minimum(block * size + jnp.arange(size), queue.count - 1)]
+            own = jax.tree.map(lambda v: v[ray], rays)
+            return values.at[ray].set(self._columns(model, own, sums[ray], with_normals))
+
+        behind = jnp.clip(jnp.asarray(self.behind, jnp.float32), 0, 1)
+        nothing = jnp.zeros((rays.radii.shape[0], sum(CHANNELS.values()))).at[:, :3].set(behind)
+        return jax.lax.fori_loop(0, (queue.count + size - 1) // size, shade, nothing)
+
+    def _columns(
+        self, model: Model, rays: Rays, sums: Float[Array, "rays _"], with_normals: bool
+    ) -> Float[Array, "rays channels"]:
+        """All channels of rays whose samples are composited."""
+        split = sums.shape[1] - 3 if with_normals else sums.shape[1]
+        shown = seen(model.field, rays, sums[:, :split].T, jnp.zeros((sums.shape[0], 0)))
         columns = {
-            "rgb": jnp.clip(rendered.over(jnp.asarray(self.behind)[None]), 0, 1),
-            "opacity": rendered.opacity[:, None],
-            "diffuse": rendered.diffuse,
-            "specular": rendered.specular,
-            "roughness": rendered.roughness[:, None],
-            "depth": jnp.where(rendered.opacity > 0.01, rendered.depth, 0.0)[:, None],
-            "normals_pred": rendered.normals_pred,
-            "normals": normals,
+            "rgb": jnp.clip(shown.over(jnp.asarray(self.behind)[None]), 0, 1),
+            "opacity": shown.opacity[:, None],
+            "diffuse": shown.diffuse,
+            "specular": shown.specular,
+            "roughness": shown.roughness[:, None],
+            "depth": jnp.where(shown.opacity > 0.01, shown.depth, 0.0)[:, None],
+            "normals_pred": shown.normals_pred,
+            "normals": sums[:, split:] if with_normals else jnp.zeros_like(shown.normals_pred),
         }
-        return jnp.concatenate([columns[name] for name in CHANNELS], -1), jnp.sum(found.fits)
+        return jnp.concatenate([columns[name] for name in CHANNELS], -1)

@@ -9,17 +9,16 @@ from reconstruct.kernels import native
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.sampling.steps import Steps
+from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import Ball, Box, Space
 
-
-def marches(space: Space, rays: Rays) -> bool:
-    """Whether `expected_depth` is for rays in this space."""
-    return isinstance(space, Box | Ball) and packs(rays)
+MAPS: dict[type[Space], int] = {Box: 0, Ball: 1, Frustum: 2}
+"""As `reconstruct.kernels.march` numbers them."""
 
 
-def packs(rays: Rays) -> bool:
-    """Whether `packed_samples` is for these rays."""
+def usable(rays: Rays) -> bool:
+    """Whether the functions of this file are for these rays."""
     return native.usable(rays.origins, rays.directions)
 
 
@@ -28,11 +27,20 @@ def expected_depth(
 ) -> tuple[Float[Array, "n steps"], Bool[Array, " n"]]:
     """As `reconstruct.sampling.packing.expected_depth`, and which rays have an occupied step."""
     count = rays.origins.shape[0]
-    choices = [steps.front, steps.inside, steps.behind, occupancy.grid, occupancy.outer_grid, isinstance(space, Ball)]
     results = [native.float32(count, steps.count), jax.ShapeDtypeStruct((count,), jnp.bool_)]
-    arguments = (rays.origins, rays.directions, _cuts(steps), jitter, occupancy.depth, np.array(choices, np.int32))
+    choices = np.array(_way(occupancy, steps, space), np.int32)
+    arguments = (rays.origins, rays.directions, _cuts(steps), jitter, occupancy.depth, choices, _numbers(space))
     depth, hit = native.call("march", results, *arguments)
     return depth, hit
+
+
+def shown_samples(occupancy: Occupancy, rays: Rays, steps: Steps, space: Space, *, max_per_ray: int) -> RaySamples:
+    """As `expected_depth` and `packed_samples` with jitter and offset of one half, in rows."""
+    count = rays.origins.shape[0]
+    results = [native.float32(count, max_per_ray)] * 2 + [jax.ShapeDtypeStruct((count,), jnp.int32)]
+    choices = np.array([*_way(occupancy, steps, space), max_per_ray, max_per_ray - 1], np.int32)
+    arguments = (rays.origins, rays.directions, _cuts(steps), occupancy.depth, choices, _numbers(space))
+    return RaySamples.in_rows(*native.call("look", results, *arguments))
 
 
 def packed_samples(
@@ -65,3 +73,15 @@ def packed_samples(
 
 def _cuts(steps: Steps) -> Float[Array, "4 n"]:
     return jnp.stack([steps.near, steps.enter, steps.leave, steps.far])
+
+
+def _way(occupancy: Occupancy, steps: Steps, space: Space) -> list[int]:
+    return [steps.front, steps.inside, steps.behind, occupancy.grid, occupancy.outer_grid, MAPS[type(space)]]
+
+
+def _numbers(space: Space) -> Float[np.ndarray, " 17"]:
+    """What a frustum's map is made of; zeros for other spaces."""
+    if not isinstance(space, Frustum):
+        return np.zeros(17, np.float32)
+    sizes = [space.across, space.deep, space.slope, 1 / space.far, space.smallest]
+    return np.array([*np.ravel(space.rotation), *space.origin, *sizes], np.float32)

@@ -31,8 +31,6 @@ UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
 """Every so many steps the field is evaluated in so many cells of the grid."""
 SAMPLES_PER_RAY = 8
 """The packed list is planned for rays that need at least this many samples each."""
-SHOWN_PER_RAY = 16
-"""Room for a ray's samples in a picture; twice as much where there are surroundings."""
 
 Met = tuple[Int[Array, " n"], Float[Array, " n"]]
 """Cells and densities."""
@@ -124,7 +122,7 @@ class OccupiedSteps(Sampler):
 
     def expected_depth(self, rays: Rays, jitter: Float[Array, " rays"]) -> Float[Array, "rays steps"]:
         """Optical depth that the grid expects in the steps of rays."""
-        if kernels.marches(self.space, rays):
+        if kernels.usable(rays):
             return kernels.expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)[0]
         return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
 
@@ -142,7 +140,7 @@ class OccupiedSteps(Sampler):
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
         """Rays that meet something, with their samples."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
-        if kernels.marches(self.space, rays):
+        if kernels.usable(rays):
             return self._compiled_batch(rays, colour, jitter, offset)
         depth = barrier(self.expected_depth(rays, jitter))
         hit = jnp.any(depth > 0, -1)
@@ -179,7 +177,7 @@ class OccupiedSteps(Sampler):
         capacity: int,
     ) -> tuple[RaySamples, Bool[Array, " rays"]]:
         """Samples of rays whose steps' expected optical depth is known, and which rays found room."""
-        if kernels.packs(rays):
+        if kernels.usable(rays):
             order, chosen = jnp.arange(depth.shape[0]), jnp.asarray(depth.shape[0])
             size = {"capacity": capacity, "max_per_ray": self.max_per_ray}
             return kernels.packed_samples(depth, order, chosen, self.steps_of(rays), jitter, offset, **size)
@@ -194,13 +192,18 @@ class OccupiedSteps(Sampler):
         return Sampled(batch.samples, Footprint(), batch.used)
 
     def look(self, rays: Rays) -> Sampled:
-        """Samples in the middle of their steps."""
+        """Samples in the middle of their steps, with room for all."""
         count = rays.origins.shape[0]
+        every, footprint = jnp.ones(count, bool), Footprint()
+        if kernels.usable(rays):
+            steps, most = self.steps_of(rays), self.max_per_ray
+            return Sampled(kernels.shown_samples(self.grid, rays, steps, self.space, max_per_ray=most), footprint, every)
         middle = jnp.full(count, 0.5)
         depth = barrier(self.expected_depth(rays, middle))
-        per_ray = min(self.max_per_ray, SHOWN_PER_RAY if self.space.bounded else 2 * SHOWN_PER_RAY)
-        samples, fits = self.packed(depth, rays, middle, middle, max(self.max_per_ray, per_ray * count))
-        return Sampled(barrier(samples), Footprint(), fits)
+        packed, _ = self.packed(depth, rays, middle, middle, count * self.max_per_ray)
+        found = jnp.sum(packed.padded(jnp.ones_like(packed.t)), -1).astype(jnp.int32)
+        samples = RaySamples.in_rows(packed.padded(packed.t), packed.padded(packed.length), found)
+        return Sampled(barrier(samples), footprint, every)
 
     def met(self, batch: Batch, density: Float[Array, " n"]) -> Met:
         """Cells that samples lie in, and the densities found there."""
@@ -224,15 +227,6 @@ class OccupiedSteps(Sampler):
     def figures(self) -> dict[str, float]:
         """Share of the cells that are occupied."""
         return {"occupied": float(jnp.mean(self.grid.occupied.astype(jnp.float32)))}
-
-    @property
-    def skips_rays(self) -> bool:
-        """Where an object is all there is."""
-        return self.space.bounded
-
-    def meets(self, rays: Rays) -> Bool[Array, " rays"]:
-        """Which rays have an occupied step."""
-        return jnp.any(self.expected_depth(rays, jnp.full(rays.origins.shape[0], 0.5)) > 0, -1)
 
     def near_occupied(self, axes: tuple[NDArray[Any], ...]) -> NDArray[np.bool_]:
         """Points in an occupied cell of the inner grid or next to one."""

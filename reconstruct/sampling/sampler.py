@@ -4,7 +4,6 @@ from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
@@ -111,7 +110,7 @@ class Sampler(eqx.Module):
 
     @abstractmethod
     def look(self, rays: Rays) -> Sampled:
-        """Samples of rays for a picture: nothing is left to chance."""
+        """Samples of rays for a picture, in rows (`RaySamples.in_rows`): nothing is left to chance."""
 
     @property
     def encodings(self) -> tuple[Encoding, ...]:
@@ -137,15 +136,6 @@ class Sampler(eqx.Module):
     def figures(self) -> dict[str, float]:
         """What the log says of it."""
         return {}
-
-    @property
-    def skips_rays(self) -> bool:
-        """Whether `meets` is worth asking for: many rays of a picture meet nothing."""
-        return False
-
-    def meets(self, rays: Rays) -> Bool[Array, " rays"]:
-        """Which rays meet anything."""
-        return jnp.ones(rays.origins.shape[0], bool)
 
     def near_occupied(self, axes: tuple[NDArray[Any], ...]) -> NDArray[Any] | None:
         """(x, y, z) True for points of a grid with these axes at which there may be matter; None: anywhere."""

@@ -12,8 +12,9 @@ from reconstruct.scene.space import Space
 class RaySamples(eqx.Module):
     """A list of samples ordered by ray, then by distance.
 
-    Each ray owns at most `max_per_ray` consecutive entries; entries past the last sample are not `valid` and carry
-    length zero. `padded` lays values out as (rays, max_per_ray) for what runs along a ray.
+    Each ray owns at most `max_per_ray` consecutive entries; entries past the last sample of the list, or of a ray that has
+    room for more, are not `valid` and carry length zero. `padded` lays values out as (rays, max_per_ray) for what runs along
+    a ray.
     """
 
     ray: Int[Array, " n"]
@@ -32,16 +33,19 @@ class RaySamples(eqx.Module):
     @classmethod
     def from_edges(cls, tdist: Float[Array, "rays edges"]) -> "RaySamples":
         """Every interval of every ray, evaluated at its centre."""
-        rays, count = tdist.shape[0], tdist.shape[1] - 1
-        return cls(
-            ray=jnp.repeat(jnp.arange(rays), count),
-            slot=jnp.tile(jnp.arange(count), rays),
-            t=((tdist[:, 1:] + tdist[:, :-1]) / 2).reshape(-1),
-            length=(tdist[:, 1:] - tdist[:, :-1]).reshape(-1),
-            valid=jnp.ones(rays * count, bool),
-            num_rays=rays,
-            max_per_ray=count,
-        )
+        rays, slots = tdist.shape[0], tdist.shape[1] - 1
+        length = tdist[:, 1:] - tdist[:, :-1]
+        return cls.in_rows((tdist[:, 1:] + tdist[:, :-1]) / 2, length, jnp.full(rays, slots))
+
+    @classmethod
+    def in_rows(
+        cls, t: Float[Array, "rays slots"], length: Float[Array, "rays slots"], count: Int[Array, " rays"]
+    ) -> "RaySamples":
+        """The first `count` of each row's samples, in a list that has room for all."""
+        rays, slots = t.shape
+        ray, slot = jnp.repeat(jnp.arange(rays), slots), jnp.tile(jnp.arange(slots), rays)
+        valid = (jnp.arange(slots) < count[:, None]).reshape(-1)
+        return cls(ray, slot, t.reshape(-1), jnp.where(valid, length.reshape(-1), 0.0), valid, rays, slots)
 
     def padded(self, values: Float[Array, " n"]) -> Float[Array, "rays slots"]:
         """Values as a table of (rays, max_per_ray), zero where a ray has fewer samples."""
@@ -64,6 +68,10 @@ class Footprint(eqx.Module):
     """"point", "gaussian" (Mip-NeRF) or "hexagon" (Zip-NeRF)."""
     turn: Float[Array, " rays"] | None = None
     """Angle by which each ray's hexagons are turned about it [rad]."""
+
+    def of(self, ray: Int[Array, " n"]) -> "Footprint":
+        """That of some of the rays, by their indices."""
+        return self if self.turn is None else Footprint(self.kind, self.turn[ray])
 
 
 def cloud_of(rays: Rays, samples: RaySamples, *, space: Space, footprint: Footprint) -> Cloud:

@@ -51,7 +51,7 @@ class Frustum(Space):
         """`mapped` of three arrays."""
         u, v, disparity = self._turned(x, y, z)
         share = disparity / self.across
-        return u * share, v * share, self.deep - self._slope * (disparity - 1 / self.far)
+        return u * share, v * share, self.deep - self.slope * (disparity - 1 / self.far)
 
     def scale(self, points: Points) -> Coordinate:
         """That across the axis: samples are narrow beside the distance over which disparity changes."""
@@ -62,7 +62,7 @@ class Frustum(Space):
         u, v, disparity = self._turned(points[..., 0], points[..., 1], points[..., 2])
         share = disparity / self.across
         du, dv = gradient[..., 0] * share, gradient[..., 1] * share
-        dw = disparity * (disparity * self._slope * gradient[..., 2] - u * du - v * dv)
+        dw = disparity * (disparity * self.slope * gradient[..., 2] - u * du - v * dv)
         return jnp.stack([du, dv, dw], -1) @ jnp.asarray(self.rotation, jnp.float32)
 
     def around(self, points: Points) -> Points:
@@ -71,24 +71,29 @@ class Frustum(Space):
 
     def scene_points(self, mapped: NDArray[np.float64]) -> NDArray[np.float64]:
         """(..., 3) scene points of mapped ones: the inverse map."""
-        w = 1 / (1 / self.far + (self.deep - np.clip(mapped[..., 2], -self.deep, self.deep)) / self._slope)
+        w = 1 / (1 / self.far + (self.deep - np.clip(mapped[..., 2], -self.deep, self.deep)) / self.slope)
         local = np.stack([mapped[..., 0] * self.across * w, mapped[..., 1] * self.across * w, w], -1)
         return local @ np.asarray(self.rotation) + self.origin
 
     def length_along(self, mapped: NDArray[np.float64]) -> NDArray[np.float64]:
         """(...) length along the axis [scene unit] per unit of the map, at mapped points."""
-        return ((self.scene_points(mapped) - self.origin) @ np.asarray(self.rotation[2])) ** 2 / self._slope
+        return ((self.scene_points(mapped) - self.origin) @ np.asarray(self.rotation[2])) ** 2 / self.slope
 
     @property
-    def _slope(self) -> float:
+    def slope(self) -> float:
         """Map's unit per disparity."""
         return 2 * self.deep / (1 / self.near - 1 / self.far)
+
+    @property
+    def smallest(self) -> float:
+        """w of everything nearer: what is behind the top would be mapped to the other side."""
+        return 0.5 * self.near
 
     def _turned(self, x: Coordinate, y: Coordinate, z: Coordinate) -> tuple[Coordinate, Coordinate, Coordinate]:
         """u, v and 1 / w."""
         x, y, z = x - self.origin[0], y - self.origin[1], z - self.origin[2]
         u, v, w = (row[0] * x + row[1] * y + row[2] * z for row in self.rotation)
-        return u, v, 1 / jnp.maximum(w, 0.5 * self.near)
+        return u, v, 1 / jnp.maximum(w, self.smallest)
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "Frustum":

@@ -1,8 +1,6 @@
 """Samples of a trained field for its mesh: density on a regular grid, colours and predicted normals at vertices."""
 
-from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +14,7 @@ from reconstruct.field.lit import Lit
 from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import AT_ONCE
+from reconstruct.rendering.pictures import ahead
 from reconstruct.scene.light import LightFrame
 from reconstruct.scene.space import Space
 
@@ -49,20 +47,10 @@ def sample_density(trained: TrainedModel, axes: Axes) -> Float[np.ndarray, "x y 
                 points = _padded(np.stack([axis[place] for axis, place in zip(axes, places, strict=True)], -1))
                 yield part, _density(field, points, space)
 
-        for part, values in _ahead(chunks()):
+        for part, values in ahead(chunks()):
             density.reshape(-1)[part] = np.asarray(values)[: len(part)]
             bar.advance(len(part) / 1e6)
     return density
-
-
-def _ahead(begun: Iterator[Any]) -> Iterator[Any]:
-    """The same, each after the next ones have been begun: they are computed while the first is read, and beside it."""
-    waiting: deque[Any] = deque()
-    for one in begun:
-        waiting.append(one)
-        if len(waiting) == AT_ONCE:
-            yield waiting.popleft()
-    yield from waiting
 
 
 def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
@@ -83,7 +71,7 @@ def _by_chunks(function: Callable[..., Float[Array, "3 n"]], *arrays: NDArray) -
     """(n, 3) values of a function of (3, CHUNK) arrays at the rows of (n, 3) arrays."""
     values = np.zeros((len(arrays[0]), 3), np.float32)
     parts = (slice(start, min(start + CHUNK, len(values))) for start in range(0, len(values), CHUNK))
-    for part, found in _ahead((part, function(*(_padded(array[part]) for array in arrays))) for part in parts):
+    for part, found in ahead((part, function(*(_padded(array[part]) for array in arrays))) for part in parts):
         values[part] = np.asarray(found)[:, : part.stop - part.start].T
     return values
 

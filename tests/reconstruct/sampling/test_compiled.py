@@ -25,6 +25,7 @@ pytestmark = pytest.mark.usefixtures("kernels_run")
 MARCH_TWIN = jit(expected_depth, static_argnums=4)
 MARCH = jit(kernels.expected_depth, static_argnums=4)
 STEPS = 96
+FRUSTUM = Frustum(((1.0, 0.0, 0.0), (0.0, 0.8, -0.6), (0.0, 0.6, 0.8)), (0.0, 0.0, -1.5), 0.8, 0.4, 0.5, 3.0)
 
 
 def some_rays(count: int, seed: int = 0, distance: float = 2.5) -> Rays:
@@ -79,7 +80,7 @@ def both(depth: jax.Array, rays: Rays, space: Space, capacity: int, most: int, s
     assert_alike(ours, pack_twin(depth, steps, jitter, offset, capacity=capacity, most=most))
 
 
-@pytest.mark.parametrize("space", [BOX, BALL])
+@pytest.mark.parametrize("space", [BOX, BALL, FRUSTUM])
 @pytest.mark.parametrize("share", [0.0, 0.05, 1.0])
 @pytest.mark.parametrize("count", [1, 63, 500])
 def test_marching_meets_what_the_twin_meets(space: Space, share: float, count: int) -> None:
@@ -88,7 +89,7 @@ def test_marching_meets_what_the_twin_meets(space: Space, share: float, count: i
     depth, hit = MARCH(grid, rays, steps, jitter, space)
     expected = np.asarray(MARCH_TWIN(grid, rays, steps, jitter, space))
     differing = np.mean(np.asarray(depth) != expected)
-    assert differing == 0 if space is BOX else differing < 1e-4  # another root: a point on a face may change its cell
+    assert differing == 0 if space is BOX else differing < 1e-4  # other roundings: a point on a face may change its cell
     np.testing.assert_array_equal(hit, (np.asarray(depth) > 0).any(-1))
 
 
@@ -102,9 +103,8 @@ def test_packing_equals_the_twin(space: Space, capacity: int, most: int) -> None
 
 
 def test_packing_equals_the_twin_in_a_frustum() -> None:
-    frustum = Frustum(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, -1.5), 0.8, 0.4, 0.5, 3.0)
     depth = jnp.where(jax.random.uniform(jax.random.key(0), (100, STEPS)) < 0.3, 0.2, 0.0)
-    both(depth, some_rays(100), frustum, 3000, 24)
+    both(depth, some_rays(100), FRUSTUM, 3000, 24)
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-4, 1.0, 60.0])
@@ -153,6 +153,19 @@ def test_rows_are_read_where_they_are() -> None:
     ours = pack(depth, steps, jitter, offset, order, jnp.int32(25), capacity=500, most=24)
     gathered = jnp.where(jnp.arange(40)[:, None] < 25, depth[order], 0)
     assert_alike(ours, pack_twin(gathered, steps, jitter, offset, capacity=500, most=24))
+
+
+@pytest.mark.parametrize("space", [BOX, BALL, FRUSTUM])
+def test_pictures_show_what_is_marched_and_packed(space: Space) -> None:
+    rays, grid, most = some_rays(300), some_grid(space, 0.1), 24
+    steps, middle = steps_of(rays, space), jnp.full(300, 0.5)
+    shown = jit(lambda: kernels.shown_samples(grid, rays, steps, space, max_per_ray=most))()
+    depth, _ = MARCH(grid, rays, steps, middle, space)
+    room = {"capacity": 300 * most, "most": most}
+    packed, _ = pack(depth, steps, middle, middle, jnp.arange(300), jnp.int32(300), **room)
+    np.testing.assert_array_equal(shown.valid.reshape(300, most), packed.padded(jnp.ones_like(packed.t)) > 0)
+    for name in ("t", "length"):
+        np.testing.assert_array_equal(shown.padded(getattr(shown, name)), packed.padded(getattr(packed, name)), err_msg=name)
 
 
 def test_runs_repeat_to_the_bit() -> None:

@@ -38,3 +38,12 @@ def test_from_edges_takes_centres_and_lengths() -> None:
     np.testing.assert_array_equal(samples.padded(samples.length), [[1, 2], [0, 3]])
     np.testing.assert_array_equal(samples.ray, [0, 0, 1, 1])
     assert samples.valid.all()
+
+
+def test_rows_hold_their_first_samples() -> None:
+    t = jnp.arange(6.0).reshape(2, 3) + 1
+    samples = RaySamples.in_rows(t, jnp.full((2, 3), 0.5), jnp.array([2, 0]))
+    np.testing.assert_array_equal(samples.padded(samples.t), [[1, 2, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(samples.length, [0.5, 0.5, 0, 0, 0, 0])
+    np.testing.assert_array_equal(samples.ray, [0, 0, 0, 1, 1, 1])
+    np.testing.assert_array_equal(samples.slot, [0, 1, 2, 0, 1, 2])
