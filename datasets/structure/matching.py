@@ -125,13 +125,13 @@ def match(first: Features, second: Features) -> NDArray[np.int64]:
         return np.zeros((0, 2), np.int64)
     affinity = first.descriptors @ second.descriptors.T
     rows = np.arange(len(affinity))
-    back = affinity.argmax(0)
     best = affinity.argmax(1)
     top = affinity[rows, best]
     affinity[rows, best] = -1.0
     second_best = affinity.max(1)
-    clear = 1 - top < RATIO**2 * (1 - second_best)  # squared distance of unit vectors is 2 - 2 * affinity
-    chosen = np.flatnonzero(clear & (back[best] == rows))
+    affinity[rows, best] = top
+    clear = np.flatnonzero(1 - top < RATIO**2 * (1 - second_best))  # squared distance of unit vectors is 2 - 2 * affinity
+    chosen = clear[affinity[:, best[clear]].argmax(0) == clear]
     return np.stack([chosen, best[chosen]], axis=1)
 
 
