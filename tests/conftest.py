@@ -33,7 +33,7 @@ SHARED = ROOT.parent / "shared" / "data"
 CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "koala")))
 """Cache of this suite only: compiled programs are shared between tests and workers."""
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
 _NUMERICS = (
     "numerics",

@@ -3,7 +3,9 @@
 Poses are not used for matching, so that matches are independent evidence for poses and bounds.
 """
 
+import os
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +22,8 @@ COUNT = 900
 """Features per view; the strongest are kept."""
 RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
+THREADS = min(os.cpu_count() or 1, 4)
+"""Views that are searched at the same time: each has its picture in memory at full size."""
 BLUR_PX = 2.0
 """Standard deviation of the window in which a feature's colour is measured [px of the image that is searched]."""
 
@@ -61,16 +65,20 @@ class Matches:
 def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: int = SIDE, done: Step = ignore) -> Matches:
     """Features of all views, in images of at most `side` pixels, matched between the given pairs. `done` is called per view."""
     found = []
-    for view in views:
-        found.append(detect(view, side=side))
-        done()
+    with ThreadPoolExecutor(THREADS) as threads:
+        for features in threads.map(lambda view: detect(view, side=side), views):
+            found.append(features)
+            done()
     return joined(views, found, pairs)
 
 
 def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[tuple[int, int]]) -> Matches:
     """Matches of views whose features are known, between the given pairs."""
-    kept = [(i, j, match(found[i], found[j])) for i, j in pairs]
-    return Matches(tuple(views), tuple(found), tuple(pair for pair in kept if len(pair[2])))
+    pairs = list(pairs)
+    with ThreadPoolExecutor(THREADS) as threads:
+        matches = threads.map(lambda pair: match(found[pair[0]], found[pair[1]]), pairs)
+        kept = [(i, j, index) for (i, j), index in zip(pairs, matches, strict=True) if len(index)]
+    return Matches(tuple(views), tuple(found), tuple(kept))
 
 
 def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
@@ -125,13 +133,13 @@ def match(first: Features, second: Features) -> NDArray[np.int64]:
         return np.zeros((0, 2), np.int64)
     affinity = first.descriptors @ second.descriptors.T
     rows = np.arange(len(affinity))
-    back = affinity.argmax(0)
     best = affinity.argmax(1)
     top = affinity[rows, best]
     affinity[rows, best] = -1.0
     second_best = affinity.max(1)
-    clear = 1 - top < RATIO**2 * (1 - second_best)  # squared distance of unit vectors is 2 - 2 * affinity
-    chosen = np.flatnonzero(clear & (back[best] == rows))
+    affinity[rows, best] = top
+    clear = np.flatnonzero(1 - top < RATIO**2 * (1 - second_best))  # squared distance of unit vectors is 2 - 2 * affinity
+    chosen = clear[affinity[:, best[clear]].argmax(0) == clear]
     return np.stack([chosen, best[chosen]], axis=1)
 
 

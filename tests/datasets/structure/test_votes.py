@@ -58,7 +58,11 @@ def test_one_wrong_mask_among_many_rules_nothing_out(wrong) -> None:
     views = silhouettes()
     spoilt = [replace(views[0], inside=wrong(views[0].inside)), *views[1:]]
     points, _ = grid()
-    assert spoilt[0].votes(points, grid()[1])[1][np.linalg.norm(points, axis=1) < 0.9 * RADIUS].any(), "premise: it votes against"
+    assert (
+        spoilt[0]
+        .votes(points.T, distance_to(spoilt[0].inside), grid()[1])[1][np.linalg.norm(points, axis=1) < 0.9 * RADIUS]
+        .any()
+    ), "premise: it votes against"
     assert left(spoilt)[np.linalg.norm(points, axis=1) < RADIUS].all()
     assert left(spoilt).sum() < 1.3 * left(views).sum(), "the others still rule out"
 
@@ -82,7 +86,9 @@ def test_what_a_picture_does_not_show_it_cannot_rule_out() -> None:
 def test_a_camera_that_may_stand_elsewhere_rules_out_less() -> None:
     points, radius = grid()
     (view,) = silhouettes(1)
-    exact, moved, turned = (view.votes(points, radius, slack)[1].sum() for slack in ((0, 0), (0.1, 0), (0, 0.05)))
+    exact, moved, turned = (
+        view.votes(points.T, distance_to(view.inside), radius, slack)[1].sum() for slack in ((0, 0), (0.1, 0), (0, 0.05))
+    )
     assert exact > moved > 0 and exact > turned > 0
 
 

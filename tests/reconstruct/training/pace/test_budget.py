@@ -118,18 +118,18 @@ def test_a_resumed_training_goes_on_to_the_number_that_was_fixed(
 ) -> None:
     machine = Machine(monkeypatch, slower_from=0, factor=1.0)
     config = merged_config(config, {"train": {"checkpoint_s": 1e-9}})
-    whole = train(*ball_scene, config, tmp_path / "whole", budget_s=20.0)
-    undisturbed = machine.progress[-10:]
-    for where in (100, 350):
+    whole = train(*ball_scene, config, tmp_path / "whole", budget_s=8.0)
+    undisturbed = machine.progress[-5:]
+    for where in (40, 100):
         machine.kill_at = where
         out = tmp_path / f"killed_{where}"
         with pytest.raises(KoalaError, match="killed"):
-            train(*ball_scene, config, out, budget_s=20.0)
+            train(*ball_scene, config, out, budget_s=8.0)
         machine.kill_at, machine.factor = 10**9, 1.05
         assert checkpoint.steps(out / CHECKPOINTS)
         result = train(*ball_scene, config, out, resume=True, budget_s=500.0)
-        assert "planned for 20 s" in capsys.readouterr().err
-        assert result["steps"] == whole["steps"] and machine.progress[-10:] == undisturbed
+        assert "planned for 8 s" in capsys.readouterr().err
+        assert result["steps"] == whole["steps"] and machine.progress[-5:] == undisturbed
         machine.factor = 1.0
 
 
