@@ -23,12 +23,12 @@ from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, Rays, view_rays
 
-SIZES = (256, 1024, 4096)
-"""Rays that are rendered at once, the fewest that hold a whole picture."""
+SIZES = (256, 1024, 4096, 16384)
+"""Rays that are rendered at once, the fewest that hold a whole picture; the last only off the processor: see `sizes`."""
 Lists = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]
 """Origins, directions and radii of many rays, and their lamps' rotations (None where lamps stand still), on the host."""
-BLOCK = 8192
-"""Samples whose normals are found at once."""
+BLOCKS = (8192, 131072)
+"""Samples that are evaluated at once, on a processor and elsewhere."""
 AT_ONCE = 3
 """Programs that are under way at the same time: one alone leaves a core idle in its serial parts, and while it is read back."""
 FAINT = 1e-3
@@ -56,6 +56,11 @@ class Picture:
     """The same from the predicted normals."""
 
 
+def block() -> int:
+    """That of `BLOCKS` for this platform."""
+    return BLOCKS[jax.default_backend() != "cpu"]
+
+
 def composited_normals(field: Field, cloud: Cloud, samples: RaySamples, rendered: Rendered) -> Float[Array, "rays 3"]:
     """Sum of each ray's weighted density normals, of those samples that add to it; as many blocks of them as there are.
 
@@ -65,10 +70,10 @@ def composited_normals(field: Field, cloud: Cloud, samples: RaySamples, rendered
     adds = weights > FAINT * rendered.opacity[samples.ray]
     (chosen,) = jnp.nonzero(adds, size=weights.shape[0], fill_value=0)
     count = jnp.sum(adds)
-    size = min(BLOCK, weights.shape[0])
+    size = min(block(), weights.shape[0])
 
-    def add(block: Array, total: Float[Array, "rays 3"]) -> Float[Array, "rays 3"]:
-        entry = block * size + jnp.arange(size)
+    def add(index: Array, total: Float[Array, "rays 3"]) -> Float[Array, "rays 3"]:
+        entry = index * size + jnp.arange(size)
         sample = chosen[jnp.minimum(entry, weights.shape[0] - 1)]
         _, _, normals = field.with_normals(cloud.of(sample))
         return total.at[samples.ray[sample]].add((normals * jnp.where(entry < count, weights[sample], 0.0)).T)
@@ -78,25 +83,30 @@ def composited_normals(field: Field, cloud: Cloud, samples: RaySamples, rendered
 
 def by_blocks(field: Field, cloud: Cloud, samples: RaySamples) -> tuple[Float[Array, " n"], Material]:
     """What `field` returns, evaluated for as many blocks as samples fill; zero for the rest of the list, which nobody sees."""
-    size, count = min(BLOCK, samples.t.shape[0]), jnp.sum(samples.valid)
+    size, count = min(block(), samples.t.shape[0]), jnp.sum(samples.valid)
     if samples.t.shape[0] % size:
         return field(cloud)
 
-    def evaluated(block: Array) -> tuple[Array, Material]:
-        return field(cloud.of(block * size + jnp.arange(size)))
+    def evaluated(index: Array) -> tuple[Array, Material]:
+        return field(cloud.of(index * size + jnp.arange(size)))
 
-    def add(block: Array, whole: tuple[Array, Material]) -> tuple[Array, Material]:
-        put = lambda whole, part: jax.lax.dynamic_update_slice_in_dim(whole, part, block * size, axis=-1)  # noqa: E731
-        return jax.tree.map(put, whole, evaluated(block))
+    def add(index: Array, whole: tuple[Array, Material]) -> tuple[Array, Material]:
+        put = lambda whole, part: jax.lax.dynamic_update_slice_in_dim(whole, part, index * size, axis=-1)  # noqa: E731
+        return jax.tree.map(put, whole, evaluated(index))
 
     shapes = jax.eval_shape(evaluated, jnp.zeros((), jnp.int32))
     empty = jax.tree.map(lambda leaf: jnp.zeros((*leaf.shape[:-1], samples.t.shape[0]), leaf.dtype), shapes)
     return jax.lax.fori_loop(0, (count + size - 1) // size, add, empty)
 
 
+def sizes() -> tuple[int, ...]:
+    """Those of `SIZES` for this platform: a GPU is idle while results are read back, so that it gets larger parts."""
+    return SIZES[:-1] if jax.default_backend() == "cpu" else SIZES
+
+
 def _size(picture: int) -> int:
     """Rays at once for a picture of so many: one size for each picture, so that nothing is compiled in its midst."""
-    return next((size for size in SIZES if size >= picture), SIZES[-1])
+    return next((size for size in sizes() if size >= picture), sizes()[-1])
 
 
 def _slice(start: int, end: int, picture: int) -> Int[np.ndarray, " size"]:

@@ -43,7 +43,7 @@ def test_normals_of_what_adds_to_a_ray_are_those_of_all_samples(
     assert visible.sum() > 100
     bound = 1.01 * trained.run.config.sampler.max_per_ray * pictures.FAINT  # each left out is unit, times less than its share
     for block in (1024, 1 << 20):
-        monkeypatch.setattr(pictures, "BLOCK", block)
+        monkeypatch.setattr(pictures, "BLOCKS", (block, block))
         ours = jit(lambda *known: composited_normals(*known))(trained.model.field, cloud, samples, rendered)  # not the last trace
         assert np.all(np.linalg.norm(ours - every, axis=-1) <= bound * rendered.opacity + 1e-6)
         angle = np.degrees(np.arccos(np.clip(np.sum(np.asarray(normalise(ours) * normalise(every)), -1), -1, 1)))[visible]
@@ -72,7 +72,7 @@ def test_pictures_larger_and_smaller_than_what_is_rendered_at_once_are_the_same(
     rays = rays_of(ball)
     given = [np.asarray(values) for values in (rays.origins, rays.directions, rays.radii)]
     whole = Renderer(ball.run.normalisation).rays(ball.model, *given, normals=True)
-    monkeypatch.setattr(pictures, "SIZES", (64,))
+    monkeypatch.setattr(pictures, "SIZES", (64, 64))
     parts = Renderer(ball.run.normalisation).rays(ball.model, *given, normals=True)
     for name, values in whole.items():
         np.testing.assert_allclose(parts[name], values, rtol=1e-5, atol=1e-5, err_msg=name)
