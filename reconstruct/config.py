@@ -85,6 +85,11 @@ class SamplerConfig(Schema):
     kind: Literal["occupancy", "proposal"] = setting("occupancy", "Occupancy grid, or two proposal levels.")
     rays: int = setting(2048, "Rays drawn per step.", ge=1)
     samples: int = setting(8192, "Occupancy: samples per step over all rays, packed; rays beyond are dropped.", ge=1)
+    least: int = setting(
+        2**18,
+        "Samples that a batch has at least on a GPU, if they fit: rays and samples are doubled until then. 0: as they are.",
+        ge=0,
+    )
     max_per_ray: int = setting(32, "Occupancy: largest number of samples on a ray.", ge=1)
     candidates: int | None = setting(
         None,

@@ -7,6 +7,7 @@ OUT/index.html      curves and tables
 Shiny scenes are rendered once and kept in the cache folder. An interrupted benchmark is resumed; trials can be added to it.
 """
 
+import os
 import shutil
 import subprocess
 import sys
@@ -56,12 +57,17 @@ def run(trials: Sequence[Trial], out: Path, *, data: Path | None = None) -> dict
     return {"out": str(out), "done": len(todo) - failed, "there": there, "failed": failed, "absent": absent}
 
 
-def measure(one: Trial, place: Path, out: Path) -> dict[str, Any]:
-    """The record of one trial; the status of a failed one has the reason."""
+def measure(one: Trial, place: Path, out: Path, settings: Sequence[str] = (), **environment: str) -> dict[str, Any]:
+    """The record of one trial; the status of a failed one has the reason.
+
+    Args:
+        settings: KEY=VALUE, on top of the preset's.
+        environment: variables of the trial's process, beside those of this one.
+    """
     row = {**vars(one), **context.describe()}
     with tempfile.TemporaryDirectory(prefix="koala-bench-") as folder:
         try:
-            found = _in_a_process(one, place, Path(folder))
+            found = _in_a_process(one, place, Path(folder), settings, environment)
         except KoalaError as error:
             return {**row, "status": f"failed: {error.why}"}
     if "profile" in found:
@@ -69,24 +75,37 @@ def measure(one: Trial, place: Path, out: Path) -> dict[str, Any]:
     return {**row, "status": DONE, **found}
 
 
-def _in_a_process(one: Trial, place: Path, folder: Path) -> dict[str, Any]:
+def _in_a_process(one: Trial, place: Path, folder: Path, settings: Sequence[str], environment: dict[str, str]) -> dict[str, Any]:
     """The result of a trial's process. Raises KoalaError with the last line of its log if it failed."""
-    order, answer = folder / "order.json", folder / "result.json"
-    files.write_json(order, trial.order(one, place.resolve(), folder / "run"))
-    command = [sys.executable, "-m", "reconstruct.bench.trial", str(order), str(answer)]
+    order = trial.order(one, place.resolve(), folder / "run", settings)
+    found = answer_of("reconstruct.bench.trial", order, folder, one.budget_s + PATIENCE_S, environment, name=one.name)
+    shutil.rmtree(folder / "run", ignore_errors=True)
+    return found
+
+
+def answer_of(
+    module: str, order: dict[str, Any], folder: Path, patience_s: float, environment: dict[str, str], *, name: str
+) -> dict[str, Any]:
+    """What a module makes of an order in a process of its own, `python -m MODULE ORDER.json RESULT.json`.
+
+    Raises:
+        KoalaError: it failed, with the last line of its log, or took longer than `patience_s` seconds.
+    """
+    asked, answer = folder / "order.json", folder / "result.json"
+    files.write_json(asked, order)
+    command, variables = [sys.executable, "-m", module, str(asked), str(answer)], {**os.environ, **environment}
     with open(folder / "log.txt", "w+b") as log:
         try:
-            code = subprocess.run(command, stdout=log, stderr=log, timeout=one.budget_s + PATIENCE_S, check=False).returncode
+            done = subprocess.run(command, stdout=log, stderr=log, timeout=patience_s, check=False, env=variables)
         except subprocess.TimeoutExpired:
-            code = None
+            done = None
         log.seek(0)
         lines = log.read().decode(errors="replace").strip().splitlines()
-    if code != 0 or not answer.is_file():
+    if done is None or done.returncode != 0 or not answer.is_file():
         last = lines[-1] if lines else "no output"
-        raise KoalaError("trial failed", where=one.name, why="took too long" if code is None else last[:200])
-    shutil.rmtree(folder / "run", ignore_errors=True)
-    found = files.read_json(answer, kind=trial.KIND, version=trial.VERSION)
-    return {name: value for name, value in found.items() if name not in ("format", "version")}
+        raise KoalaError("trial failed", where=name, why="took too long" if done is None else last[:200])
+    found = files.read_json(answer, kind=order["format"], version=order["version"])
+    return {key: value for key, value in found.items() if key not in ("format", "version")}
 
 
 def profiles(out: Path) -> dict[str, Any]:

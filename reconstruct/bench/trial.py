@@ -6,6 +6,7 @@ Its memory can be measured then, and a crash costs one trial only.
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,10 @@ from reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
 KIND, VERSION = "koala-bench-trial", 1
 
 
-def order(trial: Trial, scene: Path, run: Path) -> dict[str, Any]:
-    """The order for `main`."""
-    return {"format": KIND, "version": VERSION, "trial": asdict(trial), "scene": str(scene), "run": str(run)}
+def order(trial: Trial, scene: Path, run: Path, settings: Sequence[str] = ()) -> dict[str, Any]:
+    """The order for `main`; `settings`, KEY=VALUE, go on top of the preset's."""
+    content = {"trial": asdict(trial), "scene": str(scene), "run": str(run), "settings": list(settings)}
+    return {"format": KIND, "version": VERSION, **content}
 
 
 def main(arguments: list[str]) -> None:
@@ -28,11 +30,13 @@ def main(arguments: list[str]) -> None:
     from reconstruct.backend import cache_compilations, cache_folder
 
     content = files.read_json(Path(arguments[0]), kind=KIND, version=VERSION)
-    trial, place, run = Trial(**content["trial"]), Path(content["scene"]), Path(content["run"])
+    trial, place = Trial(**content["trial"]), Path(content["scene"])
     before = _entries(cache_folder())
     cache_compilations()
     scene = chosen_views(load_scene(place, measure=True), trial.views)
-    result = {QUALITY: quality, COST: cost, PROFILE: profile}[trial.kind](trial, scene, place, run)
+    result = {QUALITY: quality, COST: cost, PROFILE: profile}[trial.kind](
+        trial, scene, place, Path(content["run"]), content["settings"]
+    )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     result |= {"peak_memory_mb": peak, "cold": int(_entries(cache_folder()) > before)}
     files.write_json(Path(arguments[1]), {"format": KIND, "version": VERSION, **result})
@@ -52,7 +56,7 @@ def chosen_views(scene: Scene, count: int) -> Scene:
     return scene.with_views(tuple(view for view in scene.views if view.split != "train" or view.name in kept))
 
 
-def trained_work(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+def trained_work(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train, and measure the work, by the names of `records.WORK`."""
     import jax
 
@@ -62,7 +66,7 @@ def trained_work(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str
     from reconstruct.scene.rays import scaled_camera
     from reconstruct.training.loop import train
 
-    config = load_config(trial.model, trial.preset, [f"scale={trial.scale}", f"train.seed={trial.seed}"])
+    config = load_config(trial.model, trial.preset, [f"scale={trial.scale}", f"train.seed={trial.seed}", *settings])
     clock, processor = time.perf_counter(), time.process_time()
     found = train(scene, place, config, out, budget_s=trial.budget_s)
     elapsed, processor = time.perf_counter() - clock, time.process_time() - processor
@@ -77,21 +81,21 @@ def trained_work(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str
     return {**{name: found[name] for name in kept}, **rates, **images, **machine, "occupied": run.log()[-1].get("occupied")}
 
 
-def quality(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+def quality(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train and evaluate on the test views."""
     from reconstruct.output.evaluate import evaluate
     from reconstruct.output.trained_model import TrainedModel
 
-    found = trained_work(trial, scene, place, out)
+    found = trained_work(trial, scene, place, out, settings)
     measured = evaluate(TrainedModel.open(out))
     return {**found, **measured["mean"], **(measured.get("mesh") or {})}
 
 
-def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+def cost(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train and render one test view: time and memory only."""
     from reconstruct.output.trained_model import TrainedModel
 
-    found = trained_work(trial, scene, place, out)
+    found = trained_work(trial, scene, place, out, settings)
     ready = TrainedModel.open(out)
     view = ready.scene.split("test")[0]
     ready.warm_up(view)
@@ -100,12 +104,12 @@ def cost(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
     return {**found, "seconds": time.perf_counter() - start}
 
 
-def profile(trial: Trial, scene: Scene, place: Path, out: Path) -> dict[str, Any]:
+def profile(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train, then profile further steps."""
     from reconstruct.bench.cost.profile import step_profile
     from reconstruct.output.trained_model import TrainedModel
 
-    found = trained_work(trial, scene, place, out)
+    found = trained_work(trial, scene, place, out, settings)
     return {**found, "profile": step_profile(TrainedModel.open(out), scene)}
 
 

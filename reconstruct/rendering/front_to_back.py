@@ -22,8 +22,8 @@ from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import Space
 
-UNDER_WAY, TOGETHER = 2048, 4
-"""Rays that are under way at once, and their samples that are evaluated together."""
+UNDER_WAY, TOGETHER = (2048, 32768), 4
+"""Rays that are under way at once, on a processor and elsewhere, and their samples that are evaluated together."""
 HIDDEN = float(-np.log(1e-3))
 """Optical depth behind which nothing is looked at: less than a thousandth of its light would arrive."""
 
@@ -49,7 +49,7 @@ def composited(
     Args:
         found: samples in rows.
     """
-    samples, places = found.samples, min(UNDER_WAY, rays.radii.shape[0])
+    samples, places = found.samples, min(UNDER_WAY[jax.default_backend() != "cpu"], rays.radii.shape[0])
     shape = (samples.num_rays, samples.max_per_ray)
     t, length = samples.t.reshape(shape), samples.length.reshape(shape)
     spare = ((0, 0), (0, -shape[1] % TOGETHER))

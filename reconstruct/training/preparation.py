@@ -20,7 +20,7 @@ from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.scene.reading import held_out, training_pixels
 from reconstruct.training import distributed
 from reconstruct.training.batches import Division
-from reconstruct.training.ray_count import fitted
+from reconstruct.training.ray_count import sized
 from reconstruct.training.skipping import record
 from reconstruct.training.skipping.evidence import evidence_of
 from reconstruct.training.skipping.gains import gains_between
@@ -89,8 +89,8 @@ def prepare(
     if config.train.patience:
         pixels, held = held_out(pixels, pool)
     pixels, held = pixels.lit(facts.light, views), held and held.lit(facts.light, views)
-    if fresh and sampler_type(config.sampler).memory_grows_with_rays:
-        config = fitted(config, facts, pixels)
+    if fresh:
+        config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
     state = step.initial(jax.random.key(config.train.seed), possible, len(views))

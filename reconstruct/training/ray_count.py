@@ -1,12 +1,15 @@
-"""How many rays a step takes: what the device has memory for, with steps and learning rate to match."""
+"""How many rays a step takes: as many as keep the device busy, and no more than it has memory for."""
 
+import math
 import os
 
 import jax
 import jax.numpy as jnp
 
-from reconstruct.config import Config
+from datasets.core.console import hint
+from reconstruct.config import Config, SamplerConfig
 from reconstruct.errors import ReconstructError
+from reconstruct.sampling.create import sampler_type
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Pixels
 from reconstruct.training.step import Step
@@ -44,6 +47,43 @@ def scaled(config: Config, rays: int) -> Config:
     }
     sections = {name: getattr(config, name).model_copy(update=values) for name, values in changed.items()}
     return config.model_copy(update=sections)
+
+
+def sized(config: Config, facts: SceneFacts, pixels: Pixels) -> Config:
+    """The configuration with batches for this device: grown on an accelerator, shrunk where memory grows with the rays."""
+    if jax.default_backend() != "cpu":
+        config = grown(config, facts, pixels)
+    return fitted(config, facts, pixels) if sampler_type(config.sampler).memory_grows_with_rays else config
+
+
+def grown(config: Config, facts: SceneFacts, pixels: Pixels, limit: int | None = None) -> Config:
+    """The configuration with rays and samples doubled until a batch has `sampler.least` samples, as long as it fits.
+
+    Steps and learning rate stay: a larger batch has less noise, and Adam's step does not grow with it.
+
+    Args:
+        limit: bytes that a step may take; None asks the device.
+    """
+    limit = memory_limit() if limit is None else limit
+    doublings = max(0, math.ceil(math.log2(max(1, config.sampler.least) / samples_of(config.sampler))))
+    while doublings:
+        factor, sampler, surface = 2**doublings, config.sampler, config.surface
+        sizes = {"rays": factor * sampler.rays, "samples": factor * sampler.samples}
+        sections = {
+            "sampler": sampler.model_copy(update=sizes),
+            "surface": surface.model_copy(update={"rays": factor * surface.rays}),
+        }
+        larger = config.model_copy(update=sections)
+        if needed_bytes(larger, facts, pixels) <= limit:
+            hint(f"{factor} times as many rays and samples in a batch, for this device: sampler.rays={sizes['rays']}")
+            return larger
+        doublings -= 1
+    return config
+
+
+def samples_of(sampler: SamplerConfig) -> int:
+    """Samples of a batch."""
+    return sampler.rays * sampler.final if sampler_type(sampler).memory_grows_with_rays else sampler.samples
 
 
 def fitted(config: Config, facts: SceneFacts, pixels: Pixels, limit: int | None = None) -> Config:

@@ -1,14 +1,18 @@
 """What nested grids with hashed tables have in common, whatever the shape of their cells."""
 
 from abc import abstractmethod
+from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from reconstruct.field.encodings import tables
 from reconstruct.field.encodings.encoding import Scale
-from reconstruct.field.encodings.tables import combine, fitting_sizes, mean_squares, resolutions_between, start_values
+from reconstruct.field.encodings.tables import fitting_sizes, mean_squares, resolutions_between, start_values
+from reconstruct.numerics.compiling import barrier
 
 
 class HashedGrid(eqx.Module):
@@ -84,5 +88,41 @@ class HashedGrid(eqx.Module):
 
     def _evaluate(self, points, scale, *, with_slopes: bool) -> list[Float[Array, "channels n"]]:
         """The value, and with slopes its derivatives to x, y and z."""
-        rows, coefficients = self.located(jax.lax.stop_gradient(points), scale, with_slopes=with_slopes)
-        return [jnp.concatenate(channels) for channels in combine(self.table, rows, coefficients)]
+        channels = _evaluated(self, jax.lax.stop_gradient(points), scale, with_slopes)
+        return [jnp.concatenate(one) for one in channels]
+
+
+def by_row() -> bool:
+    """Whether tables are read row by row, and rows and coefficients are found anew on the way back: not on a processor.
+
+    Its caches hold one channel after the other, and it searches more slowly than it reads.
+    """
+    return jax.default_backend() != "cpu"
+
+
+def _combined(table: Array, rows: list, coefficients: list) -> list:
+    return (tables.combine_rows if by_row() else tables.combine)(table, rows, coefficients)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def _evaluated(grid: HashedGrid, points: Float[Array, "3 n"], scale: Scale | None, with_slopes: bool) -> list:
+    """For value and slopes, each channel's (levels, n); differentiable to the table, everything else is data."""
+    return _combined(grid.table, *grid.located(points, scale, with_slopes=with_slopes))
+
+
+def _forward(grid: HashedGrid, points: Array, scale: Scale | None, with_slopes: bool) -> tuple[list, Any]:
+    found = grid.located(points, scale, with_slopes=with_slopes)
+    return _combined(grid.table, *found), (grid, points, scale, None if by_row() else found)
+
+
+def _backward(with_slopes: bool, saved: Any, cotangents: list) -> tuple[Any, ...]:
+    grid, points, scale, found = saved
+    if found is None:  # without the barrier the compiler would keep what it computed on the way there
+        place, cotangents = barrier(((points, scale), cotangents))
+        found = grid.located(*place, with_slopes=with_slopes)
+    gradient = (tables.spread_rows if by_row() else tables.spread)(grid.table.shape, *found, cotangents)
+    zeros = jax.tree.map(jnp.zeros_like, (grid, points, scale))
+    return eqx.tree_at(lambda one: one.table, zeros[0], gradient), *zeros[1:]
+
+
+_evaluated.defvjp(_forward, _backward)

@@ -35,7 +35,7 @@ def test_a_trial_that_fails_leaves_its_reason(tmp_path: Path, data: Path) -> Non
 def test_what_is_done_is_not_done_again(tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def pretend(one: Trial, place: Path, folder: Path) -> dict[str, Any]:
+    def pretend(one: Trial, place: Path, folder: Path, *_: Any) -> dict[str, Any]:
         asked.append(one)
         if one.seed == 1 and len(asked) == 2:
             raise KoalaError("trial failed", why="no memory")

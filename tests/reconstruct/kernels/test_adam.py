@@ -48,7 +48,10 @@ def arrays(shape: tuple[int, ...], sizes: float = 0.0) -> list[jax.Array]:
 def assert_alike(given: list[jax.Array], count: int = 6, finite: bool = True) -> None:
     found, expected = (f(*given, jnp.int32(count), jnp.asarray(finite)) for f in (ours, theirs))
     gradient, before = np.abs(given[0]), [np.abs(one) for one in given[1:]]
-    terms = [2 * before[0] + np.abs(expected[0]), gradient + before[1], gradient * gradient + before[2]]
+    keep_mean, keep_square = DECAYS
+    root = np.sqrt(expected[2] / (1 - keep_square ** (count + 1))) + SMALLEST
+    added = ((1 - keep_mean) * gradient + keep_mean * before[1]) / (1 - keep_mean ** (count + 1)) / root  # whose parts may cancel
+    terms = [before[0] + RATE * added, gradient + before[1], gradient * gradient + before[2]]
     for one, other, size in zip(found, expected, terms, strict=True):  # 2e-6 of what is added: a root and two quotients
         assert (np.abs(np.asarray(one) - np.asarray(other)) <= 2e-6 * size + 1e-37).all()
 

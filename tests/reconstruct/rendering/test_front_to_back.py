@@ -58,7 +58,7 @@ def all_at_once(field: Field, rays: Rays, found: Sampled, space: Space) -> jax.A
 def test_bit_by_bit_is_all_at_once(
     small_config: Config, space: Space, shading: str, places: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front_to_back, "UNDER_WAY", places)
+    monkeypatch.setattr(front_to_back, "UNDER_WAY", (places, places))
     field, rays, found = some_field(small_config, space, shading, 1.0), some_rays(), some_samples(Footprint())
     ours = jit(lambda: composited(field, rays, found, Queue.of(found.samples, jnp.asarray(COUNT)), space, normals=True))()
     np.testing.assert_allclose(ours, jit(lambda: all_at_once(field, rays, found, space))(), rtol=2e-5, atol=2e-5)

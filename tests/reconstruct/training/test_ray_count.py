@@ -36,6 +36,26 @@ def test_rays_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch) -> None
         ray_count.fitted(config, FACTS, some_pixels(), limit=1000)
 
 
+def test_batches_grow_on_a_gpu_until_they_keep_it_busy_or_fill_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray_count, "needed_bytes", lambda config, facts, pixels: 1000 * config.sampler.samples)
+    config = load_config("surfnerf", "fast")
+    large = ray_count.grown(config, FACTS, some_pixels(), limit=10**9)
+    assert (large.sampler.rays, large.sampler.samples, large.surface.rays) == (65536, 2**18, 4096)
+    assert large.train == config.train and large.poses == config.poses
+    assert ray_count.grown(config, FACTS, some_pixels(), limit=10**8).sampler.samples == 2**16, "as much as fits"
+    assert ray_count.grown(config, FACTS, some_pixels(), limit=10**6) == config
+    assert ray_count.grown(large, FACTS, some_pixels(), limit=10**9) == large, "once"
+    asked = load_config("surfnerf", "fast", ["sampler.least=0"])
+    assert ray_count.grown(asked, FACTS, some_pixels(), limit=10**9) == asked
+    paper = load_config("surfnerf", "paper")
+    assert ray_count.grown(paper, FACTS, some_pixels(), limit=10**9) == paper, "two million samples already"
+
+
+def test_batches_stay_on_a_processor() -> None:
+    config = load_config("surfnerf", "fast")
+    assert ray_count.sized(config, FACTS, some_pixels()) is config
+
+
 @pytest.mark.slow
 def test_more_rays_need_more_memory() -> None:
     """As the compiler plans it: the tables and a part that grows with the rays."""

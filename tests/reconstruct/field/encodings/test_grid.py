@@ -1,0 +1,43 @@
+"""The way of a GPU through a table, row by row and with rows found anew, against that of a processor."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reconstruct.field.encodings import grid as grids
+from reconstruct.field.encodings.grid import HashedGrid
+from reconstruct.field.encodings.lattice import PermutohedralLattice
+from reconstruct.field.encodings.voxels import VoxelGrid
+from reconstruct.kernels import native
+
+POINTS = jax.random.uniform(jax.random.key(0), (3, 300), minval=-1.2, maxval=1.2)
+
+
+def results(grid: HashedGrid, scale: jax.Array | None) -> list[Any]:
+    """Value, value with slopes, and the gradient of a function of both to everything."""
+
+    def loss(inputs: tuple[Any, ...]) -> tuple[jax.Array, Any]:
+        grid, points, scale = inputs
+        value, (again, slopes) = grid(points, scale), grid.value_and_jacobian(points, scale)
+        weight = jnp.cos(jnp.arange(slopes.size)).reshape(slopes.shape)
+        return jnp.sum(value**2) + jnp.sum(weight * slopes) + jnp.sum(again), (value, again, slopes)
+
+    (_, found), gradient = jax.jit(jax.value_and_grad(loss, has_aux=True))((grid, POINTS, scale))
+    return jax.tree.leaves((found, gradient))
+
+
+@pytest.mark.parametrize("kind", [PermutohedralLattice, VoxelGrid])
+@pytest.mark.parametrize("extended", [False, True])
+def test_both_ways_come_to_the_same(kind: type[HashedGrid], extended: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(native.SWITCH, "off")
+    made = kind.create(jax.random.key(1), levels=3, features=4, log2_size=8, coarsest=2.0, finest=64.0)
+    made = eqx.tree_at(lambda one: one.table, made, jax.random.normal(jax.random.key(2), made.table.shape))
+    scale = jnp.full(POINTS.shape[1], 0.05) if extended else None
+    expected = results(made, scale)
+    monkeypatch.setattr(grids, "by_row", lambda: True)
+    for one, other in zip(results(made, scale), expected, strict=True):  # sums of float32 in another order
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * float(jnp.max(jnp.abs(other), initial=0.0)))

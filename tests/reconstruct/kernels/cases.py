@@ -1,0 +1,202 @@
+"""Calls of each kernel on memory of our own, worst cases among them; and what a chunk may do to that memory.
+
+A program: `python cases.py EXAMPLES`, with NUMBA_BOUNDSCHECK=1, so that an index outside an array is an error.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from reconstruct.kernels import descent, frame, lattice, march, native, pack
+
+GUARD = 4096
+"""Bytes around each result that nobody may write."""
+POISONS = (0x5A, 0xC3)
+Shape = tuple[tuple[int, ...], type]
+ODD = np.array([0.0, -0.0, 0.25, 0.5, 1.0, -1.0, 1e-30, 3e5, -3e9, 1e30, np.inf, -np.inf, np.nan], np.float32)
+
+
+class Call:
+    """A call of a kernel as XLA makes it: arguments, and results between guard zones."""
+
+    def __init__(self, arguments: list[np.ndarray], results: list[Shape], poison: int) -> None:
+        self.arguments, self.copies, self.poison = arguments, [one.copy() for one in arguments], poison
+        sizes = [int(np.prod(shape)) * np.dtype(kind).itemsize for shape, kind in results]
+        self.memory = [np.full(size + 2 * GUARD, poison, np.uint8) for size in sizes]
+        self.results = [
+            memory[GUARD : GUARD + size].view(kind).reshape(shape)
+            for memory, size, (shape, kind) in zip(self.memory, sizes, results, strict=True)
+        ]
+        self.words = np.zeros(frame.CALL_FRAME["size"] // 8 + 1, np.int64)
+        self.words[frame.CALL_FRAME["stage"] // 8] = frame.EXECUTE
+        self.alive: list[Any] = []
+        for place, arrays in (("arguments", self.arguments), ("results", self.results)):
+            lists = np.array([self._buffer(one) for one in arrays], np.int64)
+            self.alive.append(lists)
+            first = frame.CALL_FRAME[place]
+            self.words[(first + frame.BUFFERS["count"]) // 8] = len(arrays)
+            self.words[(first + frame.BUFFERS["list"]) // 8] = lists.ctypes.data
+
+    def _buffer(self, array: np.ndarray) -> int:
+        words, dims = np.zeros(frame.BUFFER["size"] // 8, np.int64), np.array([*array.shape, 0], np.int64)
+        words[frame.BUFFER["data"] // 8], words[frame.BUFFER["rank"] // 8] = array.ctypes.data, array.ndim
+        words[frame.BUFFER["dims"] // 8] = dims.ctypes.data
+        self.alive += [words, dims]
+        return words.ctypes.data
+
+    @property
+    def address(self) -> int:
+        return self.words.ctypes.data
+
+    def bytes_of_results(self) -> list[np.ndarray]:
+        return [memory[GUARD:-GUARD].copy() for memory in self.memory]
+
+    def check(self) -> None:
+        """Guard zones and arguments are as they were."""
+        for memory in self.memory:
+            assert (memory[:GUARD] == self.poison).all() and (memory[-GUARD:] == self.poison).all(), "written outside a result"
+        for now, before in zip(self.arguments, self.copies, strict=True):
+            assert now.tobytes() == before.tobytes(), "an argument was written"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One call of a kernel, which is what `work` makes of each chunk and then `last` of all."""
+
+    work: Any
+    chunks: int
+    arguments: list[np.ndarray]
+    results: list[Shape]
+    last: Any = None
+
+
+def odd(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Numbers of which a tenth are hard."""
+    plain = rng.uniform(-1.3, 1.3, shape).astype(np.float32)
+    return np.where(rng.random(shape) < 0.1, rng.choice(ODD, shape), plain)
+
+
+def grid_case(rng: np.random.Generator, *, backward: bool) -> Case:
+    count, levels, features = rng.choice([1, 2, 255, 256, 257, 700]), rng.integers(1, 5), rng.integers(1, 5)
+    logs = rng.integers(4, 9, levels)
+    sizes = np.stack([logs, np.cumsum([0, *(2 ** logs[:-1])])]).astype(np.int32)
+    share = rng.random((levels, rng.choice([1, count])), np.float32)
+    place = [odd(rng, 3, count), share, rng.uniform(1, 900, levels).astype(np.float32), sizes]
+    shapes = [(features, levels, count), (features, levels, 3, count)][: rng.integers(1, 3)]
+    table = (features, int((2**logs).sum()))
+    if backward:
+        pulled = [odd(rng, *shape) for shape in shapes]
+        return Case(lattice._scatter_level, levels, [*place, *pulled], [(table, np.float32)])
+    return Case(lattice._encode_level, levels, [*place, odd(rng, *table)], [(shape, np.float32) for shape in shapes])
+
+
+def descent_case(rng: np.random.Generator) -> Case:
+    count = int(rng.choice([1, 7, descent.CHUNK - 1, descent.CHUNK, descent.CHUNK + 1, 3 * descent.CHUNK + 5]))
+    shape = (count,) if rng.random() < 0.5 else (1, count)
+    numbers = np.array([0.9, 0.99, 0.5, 0.1, 1e-15, 0.01, rng.integers(0, 2)], np.float32)
+    given = [odd(rng, *shape) for _ in range(4)]
+    chunks = (count + descent.CHUNK - 1) // descent.CHUNK
+    return Case(descent._descend_chunk, chunks, [*given, numbers], [(shape, np.float32)] * 3)
+
+
+def cuts_of(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Near, enter, leave and far: in order for most rays."""
+    cuts = np.sort(rng.uniform(0, 5, (4, count)).astype(np.float32), 0)
+    return np.where(rng.random(count) < 0.2, odd(rng, 4, count), cuts).astype(np.float32)
+
+
+def march_case(rng: np.random.Generator) -> Case:
+    count, contracts = int(rng.choice([1, 63, 64, 65, 200])), int(rng.integers(0, 2))
+    parts = [int(rng.integers(0, 40)), 32, int(rng.integers(0, 40))] if contracts else [0, 64, 0]
+    grid, outer = int(rng.integers(1, 9)), int(rng.integers(1, 6)) * contracts
+    cells = np.where(rng.random(grid**3 + outer**3) < 0.3, 0.5, 0).astype(np.float16).view(np.uint16)
+    choices = np.array([*parts, grid, outer, contracts], np.int32)
+    rays = [odd(rng, count, 3), odd(rng, count, 3), cuts_of(rng, count), rng.random(count, np.float32), cells, choices]
+    results = [((count, sum(parts)), np.float32), ((count,), np.uint8)]
+    return Case(march._march_rays, (count + march.RAYS - 1) // march.RAYS, rays, results)
+
+
+def pack_case(rng: np.random.Generator) -> Case:
+    count, steps, most = int(rng.choice([1, 31, 32, 33, 150])), int(rng.integers(1, 70)), int(rng.integers(1, 40))
+    rows, capacity = count + int(rng.integers(0, 9)), int(rng.choice([1, 40, 300, 6000]))
+    depth = np.where(rng.random((rows, steps)) < rng.random(), rng.exponential(1, (rows, steps)), 0).astype(np.float32)
+    front = int(rng.integers(0, steps))
+    choices = np.array([front, max(1, steps - front - 3), 3, most, max(1, most - 1)], np.int32)
+    order, chosen = rng.integers(0, rows, count).astype(np.int32), np.array([rng.integers(0, count + 1)], np.int32)
+    numbers = [rng.random(count, np.float32), rng.random(count, np.float32), cuts_of(rng, count)]
+    lists = [((capacity,), kind) for kind in (np.int32, np.int32, np.float32, np.float32, np.uint8)]
+    room = [((count,), np.uint8), ((count,), np.int32), ((count, most), np.float32), ((count, most), np.float32)]
+    chunks = (count + pack.RAYS - 1) // pack.RAYS
+    return Case(pack._pack_rays, chunks, [depth, order, chosen, *numbers, choices], [*lists, *room], pack._write_list)
+
+
+CASES: dict[str, Callable[[np.random.Generator], Case]] = {
+    "encode": lambda rng: grid_case(rng, backward=False),
+    "scatter": lambda rng: grid_case(rng, backward=True),
+    "descend": descent_case,
+    "march": march_case,
+    "pack": pack_case,
+}
+"""By kernel: a call of random sizes."""
+
+
+def kernels() -> Iterator[str]:
+    """Names of all kernels; `probe` writes nine numbers and has no chunks."""
+    return (name for names in native.KERNELS.values() for name in names if name != "probe")
+
+
+def run(case: Case, order: Any, poison: int, *, last: bool) -> list[np.ndarray]:
+    """Bytes of the results after these chunks, one after the other."""
+    call = Call(case.arguments, case.results, poison)
+    for chunk in order:
+        case.work(call.address, int(chunk))
+    if last and case.last is not None:
+        case.last(call.address)
+    call.check()
+    return call.bytes_of_results()
+
+
+def written_by(case: Case, chunk: int) -> list[np.ndarray]:
+    """Which bytes a chunk writes, when it is alone: those that differ from one of two poisons. What it writes depends on neither."""
+    first, second = (run(case, [chunk], poison, last=False) for poison in POISONS)
+    written = [(a != POISONS[0]) | (b != POISONS[1]) for a, b in zip(first, second, strict=True)]
+    for a, b, where in zip(first, second, written, strict=True):
+        assert (a[where] == b[where]).all(), "a chunk reads a result"
+    return written
+
+
+def check(case: Case, rng: np.random.Generator) -> None:
+    """No byte belongs to two chunks, and any order of the chunks gives the same bits, those of chunks alone."""
+    owners = [np.zeros(int(np.prod(shape)) * np.dtype(kind).itemsize, np.int64) for shape, kind in case.results]
+    for chunk in range(case.chunks):
+        for owner, written in zip(owners, written_by(case, chunk), strict=True):
+            owner += written
+    assert all((owner <= 1).all() for owner in owners), "two chunks write the same byte"
+    orders = (np.arange(case.chunks), np.arange(case.chunks)[::-1], rng.permutation(case.chunks))
+    ways = [run(case, order, POISONS[0], last=True) for order in orders]
+    for way in ways[1:]:
+        assert all((a == b).all() for a, b in zip(ways[0], way, strict=True)), "the order of chunks changes the result"
+
+
+def main(examples: int) -> None:
+    """All kernels, so many calls of each."""
+    assert set(kernels()) == set(CASES), "every kernel has its cases here"
+    for name, make in CASES.items():
+        chunks = 0
+        for seed in range(examples):
+            rng = np.random.default_rng(seed)
+            case = make(rng)
+            chunks = max(chunks, case.chunks)
+            try:
+                check(case, rng)
+            except Exception as error:
+                raise AssertionError(f"{name}, seed {seed}: {error}") from error
+        assert chunks > 1, f"{name}: no call had several chunks"
+        sys.stdout.write(f"{name}: {examples} calls\n")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))
