@@ -27,10 +27,10 @@ KERNELS = {
     "march": ("march",),
     "pack": ("pack",),
     "layers": ("evaluate", "evaluate_back"),
-    "along_rays": ("composite", "composite_back"),
+    "rays": ("composite", "composite_back"),
     "look": ("look",),
 }
-"""Compiled functions that XLA calls, by module of this folder."""
+"""Compiled functions that XLA calls, by module of `loops`."""
 
 
 def why_not() -> str | None:
@@ -70,7 +70,7 @@ def float32(*shape: int) -> jax.ShapeDtypeStruct:
 @functools.cache
 def _digest() -> str:
     """Of the kernels' source: programs compiled with other kernels must not be found again."""
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:12]
 
 
@@ -99,7 +99,7 @@ def _compiled() -> dict[str, Any]:
     before = options.CACHE_DIR
     options.CACHE_DIR = str(cache_folder() / "numba" / _digest())  # read while functions are decorated
     try:
-        modules = {name: importlib.import_module(f"reconstruct.kernels.{name}") for name in KERNELS}
+        modules = {name: importlib.import_module(f"reconstruct.kernels.loops.{name}") for name in KERNELS}
     finally:
         options.CACHE_DIR = before
     return {name: getattr(modules[module], name) for module, names in KERNELS.items() for name in names}
@@ -112,7 +112,7 @@ def _register(kernels: dict[str, Any]) -> None:
 
 def _mismatch() -> str | None:
     """How XLA's structures differ from those that `frame` describes."""
-    from reconstruct.kernels import frame
+    from reconstruct.kernels.loops import frame
 
     (found,) = call("probe", [jax.ShapeDtypeStruct((9,), jnp.int32)], np.zeros((3, 5), np.float32))
     call_frame, arguments, results, buffer, api, major, minor, first, second = np.asarray(found).tolist()

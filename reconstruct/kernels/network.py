@@ -33,6 +33,11 @@ def padded(count: int, multiple: int) -> int:
     return (count + multiple - 1) // multiple * multiple
 
 
+def room(widths: Sequence[int]) -> int:
+    """Numbers of a chunk's sums, of weights and biases. `widths`: channels of the inputs, and outputs of each layer."""
+    return sum(padded(into + 1, ROWS) * padded(out, LANES) for into, out in pairwise(widths))
+
+
 @jax.custom_vjp
 def evaluate(layers: Layers, inputs: Float[Array, "channels n"]) -> Float[Array, "outputs n"]:
     """Outputs for n columns; ReLU between the layers. Differentiable once."""
@@ -61,9 +66,8 @@ def _call_back(layers: Layers, inputs: Array, *cotangents: Array) -> tuple[Layer
     """Gradients of layers and inputs."""
     flat, count = _flat(layers), inputs.shape[1]
     widths = [inputs.shape[0], *(bias.shape[0] for _, bias in layers)]
-    room = sum(padded(into + 1, ROWS) * padded(out, LANES) for into, out in pairwise(widths))
     shapes = [native.float32(*array.shape) for array in (inputs, *flat)]
-    shapes.append(native.float32(max(1, -(-count // CHUNK)), room))
+    shapes.append(native.float32(max(1, -(-count // CHUNK)), room(widths)))
     gradient, *others, _ = native.call("evaluate_back", shapes, inputs, *flat, *cotangents)
     return tuple(zip(others[::2], others[1::2], strict=True)), gradient
 

@@ -14,7 +14,7 @@ from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import Ball, Box, Space
 
 MAPS: dict[type[Space], int] = {Box: 0, Ball: 1, Frustum: 2}
-"""As `reconstruct.kernels.march` numbers them."""
+"""As `reconstruct.kernels.loops.march` numbers them."""
 
 
 def usable(rays: Rays) -> bool:

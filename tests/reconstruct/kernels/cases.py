@@ -6,11 +6,13 @@ A program: `python cases.py EXAMPLES`, with NUMBA_BOUNDSCHECK=1, so that an inde
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from reconstruct.kernels import descent, frame, lattice, march, native, pack
+from reconstruct.kernels import native, network
+from reconstruct.kernels.loops import descent, frame, lattice, layers, look, march, pack, rays
 
 GUARD = 4096
 """Bytes around each result that nobody may write."""
@@ -108,15 +110,67 @@ def cuts_of(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.where(rng.random(count) < 0.2, odd(rng, 4, count), cuts).astype(np.float32)
 
 
-def march_case(rng: np.random.Generator) -> Case:
-    count, contracts = int(rng.choice([1, 63, 64, 65, 200])), int(rng.integers(0, 2))
-    parts = [int(rng.integers(0, 40)), 32, int(rng.integers(0, 40))] if contracts else [0, 64, 0]
-    grid, outer = int(rng.integers(1, 9)), int(rng.integers(1, 6)) * contracts
+def marched(rng: np.random.Generator, count: int) -> tuple[list[int], np.ndarray, list[int]]:
+    """Steps of each part, depths of the cells, and choices of a march."""
+    kind = int(rng.integers(0, 3))
+    parts = [int(rng.integers(0, 40)), 32, int(rng.integers(0, 40))] if kind == march.CONTRACTED else [0, 64, 0]
+    grid, outer = int(rng.integers(1, 9)), int(rng.integers(1, 6)) * (kind == march.CONTRACTED)
     cells = np.where(rng.random(grid**3 + outer**3) < 0.3, 0.5, 0).astype(np.float16).view(np.uint16)
-    choices = np.array([*parts, grid, outer, contracts], np.int32)
-    rays = [odd(rng, count, 3), odd(rng, count, 3), cuts_of(rng, count), rng.random(count, np.float32), cells, choices]
+    return parts, cells, [*parts, grid, outer, kind]
+
+
+def march_case(rng: np.random.Generator) -> Case:
+    count = int(rng.choice([1, 63, 64, 65, 200]))
+    parts, cells, choices = marched(rng, count)
+    rays = [odd(rng, count, 3), odd(rng, count, 3), cuts_of(rng, count), rng.random(count, np.float32), cells]
+    given = [*rays, np.array(choices, np.int32), odd(rng, 17)]
     results = [((count, sum(parts)), np.float32), ((count,), np.uint8)]
-    return Case(march._march_rays, (count + march.RAYS - 1) // march.RAYS, rays, results)
+    return Case(march._march_rays, (count + march.RAYS - 1) // march.RAYS, given, results)
+
+
+def look_case(rng: np.random.Generator) -> Case:
+    count, most = int(rng.choice([1, 63, 64, 65, 200])), int(rng.integers(1, 40))
+    _, cells, choices = marched(rng, count)
+    choices = np.array([*choices, most, max(1, most - 1)], np.int32)
+    given = [odd(rng, count, 3), odd(rng, count, 3), cuts_of(rng, count), cells, choices, odd(rng, 17)]
+    results = [((count, most), np.float32), ((count, most), np.float32), ((count,), np.int32)]
+    return Case(look._look_along, (count + look.RAYS - 1) // look.RAYS, given, results)
+
+
+def network_case(rng: np.random.Generator, *, backward: bool) -> Case:
+    count, sensitive = int(rng.choice([1, 63, 64, 65, 511, 512, 513, 1300])), bool(rng.integers(0, 2))
+    depth = 1 if sensitive else int(rng.integers(1, 4))
+    widths = rng.integers(1, 40, depth + 2)
+    sizes = [shape for into, out in pairwise(widths) for shape in ((out, into), (out,))]
+    results = [(widths[-1], count), (widths[0], count)][: 1 + sensitive]
+    given = [odd(rng, widths[0], count), *(odd(rng, *shape) for shape in sizes)]
+    chunks = (count + network.CHUNK - 1) // network.CHUNK
+    if not backward:
+        return Case(layers._evaluate_chunk, chunks, given, [(shape, np.float32) for shape in results])
+    room = (chunks, network.room(widths.tolist()))
+    shapes = [(widths[0], count), *sizes, room]
+    pulled = [odd(rng, *shape) for shape in results]
+    return Case(layers._back_chunk, chunks, [*given, *pulled], [(shape, np.float32) for shape in shapes], layers._join_chunks)
+
+
+def compositing_case(rng: np.random.Generator, *, backward: bool) -> Case:
+    num_rays, slots = int(rng.choice([1, 63, 64, 65, 150])), int(rng.integers(1, 9))
+    kept = rng.integers(0, slots + 1, num_rays)
+    spare = int(rng.integers(0, 20))
+    count = int(kept.sum()) + spare + 1
+    ray = np.concatenate([np.repeat(np.arange(num_rays), kept), np.full(spare + 1, num_rays - 1)]).astype(np.int32)
+    slot = np.concatenate([*(np.arange(one) for one in kept), np.full(spare + 1, slots - 1)]).astype(np.int32)
+    valid = (np.arange(count) < kept.sum()).astype(np.uint8)
+    widths = rng.integers(1, 5, rng.integers(0, 4))
+    given = [ray, slot, odd(rng, count), odd(rng, count), valid, odd(rng, num_rays), odd(rng, count)]
+    given += [odd(rng, width, count) for width in widths]
+    sums, chunks = (2 + int(widths.sum()), num_rays), (num_rays + rays.RAYS - 1) // rays.RAYS
+    results = [(num_rays, slots), sums]
+    if not backward:
+        return Case(rays._composite_chunk, chunks, given, [(shape, np.float32) for shape in results])
+    shapes = [(count,), *((width, count) for width in widths)]
+    pulled = [odd(rng, *shape) for shape in results]
+    return Case(rays._back_chunk, chunks, [*given, *pulled], [(shape, np.float32) for shape in shapes])
 
 
 def pack_case(rng: np.random.Generator) -> Case:
@@ -139,6 +193,11 @@ CASES: dict[str, Callable[[np.random.Generator], Case]] = {
     "descend": descent_case,
     "march": march_case,
     "pack": pack_case,
+    "look": look_case,
+    "evaluate": lambda rng: network_case(rng, backward=False),
+    "evaluate_back": lambda rng: network_case(rng, backward=True),
+    "composite": lambda rng: compositing_case(rng, backward=False),
+    "composite_back": lambda rng: compositing_case(rng, backward=True),
 }
 """By kernel: a call of random sizes."""
 
@@ -160,7 +219,7 @@ def run(case: Case, order: Any, poison: int, *, last: bool) -> list[np.ndarray]:
 
 
 def written_by(case: Case, chunk: int) -> list[np.ndarray]:
-    """Which bytes a chunk writes, when it is alone: those that differ from one of two poisons. What it writes depends on neither."""
+    """Which bytes a chunk writes when it is alone: those that differ from one of two poisons. What it writes depends on neither."""
     first, second = (run(case, [chunk], poison, last=False) for poison in POISONS)
     written = [(a != POISONS[0]) | (b != POISONS[1]) for a, b in zip(first, second, strict=True)]
     for a, b, where in zip(first, second, written, strict=True):

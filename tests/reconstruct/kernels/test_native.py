@@ -76,7 +76,7 @@ def test_without_a_compiler_jax_does_it(error: Exception, forgotten: None, monke
 
 
 def test_structures_of_other_sizes_are_refused(forgotten: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from reconstruct.kernels import frame
+    from reconstruct.kernels.loops import frame
 
     monkeypatch.setitem(frame.BUFFER, "size", 56)
     reason = native.why_not()

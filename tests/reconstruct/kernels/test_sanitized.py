@@ -17,8 +17,9 @@ BROKEN = """
 import sys
 sys.path.insert(0, {folder!r})
 import cases
-from reconstruct.kernels import compiler, frame, native
-from reconstruct.kernels.compiler import compiled
+from reconstruct.kernels import native
+from reconstruct.kernels.loops import compiler, frame
+from reconstruct.kernels.loops.compiler import compiled
 import numpy as np
 
 @compiled

@@ -9,9 +9,17 @@ from math import sqrt
 
 import numpy as np
 
-from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.compiler import compiled, handler
-from reconstruct.kernels.frame import argument, argument_address, argument_rank, argument_size, executes, result, result_address
+from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.compiler import compiled, handler
+from reconstruct.kernels.loops.frame import (
+    argument,
+    argument_address,
+    argument_rank,
+    argument_size,
+    executes,
+    result,
+    result_address,
+)
 
 CHUNK = 32768
 """Numbers of a chunk: its seven arrays fit into the second-level cache."""

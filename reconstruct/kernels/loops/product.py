@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from reconstruct.kernels.compiler import compiled, intrinsic, plain
+from reconstruct.kernels.loops.compiler import compiled, intrinsic, plain
 from reconstruct.kernels.network import LANES, ROWS
 
 FLOAT = ir.FloatType()

@@ -9,11 +9,11 @@ nothing is transposed but what comes in and goes out.
 
 import numpy as np
 
-from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.compiler import compiled, handler, plain
-from reconstruct.kernels.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
+from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.compiler import compiled, handler, plain
+from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
+from reconstruct.kernels.loops.product import add_product, address
 from reconstruct.kernels.network import CHUNK, LANES, ROWS
-from reconstruct.kernels.product import add_product, address
 
 BLOCK = 64
 """Points of a block."""

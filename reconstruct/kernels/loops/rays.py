@@ -7,10 +7,10 @@ the weighted values.
 
 import numpy as np
 
-from reconstruct.kernels.along import exp_of_minus
-from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.compiler import compiled, handler
-from reconstruct.kernels.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
+from reconstruct.kernels.loops.along import exp_of_minus
+from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.compiler import compiled, handler
+from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
 
 RAYS = 64
 """Of a chunk."""

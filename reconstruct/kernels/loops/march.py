@@ -10,10 +10,10 @@ from math import sqrt
 
 import numpy as np
 
-from reconstruct.kernels.along import fma, from_half
-from reconstruct.kernels.chunks import address_of, in_chunks
-from reconstruct.kernels.compiler import compiled, compiled_exactly, handler
-from reconstruct.kernels.frame import argument, argument_size, executes, result
+from reconstruct.kernels.loops.along import fma, from_half
+from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
+from reconstruct.kernels.loops.frame import argument, argument_size, executes, result
 
 RAYS = 64
 """Of a chunk."""
