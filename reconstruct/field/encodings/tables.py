@@ -75,7 +75,8 @@ def combine_rows(table: Float[Array, "features rows"], rows: list, coefficients:
     """The same by reading all features of a row at once: a GPU fetches 32 bytes wherever it reads, eight numbers or one."""
     by_row = barrier(table.T)
     vertices = [by_row.at[row].get(mode="promise_in_bounds") for row in rows]
-    sums = [sum(v * c[..., None] for v, c in zip(vertices, one, strict=True)) for one in coefficients]
+    products = [[v * c[..., None] for v, c in zip(vertices, one, strict=True)] for one in coefficients]
+    sums = [sum(one[1:], one[0]) for one in products]
     return [[one[..., feature] for feature in range(table.shape[0])] for one in sums]
 
 

@@ -160,7 +160,7 @@ def run(case: Case, order: Any, poison: int, *, last: bool) -> list[np.ndarray]:
 
 
 def written_by(case: Case, chunk: int) -> list[np.ndarray]:
-    """Which bytes a chunk writes, when it is alone: those that differ from one of two poisons. What it writes depends on neither."""
+    """Bytes that a chunk writes, when it is alone: those that differ from one of two poisons. Their values depend on neither."""
     first, second = (run(case, [chunk], poison, last=False) for poison in POISONS)
     written = [(a != POISONS[0]) | (b != POISONS[1]) for a, b in zip(first, second, strict=True)]
     for a, b, where in zip(first, second, written, strict=True):
