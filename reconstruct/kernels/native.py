@@ -27,6 +27,7 @@ KERNELS = {
     "march": ("march",),
     "pack": ("pack",),
     "layers": ("evaluate", "evaluate_back"),
+    "squares": ("squares",),
     "rays": ("composite", "composite_back"),
     "look": ("look",),
 }

@@ -128,7 +128,7 @@ class OccupiedSteps(Sampler):
 
     def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
         """Random ones; among surroundings rather those that show the object."""
-        total = pixels.directions.shape[0]
+        total = pixels.total
         if self.focused is None:
             return jax.random.randint(key, (self.rays_drawn,), 0, total)
         index_key, jitter_key, order_key = jax.random.split(key, 3)

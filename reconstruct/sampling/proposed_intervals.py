@@ -88,7 +88,7 @@ class ProposedIntervals(Sampler):
 
     def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
         """Random ones."""
-        return jax.random.randint(key, (self.rays,), 0, pixels.directions.shape[0])
+        return jax.random.randint(key, (self.rays,), 0, pixels.total)
 
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
         """All rays. Their samples depend on the proposals, which are differentiated."""

@@ -189,6 +189,13 @@ class Pixels(eqx.Module):
     radii: Float[Array, " views"]
     light: Float[Array, "views 3 3"] | None = None
     """See `Rays`."""
+    filled: int = eqx.field(static=True, default=0)
+    """Pixels at the end that only make their number a multiple of the devices."""
+
+    @property
+    def total(self) -> int:
+        """How many pixels there are."""
+        return self.directions.shape[0] - self.filled
 
     @classmethod
     def load(
@@ -222,7 +229,8 @@ class Pixels(eqx.Module):
         owner = np.repeat(np.arange(len(views), dtype=np.int32), counts)
         first = [view_rays(view, normalisation, camera, np.zeros(1, int)) for view, camera in zip(views, cameras, strict=True)]
         origins, radii = (np.concatenate([rays[i] for rays in first]) for i in (0, 2))
-        return cls(*(jnp.asarray(array) for array in (colour, direction, owner, origins, radii)))
+        arrays: list[Any] = [jnp.asarray(array) for array in (colour, direction, owner, origins, radii)]
+        return cls(*arrays)
 
     def lit(self, light: LightFrame, views: tuple[View, ...]) -> "Pixels":
         """The same pixels of these views, with their lamps' frame."""

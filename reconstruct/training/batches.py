@@ -15,6 +15,7 @@ from reconstruct.rendering.model import Model
 from reconstruct.sampling.sampler import Batch
 from reconstruct.scene.rays import Pixels
 from reconstruct.scene.twists import moved
+from reconstruct.training.distributed import on_all
 
 Tree = TypeVar("Tree")
 
@@ -45,8 +46,20 @@ class Division:
 
     @property
     def everywhere(self) -> jax.sharding.NamedSharding | None:
-        """How states and pixels lie on the devices: whole on each. None for one device."""
+        """How states lie on the devices: whole on each. None for one device."""
         return None if self.mesh is None else jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec())
+
+    def divided(self, pixels: Pixels) -> Pixels:
+        """The pixels in equal parts, one on each device; what there is of each view is everywhere. As they are for one device."""
+        if self.mesh is None or self.everywhere is None:
+            return pixels
+        part = jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec(*self.mesh.axis_names))
+        filled = -pixels.total % self.mesh.size
+        fill = lambda a: np.concatenate([np.asarray(a), np.asarray(a[:1]).repeat(filled, 0)])  # noqa: E731
+        tables = [fill(a) for a in (pixels.colour, pixels.directions, pixels.view)]
+        kept: tuple[Any, ...] = on_all((pixels.origins, pixels.radii, pixels.light), self.everywhere)
+        divided: list[Any] = on_all(tables, part)
+        return Pixels(*divided, *kept, filled=filled)
 
     def spread(self, tree: Tree) -> Tree:
         """The arrays of a batch divided among the devices along their first axis; everything else is everywhere."""
@@ -67,6 +80,6 @@ ONE_DEVICE = Division()
 def drawn_batch(model: Model, pixels: Pixels, pixel_key: PRNGKeyArray, sample_key: PRNGKeyArray, division: Division) -> Batch:
     """Random pixels, their rays as the corrected cameras see them, and the samples that the sampler chooses as data."""
     index = model.sampler.pixels(pixels, pixel_key)
-    rays, colour = barrier(pixels.take(barrier(division.spread(index))))
+    rays, colour = barrier(division.spread(pixels.take(barrier(index))))  # each device adds what it has of the pixels
     rays = moved(rays, model.poses)
     return barrier(division.spread(model.sampler.batch(rays, colour, sample_key)))

@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from reconstruct.kernels.squares import sum_of_squares
+
 FAULTS = "faults"
 """Key of the faults among a step's terms."""
 RECURS = 3
@@ -26,7 +28,7 @@ def finite_parts(gradient: Tree) -> dict[str, Bool[Array, ""]]:
     """Whether each part's gradient is finite, and small enough that Adam can square it."""
     squares: dict[str, Array] = {}
     for path, leaf in jax.tree.leaves_with_path(gradient):
-        squares[_part(path)] = squares.get(_part(path), jnp.zeros(())) + jnp.sum(jnp.square(leaf))
+        squares[_part(path)] = squares.get(_part(path), jnp.zeros(())) + sum_of_squares(leaf)
     return {part: jnp.isfinite(total) for part, total in squares.items()}
 
 

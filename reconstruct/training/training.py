@@ -114,7 +114,9 @@ class Training:
         """Compile the step; returns the seconds that it took."""
         start = time.perf_counter()
         if (everywhere := self.one_step.division.everywhere) is not None:
-            self.state, self.pixels = distributed.on_all((self.state, self.pixels), everywhere)
+            self.state = distributed.on_all(self.state, everywhere)
+            whole = self.pool is not None  # which is renewed as a whole
+            self.pixels = distributed.on_all(self.pixels, everywhere) if whole else self.one_step.division.divided(self.pixels)
         self.advance = self.one_step.compiled(self.state, self.pixels)
         self.keep_up = self.one_step.compiled_upkeep(self.state)
         return time.perf_counter() - start

@@ -20,7 +20,7 @@ SMALL = (
     "encoding.levels=1", "encoding.log2_size=6", "field.spatial_width=4", "field.spatial_depth=1", "field.view_width=4",
     "field.view_depth=1", "field.view_skip=0", "field.bottleneck=2", "field.ide_degree=1", "sampler.grid=16", "sampler.rays=256",
     "sampler.steps=32", "sampler.samples=1024", "sampler.proposals=[8,8]", "sampler.final=8", "sampler.proposal_finest=[8,16]",
-    "sampler.frustum=point", "surface.enabled=false",
+    "sampler.frustum=point", "surface.enabled=false", "surface.rays=32",
 )  # fmt: skip
 """Settings for a processor: enough to see that everything runs."""
 

@@ -88,16 +88,18 @@ class HashedGrid(eqx.Module):
 
     def _evaluate(self, points, scale, *, with_slopes: bool) -> list[Float[Array, "channels n"]]:
         """The value, and with slopes its derivatives to x, y and z."""
-        channels = _evaluated(self, jax.lax.stop_gradient(points), scale, with_slopes)
+        evaluated: Any = _evaluated
+        channels = evaluated(self, jax.lax.stop_gradient(points), scale, with_slopes)
         return [jnp.concatenate(one) for one in channels]
 
 
 def by_row() -> bool:
-    """Whether tables are read row by row, and rows and coefficients are found anew on the way back: not on a processor.
+    """Whether tables are read row by row, and rows and coefficients are found anew on the way back: not on one processor.
 
-    Its caches hold one channel after the other, and it searches more slowly than it reads.
+    Its caches hold one channel after the other, and it searches more slowly than it reads. Among several devices an index that
+    is not flat stays divided.
     """
-    return jax.default_backend() != "cpu"
+    return jax.default_backend() != "cpu" or jax.device_count() > 1
 
 
 def _combined(table: Array, rows: list, coefficients: list) -> list:
@@ -120,9 +122,10 @@ def _backward(with_slopes: bool, saved: Any, cotangents: list) -> tuple[Any, ...
     if found is None:  # without the barrier the compiler would keep what it computed on the way there
         place, cotangents = barrier(((points, scale), cotangents))
         found = grid.located(*place, with_slopes=with_slopes)
-    gradient = (tables.spread_rows if by_row() else tables.spread)(grid.table.shape, *found, cotangents)
+    rows, coefficients = found
+    gradient = (tables.spread_rows if by_row() else tables.spread)(grid.table.shape, rows, coefficients, cotangents)
     zeros = jax.tree.map(jnp.zeros_like, (grid, points, scale))
-    return eqx.tree_at(lambda one: one.table, zeros[0], gradient), *zeros[1:]
+    return (eqx.tree_at(lambda one: one.table, zeros[0], gradient), *zeros[1:])
 
 
 _evaluated.defvjp(_forward, _backward)

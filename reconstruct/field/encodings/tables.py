@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from reconstruct.kernels.squares import sum_of_squares
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.lattice_constants import MIXER
 
@@ -42,11 +43,10 @@ def start_values(key: PRNGKeyArray, features: int, log2_sizes: tuple[int, ...]) 
 
 def mean_squares(table: Float[Array, "features rows"], log2_sizes: tuple[int, ...]) -> Float[Array, ""]:
     """Sum over levels of the mean square of the values (Zip-NeRF, Barron et al. 2023, section 3)."""
-    squares = jnp.square(table)
     if len(set(log2_sizes)) == 1:
-        return len(log2_sizes) * jnp.mean(squares)
+        return len(log2_sizes) * sum_of_squares(table) / table.size
     ends = np.cumsum([2**size for size in log2_sizes])
-    return sum((jnp.mean(part) for part in jnp.split(squares, ends[:-1], 1)), jnp.zeros(()))
+    return sum((sum_of_squares(part) / part.size for part in jnp.split(table, ends[:-1], 1)), jnp.zeros(()))
 
 
 def starts(log2_sizes: tuple[int, ...]) -> Int[np.ndarray, "levels 1"]:
@@ -75,7 +75,8 @@ def combine_rows(table: Float[Array, "features rows"], rows: list, coefficients:
     """The same by reading all features of a row at once: a GPU fetches 32 bytes wherever it reads, eight numbers or one."""
     by_row = barrier(table.T)
     vertices = [by_row.at[row].get(mode="promise_in_bounds") for row in rows]
-    sums = [sum(v * c[..., None] for v, c in zip(vertices, one, strict=True)) for one in coefficients]
+    products = [[v * c[..., None] for v, c in zip(vertices, one, strict=True)] for one in coefficients]
+    sums = [sum(one[1:], one[0]) for one in products]
     return [[one[..., feature] for feature in range(table.shape[0])] for one in sums]
 
 

@@ -31,6 +31,11 @@ def compiled(function: Any) -> Any:
     return _NUMBA.njit(**OPTIONS)(function)
 
 
+def reordered(function: Any) -> Any:
+    """Decorator: a part of a kernel whose sums may be taken in any order, the same for each call."""
+    return _NUMBA.njit(error_model="numpy", fastmath={"contract", "nsz", "reassoc"})(function)
+
+
 def compiled_exactly(function: Any) -> Any:
     """Decorator: a part of a kernel whose operations are rounded one by one, as they are written."""
     return _NUMBA.njit(**EXACT)(function)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from reconstruct.kernels import native, network
-from reconstruct.kernels.loops import descent, frame, lattice, layers, look, march, pack, rays
+from reconstruct.kernels.loops import descent, frame, lattice, layers, look, march, pack, rays, squares
 
 GUARD = 4096
 """Bytes around each result that nobody may write."""
@@ -187,6 +187,14 @@ def pack_case(rng: np.random.Generator) -> Case:
     return Case(pack._pack_rays, chunks, [depth, order, chosen, *numbers, choices], [*lists, *room], pack._write_list)
 
 
+def squares_case(rng: np.random.Generator) -> Case:
+    count = int(rng.choice([1, squares.CHUNK, squares.CHUNK + 1, 3 * squares.CHUNK + 5]))
+    chunks = (count + squares.CHUNK - 1) // squares.CHUNK
+    return Case(
+        squares._square_chunk, chunks, [odd(rng, count)], [((1,), np.float32), ((chunks,), np.float32)], squares._add_chunks
+    )
+
+
 CASES: dict[str, Callable[[np.random.Generator], Case]] = {
     "encode": lambda rng: grid_case(rng, backward=False),
     "scatter": lambda rng: grid_case(rng, backward=True),
@@ -194,6 +202,7 @@ CASES: dict[str, Callable[[np.random.Generator], Case]] = {
     "march": march_case,
     "pack": pack_case,
     "look": look_case,
+    "squares": squares_case,
     "evaluate": lambda rng: network_case(rng, backward=False),
     "evaluate_back": lambda rng: network_case(rng, backward=True),
     "composite": lambda rng: compositing_case(rng, backward=False),

@@ -77,6 +77,54 @@ distributed.gathered([0.0])
 print("SAID" + json.dumps({**said, "complaints": complaints, "left": own.exists()}), flush=True)
 """
 
+WORK = """
+import hashlib, json, os, re, sys
+
+os.environ["KOALA_KERNELS"] = "off"  # whose operations the compiler does not count
+import jax, jax.numpy as jnp, numpy as np
+from reconstruct.bench.gpu.plan import SMALL
+from reconstruct.field.encodings import grid
+from reconstruct.models import load_config
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.training import distributed
+from reconstruct.training.batches import Division, drawn_batch
+from reconstruct.training.programs import traced
+from reconstruct.training.step import Step
+from dataclasses import replace
+
+grid.by_row = lambda: True  # as several devices do it
+count, process, coordinator = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+if count > 1:
+    distributed.join(coordinator, count, process)
+config = load_config("surfnerf", "paper", [*SMALL, "sampler.rays=1024"])
+key, total = jax.random.key(0), 9999
+pixels = Pixels(
+    jax.random.uniform(key, (total, 4), jnp.float16), jax.random.normal(key, (total, 3)), jnp.arange(total) % 3,
+    jnp.ones((3, 3)), jnp.ones(3),
+)
+step = Step.of(config, SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0)))
+state = step.initial(key, None, 3)
+step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
+if count > 1:
+    state = distributed.on_all(state, step.division.everywhere)
+pixels = step.division.divided(pixels)
+draw = jax.jit(lambda model, pixels: drawn_batch(model, pixels, jax.random.key(1), jax.random.key(2), step.division))
+drawn = draw(state.model, pixels)
+number, real = jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.float32)
+program = traced(step.begun, (state.model, state.step, pixels, number, real, number), step.division).lower().compile()
+gathers = [line for line in program.as_text().splitlines() if re.search("= .* all-gather[(-]", line)]
+shapes = [re.search(r"\\[([0-9,]+)\\]", line)[1].split(",") for line in gathers]
+said = {"gathered": max([0] + [int(np.prod([int(n) for n in shape])) for shape in shapes])}
+said["pixels"] = [leaf.addressable_data(0).shape[0] for leaf in (pixels.colour, pixels.directions, pixels.view)]
+said["rays"] = drawn.rays.directions.addressable_data(0).shape[0]
+said["samples"] = said["rays"] * config.sampler.final
+said["operations"] = program.cost_analysis()["flops"]
+whole = jax.jit(lambda a: a, out_shardings=step.division.everywhere)((drawn.rays.directions, drawn.colour))
+data = b"".join(np.asarray(leaf.addressable_data(0)).tobytes() for leaf in whole)
+print("SAID" + json.dumps({**said, "digest": hashlib.sha256(data).hexdigest()}), flush=True)
+"""
+
 
 def free_port() -> int:
     with socket.socket() as listener:
@@ -125,6 +173,24 @@ def test_processes_agree(tmp_path: Path) -> None:
         assert taken in said["complaints"][1] and "is not a run" in said["complaints"][2] and len(said["complaints"]) == 3
     assert first["own folder"] and not second["own folder"] and first["copied"] == second["copied"] == "0"
     assert first["left"] and not second["left"] and (tmp_path / "new" / "log").read_text() == "0", "only the first one's stays"
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_each_process_holds_and_does_its_share(count: int, tmp_path: Path) -> None:
+    """Pixels, rays, samples and operations of one process, against those of one that is alone; and the same batch, to the bit."""
+    address = f"127.0.0.1:{free_port()}"
+    commands = [["-c", WORK, str(count), str(process), address] for process in range(count)]
+    ended = together([*commands, ["-c", WORK, "1", "0", ""]], tmp_path / "cache")
+    assert [code for code, _, _ in ended] == [0] * (count + 1), [err[-2000:] for _, _, err in ended]
+    *several, alone = (json.loads(out.partition("SAID")[2]) for _, out, _ in ended)
+    assert alone["pixels"] == [9999] * 3 and (alone["rays"], alone["samples"]) == (1024, 8192)
+    for said in several:
+        assert said["pixels"] == [-(-9999 // count)] * 3, "9999 and what fills them up"
+        assert (said["rays"], said["samples"]) == (1024 // count, 8192 // count)
+        assert said["operations"] < 1.15 / count * alone["operations"], "what does not depend on the batch is done by each"
+        assert said["gathered"] <= 24 * 1024, "of others a process gets what their rays are; pixels would be 30,000 numbers"
+        assert said["digest"] == alone["digest"]
 
 
 @pytest.mark.slow
