@@ -44,6 +44,19 @@ def _first_of(ray, wanted):
 
 
 @compiled
+def _bounds(ray, start, stop):
+    """First samples of the rays from `start` to before `stop`, and where the last one's end."""
+    bounds = np.empty(stop - start + 1, np.int64)
+    sample = _first_of(ray, start)
+    for one in range(start, stop):
+        bounds[one - start] = sample
+        while sample < ray.shape[0] and ray[sample] == one:
+            sample += 1
+    bounds[stop - start] = sample
+    return bounds
+
+
+@compiled
 def _samples(frame):
     """Ray, slot, t, length, valid, speed and density of a call."""
     count, rays = argument_size(frame, 0, 0), argument_size(frame, 5, 0)
@@ -77,7 +90,8 @@ def _composite_chunk(frame, chunk):
     ray, slot, t, _, valid, speed, _ = samples
     rays, slots, channels = speed.shape[0], result_size(frame, 0, 1), result_size(frame, 1, 0)
     start, stop = chunk * RAYS, min((chunk + 1) * RAYS, rays)
-    first, end = _first_of(ray, start), _first_of(ray, stop)
+    bounds = _bounds(ray, start, stop)
+    first, end = bounds[0], bounds[-1]
     found, kept = np.empty(end - first, f4), np.empty(end - first, f4)
     _find_weights(first, end, samples, found, kept)
     weights, sums = result(frame, 0, (rays, slots), np.float32), result(frame, 1, (channels, rays), np.float32)
@@ -96,8 +110,12 @@ def _composite_chunk(frame, chunk):
     for index in range(FIRST_VALUE, argument_count(frame)):
         values = argument(frame, index, (argument_size(frame, index, 0), ray.shape[0]), np.float32)
         for row in range(values.shape[0]):
-            for i in range(end - first):
-                sums[channel, ray[first + i]] += found[i] * values[row, first + i]
+            own, total = values[row, first:], sums[channel, start:]
+            for one in range(stop - start):
+                added = f4(0)
+                for i in range(bounds[one] - first, bounds[one + 1] - first):
+                    added += found[np.uint64(i)] * own[np.uint64(i)]
+                total[one] = added
             channel += 1
 
 
@@ -111,7 +129,8 @@ def _back_chunk(frame, chunk):
     of_weights = argument(frame, cotangents, (rays, slots), np.float32)
     of_sums = argument(frame, cotangents + 1, (channels, rays), np.float32)
     start, stop = chunk * RAYS, min((chunk + 1) * RAYS, rays)
-    first, end = _first_of(ray, start), _first_of(ray, stop)
+    bounds = _bounds(ray, start, stop)
+    first, end = bounds[0], bounds[-1]
     weights, kept, pull = np.empty(end - first, f4), np.empty(end - first, f4), np.empty(end - first, f4)
     _find_weights(first, end, samples, weights, kept)
     for i in range(end - first):
@@ -124,10 +143,12 @@ def _back_chunk(frame, chunk):
         values = argument(frame, FIRST_VALUE + index - 1, (rows, count), np.float32)
         gradient = result(frame, index, (rows, count), np.float32)
         for row in range(rows):
-            for i in range(end - first):
-                cotangent = of_sums[channel, ray[first + i]]
-                pull[i] += cotangent * values[row, first + i]
-                gradient[row, first + i] = weights[i] * cotangent
+            own, pulled, found = values[row, first:], of_sums[channel, start:], gradient[row, first:]
+            for one in range(stop - start):
+                cotangent = pulled[one]
+                for i in range(bounds[one] - first, bounds[one + 1] - first):
+                    pull[np.uint64(i)] += cotangent * own[np.uint64(i)]
+                    found[np.uint64(i)] = weights[np.uint64(i)] * cotangent
             channel += 1
     gradient = result(frame, 0, (count,), np.float32)
     behind, last = f4(0), -1

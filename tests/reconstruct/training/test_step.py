@@ -184,7 +184,7 @@ def test_no_program_copies_a_table(programs: tuple[Step, TrainState, Pixels, Pro
     assert [line for line in copied if "broadcast" not in line] == []
     descend = compiled.descend.memory_analysis()
     assert descend.alias_size_in_bytes > 0.9 * descend.output_size_in_bytes, "state is overwritten"
-    assert descend.temp_size_in_bytes < state.model.field.encoding.table.nbytes, "no second table beside the first"
+    assert descend.temp_size_in_bytes < 2 * state.model.field.encoding.table.nbytes, "no second table beside the squares of one"
     for stage in compiled.stages:
         assert not re.search(r" conditional\(", stage.as_text()), "nothing passes through a branch"
 
