@@ -8,6 +8,8 @@ import functools
 import hashlib
 import importlib
 import os
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,8 @@ KERNELS = {
     "look": ("look",),
 }
 """Compiled functions that XLA calls, by module of `loops`."""
+APART = ("layers", "rays", "squares", "descent")
+"""Modules that take half of the time to compile: at the first start another process does that."""
 
 
 def why_not() -> str | None:
@@ -94,16 +98,38 @@ def _failure() -> str | None:
 
 def _compiled() -> dict[str, Any]:
     """All kernels by name; compiled, or read from the folder of what was compiled before."""
+    helper = None if _folder().exists() else _compiling_apart()
+    modules = imported([name for name in KERNELS if name not in APART])
+    if helper is not None:
+        helper.wait()
+    modules |= imported(APART)
+    return {name: getattr(modules[module], name) for module, names in KERNELS.items() for name in names}
+
+
+def imported(names: Sequence[str]) -> dict[str, Any]:
+    """Modules of `loops`; to import one is to compile it, or to read what was compiled before."""
     from numba.core import config
 
     options: Any = config
     before = options.CACHE_DIR
-    options.CACHE_DIR = str(cache_folder() / "numba" / _digest())  # read while functions are decorated
+    options.CACHE_DIR = str(_folder())  # read while functions are decorated
     try:
-        modules = {name: importlib.import_module(f"reconstruct.kernels.loops.{name}") for name in KERNELS}
+        return {name: importlib.import_module(f"reconstruct.kernels.loops.{name}") for name in names}
     finally:
         options.CACHE_DIR = before
-    return {name: getattr(modules[module], name) for module, names in KERNELS.items() for name in names}
+
+
+def _folder() -> Path:
+    return cache_folder() / "numba" / _digest()
+
+
+def _compiling_apart() -> subprocess.Popen[bytes] | None:
+    """A process that compiles `APART`, so that it is read from the disk afterwards; None where there can be none."""
+    program = "from reconstruct.kernels import native; native.imported(native.APART)"
+    try:
+        return subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    except OSError:
+        return None
 
 
 def _register(kernels: dict[str, Any]) -> None:
