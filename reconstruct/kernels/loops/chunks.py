@@ -184,3 +184,9 @@ def in_chunks(frame, work, count, worth_help):
         if looks > PATIENCE:
             _step_aside()
     _release(block)
+
+
+@plain
+def in_chunks_of(frame, work, count, size):
+    """The same for so many things, `size` of them in a chunk."""
+    in_chunks(frame, work, (count + size - 1) // size, True)

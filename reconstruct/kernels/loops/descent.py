@@ -9,13 +9,12 @@ from math import sqrt
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, handler
 from reconstruct.kernels.loops.frame import (
     argument,
     argument_address,
-    argument_rank,
-    argument_size,
+    argument_length,
     executes,
     result,
     result_address,
@@ -24,14 +23,6 @@ from reconstruct.kernels.loops.frame import (
 CHUNK = 32768
 """Numbers of a chunk: its seven arrays fit into the second-level cache."""
 f4 = np.float32
-
-
-@compiled
-def _size(frame):
-    size = 1
-    for axis in range(argument_rank(frame, 0)):
-        size *= argument_size(frame, 0, axis)
-    return size
 
 
 @compiled
@@ -48,7 +39,7 @@ def _in_place(frame, index, first, count):
 @compiled
 def _descend_chunk(frame, chunk):
     first = chunk * CHUNK
-    count = min(CHUNK, _size(frame) - first)
+    count = min(CHUNK, argument_length(frame, 0) - first)
     numbers = argument(frame, 4, (7,), np.float32)
     gradient = argument(frame, 0, (first + count,), np.float32)[first:]
     parameter, mean = _in_place(frame, 0, first, count), _in_place(frame, 1, first, count)
@@ -73,5 +64,5 @@ _address_of_descent = address_of(_descend_chunk, 2)
 def descend(frame):
     """Parameter and moments after a step."""
     if executes(frame):
-        in_chunks(frame, _address_of_descent(), (_size(frame) + CHUNK - 1) // CHUNK, True)
+        in_chunks_of(frame, _address_of_descent(), argument_length(frame, 0), CHUNK)
     return 0

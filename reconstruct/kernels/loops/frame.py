@@ -130,6 +130,15 @@ def argument_size(frame, index, axis):
 
 
 @plain
+def argument_length(frame, index):
+    """How many numbers an argument has, along all axes."""
+    length = 1
+    for axis in range(argument_rank(frame, index)):
+        length *= argument_size(frame, index, axis)
+    return length
+
+
+@plain
 def result_size(frame, index, axis):
     """Length of a result along an axis."""
     return load_word(load_word(_result(frame, index) + _DIMS) + 8 * axis)

@@ -9,20 +9,16 @@ nothing is transposed but what comes in and goes out.
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, handler, plain
 from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
 from reconstruct.kernels.loops.product import add_product, address
-from reconstruct.kernels.network import CHUNK, LANES, ROWS
+from reconstruct.kernels.network import CHUNK, LANES, ROWS, padded
 
 BLOCK = 64
 """Points of a block."""
 f4 = np.float32
-
-
-@plain
-def _padded(count, multiple):
-    return (count + multiple - 1) // multiple * multiple
+_padded = plain(padded)
 
 
 @compiled
@@ -299,8 +295,7 @@ _address_of_evaluation, _address_of_back = address_of(_evaluate_chunk, 2), addre
 def evaluate(frame):
     """Values (outputs, n) and, where there is a second result, the first one's sensitivity to the inputs (channels, n)."""
     if executes(frame):
-        chunks = (argument_size(frame, 0, 1) + CHUNK - 1) // CHUNK
-        in_chunks(frame, _address_of_evaluation(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_evaluation(), argument_size(frame, 0, 1), CHUNK)
     return 0
 
 
@@ -308,7 +303,6 @@ def evaluate(frame):
 def evaluate_back(frame):
     """Gradients of the inputs, then of each layer's weights and biases; last, room for each chunk's sums (chunks, numbers)."""
     if executes(frame):
-        chunks = (argument_size(frame, 0, 1) + CHUNK - 1) // CHUNK
-        in_chunks(frame, _address_of_back(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_back(), argument_size(frame, 0, 1), CHUNK)
         _join_chunks(frame)
     return 0

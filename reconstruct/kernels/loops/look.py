@@ -7,7 +7,7 @@ length (n, most), count (n,): samples of each ray, first in its row; the rest of
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, handler
 from reconstruct.kernels.loops.frame import argument, argument_size, executes, result
 from reconstruct.kernels.loops.march import march_ray
@@ -52,6 +52,5 @@ _address_of_look = address_of(_look_along, 2)
 def look(frame):
     """Samples of all rays."""
     if executes(frame):
-        chunks = (argument_size(frame, 0, 0) + RAYS - 1) // RAYS
-        in_chunks(frame, _address_of_look(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_look(), argument_size(frame, 0, 0), RAYS)
     return 0

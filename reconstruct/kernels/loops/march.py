@@ -11,7 +11,7 @@ from math import sqrt
 import numpy as np
 
 from reconstruct.kernels.loops.along import fma, from_half
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
 from reconstruct.kernels.loops.frame import argument, argument_size, executes, result
 
@@ -145,6 +145,5 @@ _address_of_march = address_of(_march_rays, 2)
 def march(frame):
     """Depths of all rays."""
     if executes(frame):
-        chunks = (argument_size(frame, 0, 0) + RAYS - 1) // RAYS
-        in_chunks(frame, _address_of_march(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_march(), argument_size(frame, 0, 0), RAYS)
     return 0

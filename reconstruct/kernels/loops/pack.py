@@ -10,7 +10,7 @@ kept (rays,), its t and length (rays, most samples).
 import numpy as np
 
 from reconstruct.kernels.loops.along import at, exp_of_minus
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
 from reconstruct.kernels.loops.frame import argument, argument_size, executes, result, result_size
 
@@ -143,7 +143,6 @@ _address_of_packing = address_of(_pack_rays, 2)
 def pack(frame):
     """Samples of all rays."""
     if executes(frame):
-        chunks = (argument_size(frame, 1, 0) + RAYS - 1) // RAYS
-        in_chunks(frame, _address_of_packing(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_packing(), argument_size(frame, 1, 0), RAYS)
         _write_list(frame)
     return 0

@@ -8,7 +8,7 @@ the weighted values.
 import numpy as np
 
 from reconstruct.kernels.loops.along import exp_of_minus
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, handler
 from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
 
@@ -170,8 +170,7 @@ _address_of_compositing, _address_of_back = address_of(_composite_chunk, 2), add
 def composite(frame):
     """Weights (rays, slots) and sums (channels, rays)."""
     if executes(frame):
-        chunks = (argument_size(frame, 5, 0) + RAYS - 1) // RAYS
-        in_chunks(frame, _address_of_compositing(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_compositing(), argument_size(frame, 5, 0), RAYS)
     return 0
 
 
@@ -179,6 +178,5 @@ def composite(frame):
 def composite_back(frame):
     """Gradients of the density (n,) and of the values (channels, n) each."""
     if executes(frame):
-        chunks = (argument_size(frame, 5, 0) + RAYS - 1) // RAYS
-        in_chunks(frame, _address_of_back(), chunks, chunks > 1)
+        in_chunks_of(frame, _address_of_back(), argument_size(frame, 5, 0), RAYS)
     return 0

@@ -5,20 +5,12 @@ Arrays of a call: the numbers. Results: their sum of squares (), and room for th
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
+from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
 from reconstruct.kernels.loops.compiler import compiled, handler, reordered
-from reconstruct.kernels.loops.frame import argument, argument_rank, argument_size, executes, result, result_size
+from reconstruct.kernels.loops.frame import argument, argument_length, executes, result, result_size
 from reconstruct.kernels.squares import CHUNK
 
 f4 = np.float32
-
-
-@compiled
-def _size(frame):
-    size = 1
-    for axis in range(argument_rank(frame, 0)):
-        size *= argument_size(frame, 0, axis)
-    return size
 
 
 @reordered
@@ -31,7 +23,7 @@ def _sum(numbers, count):
 
 @compiled
 def _square_chunk(frame, chunk):
-    first, size = chunk * CHUNK, _size(frame)
+    first, size = chunk * CHUNK, argument_length(frame, 0)
     room = result(frame, 1, (result_size(frame, 1, 0),), np.float32)
     room[chunk] = _sum(argument(frame, 0, (size,), np.float32)[first:], min(CHUNK, size - first))
 
@@ -51,6 +43,6 @@ _address_of_squares = address_of(_square_chunk, 2)
 def squares(frame):
     """Sum of squares; each chunk's own, then the chunks in their order."""
     if executes(frame):
-        in_chunks(frame, _address_of_squares(), result_size(frame, 1, 0), True)
+        in_chunks_of(frame, _address_of_squares(), argument_length(frame, 0), CHUNK)
         _add_chunks(frame)
     return 0
