@@ -1,10 +1,11 @@
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from datasets.core.errors import UsageError
-from reconstruct.config import Config
+from reconstruct.config import Config, LossConfig
 from reconstruct.models import load_config, merged, names, over_run, overview
 
 PRESETS = ("fast", "paper")
@@ -152,7 +153,37 @@ def test_the_rows_of_the_paper_s_table() -> None:
         "surfnerf_voxels": ("voxels", "reflection", True),
         "surfnerf": ("lattice", "reflection", True),
         "finetune": ("lattice", "reflection", True),
+        "refnerf_published": ("frequencies", "reflection", False),
+        "zipnerf_published": ("voxels", "view", False),
+        "zip_refnerf_published": ("voxels", "reflection", False),
     }
+
+
+@pytest.mark.parametrize(
+    ("model", "changed"),
+    [
+        ("refnerf", {"losses.predicted_normals", "losses.density_normals"}),
+        ("zipnerf", {"losses.hollowness"}),
+        ("zip_refnerf", {"losses.hollowness", "losses.predicted_normals", "losses.density_normals", "field.bottleneck"}),
+    ],
+)
+def test_published_baselines_lack_what_is_ours_and_nothing_else(model: str, changed: set[str]) -> None:
+    ours, published = flat(load_config(model)), flat(load_config(f"{model}_published"))
+    assert {key for key in ours if ours[key] != published[key]} == changed | {"model"}
+    assert published["losses.hollowness"] == 0 and published["field.bottleneck"] > 0
+    if ours["field.appearance"] == "reflection":
+        defaults = LossConfig()
+        assert published["losses.predicted_normals"] == defaults.predicted_normals == defaults.density_normals
+        assert published["losses.density_normals"] == defaults.density_normals
+    large, the_same = flat(load_config(model, "paper")), flat(load_config(f"{model}_published", "paper"))
+    assert {key for key in large if large[key] != the_same[key]} == {"model"}
+
+
+def flat(config: Config) -> dict[str, Any]:
+    """Settings by their full names."""
+    parts = config.model_dump()
+    whole = {name: value for name, value in parts.items() if not isinstance(value, dict)}
+    return whole | {f"{name}.{key}": value for name, part in parts.items() if isinstance(part, dict) for key, value in part.items()}
 
 
 @pytest.mark.parametrize("model", MODELS)
