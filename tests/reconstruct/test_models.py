@@ -183,7 +183,9 @@ def flat(config: Config) -> dict[str, Any]:
     """Settings by their full names."""
     parts = config.model_dump()
     whole = {name: value for name, value in parts.items() if not isinstance(value, dict)}
-    return whole | {f"{name}.{key}": value for name, part in parts.items() if isinstance(part, dict) for key, value in part.items()}
+    return whole | {
+        f"{name}.{key}": value for name, part in parts.items() if isinstance(part, dict) for key, value in part.items()
+    }
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from capture.sim.laboratory.lens import strips
 from capture.sim.laboratory.materials import Glass, Material, Metal, Plastic
-from capture.sim.laboratory.renderer_variant import variant
 from capture.sim.laboratory.scenes import Item, Stage
 from datasets.camera_model import Camera
 
@@ -34,10 +33,14 @@ class Surfaces:
 
 
 class Renderer:
-    """One stage, loaded for rendering from any camera."""
+    """One stage, loaded for rendering from any camera.
 
-    def __init__(self, stage: Stage, *, using: str | None = None) -> None:
-        mi.set_variant(using or variant())
+    Args:
+        using: variant of Mitsuba, to be chosen before this module is imported: Mitsuba loads LLVM then.
+    """
+
+    def __init__(self, stage: Stage, *, using: str) -> None:
+        mi.set_variant(using)
         mi.set_log_level(mi.LogLevel.Error)
         self.stage = stage
         shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}

@@ -19,6 +19,7 @@ from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
+from datasets.core.mitsuba_variant import variant
 
 Maps = dict[str, NDArray[np.floating]]
 SAMPLES = 9
@@ -26,6 +27,7 @@ SAMPLES = 9
 FULL_SAMPLES = 4  # the same without binning, where the sensor noise of a pixel is higher
 FINE = 2  # samples of the true surfaces per pixel of the pinhole picture, along each axis
 RAYS_AT_ONCE = 4_000_000
+TRIAL = "capture.sim.laboratory.renderer_trial"
 
 
 class View(Protocol):
@@ -77,9 +79,11 @@ class ObjectView:
 
     @cached_property
     def _renderer(self) -> Any:
+        chosen = variant(TRIAL)  # Mitsuba loads LLVM as it is imported: which one is decided before
+
         from capture.sim.laboratory.renderer import Renderer
 
-        return Renderer(self.stage)
+        return Renderer(self.stage, using=chosen)
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
