@@ -2,8 +2,7 @@
 
 The vectorised variant takes a third of the time but needs LLVM as a shared library, and some versions of LLVM crash the process
 on some processors. Child processes therefore try the libraries of this machine, newest first. Version 19 and newer are known to
-work.
-`DRJIT_LIBLLVM_PATH` sets the path of the library, `KOALA_RENDERER` the variant.
+work. `DRJIT_LIBLLVM_PATH` sets the path of the library, `KOALA_RENDERER` the variant.
 """
 
 import logging

@@ -31,6 +31,8 @@ UNREGULARISED = {
     "losses": {"orientation": 0.0, "predicted_normals": 3e-4, "density_normals": 0.0, "hollowness": 0.0},
 }
 """Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
+LAST_BLUR = 0.0005
+"""Standard deviation of samples at the end there [scene unit]: normals of regularisers need more, colours lose detail by it."""
 
 Decision = tuple[Config, Skip]
 
@@ -107,7 +109,8 @@ def _regularisers(found: Evidence, config: Config) -> Decision:
     skipped = not found.object_known and config.skip.regularisers
     if skipped:
         bottleneck = max(config.field.bottleneck, BOTTLENECK)
-        config = merged_config(config, {**UNREGULARISED, "field": {"bottleneck": bottleneck}})
+        blur = min(config.train.last_blur, LAST_BLUR)
+        config = merged_config(config, {**UNREGULARISED, "field": {"bottleneck": bottleneck}, "train": {"last_blur": blur}})
     evidence = "masks or the scene's box say what the object is" if found.object_known else "nothing says what the object is"
     return config, Skip.of("regularisers", skipped, evidence, "the second pass, and the normals of first surfaces")
 

@@ -136,3 +136,11 @@ def test_what_a_person_sets_is_learned_whatever_was_found() -> None:
         config, skips = plan(found, load_config(overrides=[f"train.per_image={chosen}"]), never)
         assert config.train.per_image == chosen
         assert {skip.name: skip.skipped for skip in skips}["exposure"] == (chosen == "none")
+
+
+@pytest.mark.parametrize(("known", "given", "left"), [(True, 0.002, 0.002), (False, 0.002, 0.0005), (False, 1e-4, 1e-4)])
+def test_blur_at_the_end_goes_with_the_regularisers(known: bool, given: float, left: float) -> None:
+    """A person who asks for less keeps it."""
+    base = load_config(overrides=[f"train.last_blur={given}"])
+    config, _ = plan(replace(FOUND, object_known=known), base, lambda: 3.0)
+    assert config.train.last_blur == left and config.surface.enabled == known
