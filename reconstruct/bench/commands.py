@@ -111,17 +111,17 @@ def machine_command(
 @app.command("scenes")
 def scenes_command(
     out: Annotated[Path, Option("--out", help="Folder to write; existing scenes in it are kept.")],
-    names: Annotated[list[str] | None, Option("--scene", help="Scene to render; repeatable.")] = None,
+    names: Annotated[list[str] | None, Option("--scene", help="Scene to render; repeatable. Default: all ten.")] = None,
     size: Annotated[int, Option(min=16, max=2000, help="Width and height of the images in pixels.")] = 200,
     train: Annotated[int, Option(min=2, help="Number of training views.")] = 60,
     test: Annotated[int, Option(min=1, help="Number of test views.")] = 20,
     layout: Annotated[str, Option("--format", help="Format of the folders: koala, blender or llff.")] = "koala",
     as_json: console.Json = False,
 ) -> None:
-    """Render scenes whose shape and light are known exactly: the five shiny ones, or those that are named."""
+    """Render scenes whose shape and light are known exactly: five under distant light, five under near lamps."""
     from datasets.core.errors import UsageError, nearest
     from reconstruct.backend import cache_compilations
-    from reconstruct.bench.scenes import make, shiny, stages
+    from reconstruct.bench.scenes import make, stages
 
     if layout not in (layouts := ("koala", "blender", "llff")):
         raise UsageError(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
@@ -129,7 +129,7 @@ def scenes_command(
         if name not in stages.STAGES:
             raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, stages.STAGES))
     cache_compilations()
-    chosen, written = names or list(shiny.SCENES), []
+    chosen, written = names or list(stages.BENCHMARK), []
     with console.progress("rendering", len(chosen) * (train + test), "views") as bar:
         for name in chosen:
             bar.note(name)

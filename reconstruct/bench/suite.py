@@ -13,7 +13,9 @@ from typing import Any
 from datasets.core.errors import UsageError, nearest
 from datasets.formats import find
 from reconstruct.bench.scenes import make
+from reconstruct.bench.scenes.near.scenes import NEAR
 from reconstruct.bench.scenes.shiny import SCENES
+from reconstruct.bench.scenes.stages import BENCHMARK
 
 QUALITY, COST, PROFILE = "quality", "cost", "profile"
 """Kinds of trials: error after a budget; time and memory for a number of images; profile of a step."""
@@ -63,7 +65,7 @@ class Block:
         return [Trial(self.kind, *scene, views, model, preset, budget, s) for s, budget, scene, model, preset, views in every]
 
 
-SHINY = tuple((name, 1.0) for name in SCENES)
+SHINY, UNDER_NEAR_LAMPS = (tuple((name, 1.0) for name in names) for names in (SCENES, NEAR))
 LEGO, CAPE = tuple(("lego400", scale) for scale in (0.25, 0.5, 1.0)), ("mold_gold_cape", 0.5)
 SUITES: dict[str, tuple[Block, ...]] = {
     "quick": (
@@ -74,12 +76,13 @@ SUITES: dict[str, tuple[Block, ...]] = {
     ),
     "full": (
         Block((*SHINY, *LEGO[1:], CAPE), models=("surfnerf", "lattice_refnerf", "zip_refnerf", "zipnerf")),
+        Block(UNDER_NEAR_LAMPS, models=("surfnerf", "zip_refnerf_published"), budgets_s=(60.0, 120.0)),
         Block((("gold_rings", 1.0), ("lego400", 0.5)), presets=("paper",), budgets_s=(300.0,), seeds=(0,)),
         Block(LEGO, budgets_s=(10.0,), seeds=(0, 1), kind=COST, views=(25, 50, 0)),
         Block((("gold_rings", 1.0), ("lego400", 0.5), CAPE), budgets_s=(30.0,), seeds=(0,), kind=PROFILE),
     ),
 }
-"""quick: within ten minutes on two cores. full: about eighteen hours."""
+"""quick: within ten minutes on two cores. full: about twenty hours."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def plan(suite: str, choice: Choice = Choice()) -> list[Trial]:
     if suite not in SUITES:
         raise UsageError(f"there is no suite '{suite}'", where="--suite", remedy=nearest(suite, SUITES))
     blocks = SUITES[suite]
-    known = dict.fromkeys(name for block in blocks for name, _ in block.scenes) | dict.fromkeys(SCENES)
+    known = dict.fromkeys(name for block in blocks for name, _ in block.scenes) | dict.fromkeys(BENCHMARK)
     for name in choice.scenes:
         if name not in known:
             raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, known))
@@ -125,7 +128,7 @@ def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
         if block.kind != QUALITY or not presets:
             continue
         named = tuple(scene for scene in block.scenes if not choice.scenes or scene[0] in choice.scenes)
-        missing = tuple((name, 1.0) for name in choice.scenes if name in SCENES and name not in dict(block.scenes))
+        missing = tuple((name, 1.0) for name in choice.scenes if name in BENCHMARK and name not in dict(block.scenes))
         sized = tuple(scene for scene in named + missing if not choice.scales or scene[1] in choice.scales)
         lists = {name: getattr(choice, name) or getattr(block, name) for name in ("models", "budgets_s", "seeds")}
         found.append(replace(block, scenes=sized, presets=presets, **lists))
@@ -133,16 +136,16 @@ def _chosen(blocks: Sequence[Block], choice: Choice) -> list[Block]:
 
 
 def folders(trials: Sequence[Trial], made_in: Path, data: Path | None, rendered: Any = None) -> dict[str, Path]:
-    """Folder of each scene that is found. Missing shiny scenes are rendered.
+    """Folder of each scene that is found. Missing rendered scenes are made.
 
     Args:
-        made_in: folder of the shiny scenes.
+        made_in: folder of the rendered scenes.
         data: folder of the real scenes; default: the usual places.
         rendered: called with the name of each scene before it is rendered.
     """
     found = {}
     for name in dict.fromkeys(trial.scene for trial in trials):
-        if name in SCENES:
+        if name in BENCHMARK:
             place = made_in / f"{name}-{make.EDITION}"
             if rendered is not None and not place.exists():
                 rendered(name)

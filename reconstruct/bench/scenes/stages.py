@@ -2,7 +2,8 @@
 
 The five of `shiny` stand in a room among cameras all around. For two of them there is also `NAME_room`, `NAME_turntable`,
 `NAME_ring_light` and `NAME_side_light`: the same object from cameras on rings, in the same room, turning among lamps and camera
-that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. Frozen, too.
+that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. The five of
+`near` stand under near lamps, and shade and mirror each other. All are frozen.
 """
 
 from collections.abc import Callable
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 
 from datasets import pose
 from reconstruct.bench.scenes.lamps import Ring
+from reconstruct.bench.scenes.near.scenes import NEAR, NearScene
+from reconstruct.bench.scenes.near.views import Lit
 from reconstruct.bench.scenes.shiny import RADIUS_M, SCENES
 from reconstruct.bench.scenes.tracer import Tracer
+from reconstruct.bench.scenes.views import DISTANCE_M, Traced, Views
 
-DISTANCE_M = 0.6
-"""Distance of the cameras from the centre."""
 TRAINED_DEG, TESTED_DEG = (5.0, 30.0, 55.0), (18.0, 42.0)
 """Heights of the rings of cameras above the horizon."""
 OBJECTS = ("teapot", "gold_rings")
@@ -82,6 +84,8 @@ class Stage:
     """Cameras for so many training and test views and a seed."""
     stand: Callable[[Pose], Pose | None] = fixed
     """(4, 4) lamps_from_world of a view, metres; None where lamps stand still with the object."""
+    views: Callable[[Tracer], Views] = Traced
+    """What the cameras see of it."""
 
     def lamps_from_scene(self, world_from_camera: Pose) -> Pose | None:
         """`stand` in the tracer's unit."""
@@ -93,9 +97,16 @@ def _under(lamps: Callable[[], Ring], made: Callable[[], Tracer]) -> Callable[[]
     return lambda: replace(made(), light=lamps())
 
 
+def _near(scene: NearScene) -> Stage:
+    return Stage(scene.shape, views=lambda tracer: Lit(scene, tracer))
+
+
 STAGES: dict[str, Stage] = {name: Stage(made) for name, made in SCENES.items()}
+STAGES |= {name: _near(made()) for name, made in NEAR.items()}
 for _name in OBJECTS:
     STAGES[f"{_name}_room"] = Stage(SCENES[_name], rings)
     STAGES[f"{_name}_turntable"] = Stage(SCENES[_name], rings, turning)
     STAGES[f"{_name}_ring_light"] = Stage(_under(Ring.about_lens, SCENES[_name]), rings, carried)
     STAGES[f"{_name}_side_light"] = Stage(_under(Ring.beside_lens, SCENES[_name]), rings, carried)
+BENCHMARK = (*SCENES, *NEAR)
+"""The scenes that a benchmark renders: five that are easy, under distant light, and five that are not."""

@@ -69,6 +69,10 @@ class Tracer:
         distance, normal = self._in_chunks(_measured, points)
         return distance, normal
 
+    def nearest(self, points: NDArray) -> NDArray[np.int64]:
+        """(n,) index of the body that is nearest to each of (n, 3) points."""
+        return self._in_chunks(_nearest, points)[0].astype(np.int64)
+
     def _distances(self, points: Vectors) -> Float[Array, "bodies n"]:
         return jnp.stack([body.solid(points) for body in self.bodies])
 
@@ -148,6 +152,12 @@ def _marched(tracer: Tracer, origins: Vectors, directions: Vectors, t: Float[Arr
 def _measured(tracer: Tracer, points: Vectors):
     """Distance and normals of points."""
     return tracer.distance(points), normals(tracer.distance, points)
+
+
+@partial(jax.jit, static_argnums=0)
+def _nearest(tracer: Tracer, points: Vectors):
+    """Index of the nearest body."""
+    return (jnp.argmin(tracer._distances(points), 0),)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -19,8 +19,8 @@ def test_the_quick_suite_leaves_time_for_all_else() -> None:
 def test_the_full_suite_has_every_budget_scene_and_seed() -> None:
     trials = [trial for trial in plan("full") if trial.kind == QUALITY and trial.model == "surfnerf" and trial.preset == "fast"]
     assert {trial.budget_s for trial in trials} == {15, 30, 60, 120, 300}
-    assert len({trial.scene for trial in trials}) == 7 and {trial.seed for trial in trials} == {0, 1, 2}
-    assert len(trials) == 5 * 8 * 3
+    assert len({trial.scene for trial in trials}) == 12 and {trial.seed for trial in trials} == {0, 1, 2}
+    assert len(trials) == (5 * 8 + 2 * 5) * 3  # scenes under near lamps after one and two minutes
 
 
 @pytest.mark.parametrize("suite", SUITES)

@@ -19,7 +19,7 @@ SMALL = {"encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16
 """Sizes that do not matter here. The bottleneck and all else about colour stay as the model file has them."""
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.5, 4.5))
 DIFFERENT = 0.01
-"""Between colours in [0, 1]; equal ones differ by rounding, 1e-7. Measured with features of standard deviation 1: 0.03 and more."""
+"""Between colours in [0, 1]; equal ones differ by rounding, 1e-7. With features of standard deviation 1 these differ by 0.03."""
 
 
 def colours(model: str, preset: str) -> np.ndarray:

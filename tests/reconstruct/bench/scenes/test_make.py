@@ -13,8 +13,9 @@ from datasets.formats import load_scene
 from datasets.imaging import images
 from datasets.scene import Scene
 from reconstruct.bench.scenes import make, shiny
-from reconstruct.bench.scenes.make import camera_of, provide, render_view, write, write_mesh
+from reconstruct.bench.scenes.make import provide, write, write_mesh
 from reconstruct.bench.scenes.stages import spiral_poses
+from reconstruct.bench.scenes.views import Traced, camera_of
 from reconstruct.output import metrics
 from reconstruct.output.mesh.surface_distance import Surface
 
@@ -78,7 +79,7 @@ def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> N
     assert (np.abs(box) < shiny.RADIUS_M).all()
     mesh = trimesh.load_mesh(tmp_path / "object.ply")
     camera = camera_of(32)
-    maps = render_view(tracer, camera, matrix := spiral_poses(5, 0)[2])
+    maps = Traced(tracer).maps(camera, matrix := spiral_poses(5, 0)[2])
     whole = maps["alpha"][..., 0] > 0.99
     points = matrix[:3, 3] + maps["depth"] * (camera.directions(camera.pixel_centres()) @ matrix[:3, :3].T)
     drawn, faces = sample_surface(mesh, 20_000, seed=0)
@@ -88,7 +89,7 @@ def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> N
 
 def test_the_same_scene_again_is_the_same() -> None:
     camera, matrix = camera_of(16), spiral_poses(4, 0)[1]
-    first, second = (render_view(shiny.SCENES["chrome_ball"](), camera, matrix) for _ in range(2))
+    first, second = (Traced(shiny.SCENES["chrome_ball"]()).maps(camera, matrix) for _ in range(2))
     assert all((first[channel] == values).all() for channel, values in second.items())
     assert 0.1 < first["alpha"].mean() < 0.8 and first["specular"].max() > 0.15
 

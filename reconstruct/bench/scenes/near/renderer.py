@@ -1,0 +1,178 @@
+"""Light of a near scene by Mitsuba's path tracer. Imports Mitsuba, whose variant is to be chosen before.
+
+Light is told apart by what the camera sees first. Metal and glass have specular light only, matte surfaces diffuse light only.
+Where a material has both, the scene is rendered with either part of it: their sum is the picture, as long as the solid is
+convex and alone and so receives none of its own light.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.camera_model import Camera
+from reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
+from reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
+
+EDGES, CLEAR_EDGES = 6, 12
+"""Most edges of a light path, without glass and with it."""
+PATHS = 16
+"""Light paths per ray of a picture."""
+SHARP = 1e6
+"""Concentration of a lobe that leaves the room's light as it is."""
+ROOM_SIZE = (128, 256)
+"""Rows and columns of the picture of the room."""
+MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
+SCENE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
+"""Mitsuba's surroundings have their zenith along y."""
+COLOUR = {"type": "mesh_attribute", "name": "vertex_colour"}
+"""Colour of a mesh's vertices."""
+Kind = Literal["all", "diffuse", "specular"]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A part's surface: (n, 3) vertices and outward unit normals, (m, 3) faces; unit of the scene."""
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float32]
+    faces: NDArray[np.int64]
+
+
+class Renderer:
+    """A near scene, loaded for rendering from any camera."""
+
+    def __init__(self, scene: NearScene, meshes: tuple[Mesh, ...], *, using: str) -> None:
+        mi.set_variant(using)
+        mi.set_log_level(mi.LogLevel.Error)
+        materials = [part.material for part in scene.parts]
+        kinds: tuple[Kind, ...] = ("diffuse", "specular") if _mixed(materials) else ("all",)
+        surroundings = {"room": _room(scene), **_lamps(scene)}
+        self._scenes = {
+            kind: mi.load_dict({"type": "scene", **surroundings, **_shapes(materials, meshes, kind)}) for kind in kinds
+        }
+        depth = CLEAR_EDGES if any(isinstance(material, Glass) for material in materials) else EDGES
+        self._light = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth, "hide_emitters": True})
+        self._is_diffuse = np.array([isinstance(material, Matte) for material in materials])
+
+    def parts_of_light(
+        self, camera: Camera, scene_from_camera: NDArray[np.float64], part: NDArray[np.int64], *, seed: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Diffuse and specular light (height, width, 3) of what each pixel's middle shows, linear.
+
+        Args:
+            camera: a pinhole with square pixels whose principal point is the middle of the picture.
+            part: (height, width) index of the part seen in each pixel's middle; -1: none.
+        """
+        found = {kind: self._rendered(kind, camera, scene_from_camera, seed) for kind in self._scenes}
+        if "all" not in found:
+            return found["diffuse"], found["specular"]
+        diffuse = (part >= 0) & self._is_diffuse[part]
+        return np.where(diffuse[..., None], found["all"], 0), np.where(diffuse[..., None], 0, found["all"])
+
+    def _rendered(self, kind: Kind, camera: Camera, scene_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+        """Mean light of those paths of a pixel that meet a solid."""
+        sensor = _sensor(camera, scene_from_camera)
+        render: Any = mi.render  # its stubs do not accept an int as seed
+        picture = np.array(render(self._scenes[kind], sensor=sensor, integrator=self._light, spp=PATHS, seed=seed), float)
+        return picture[..., :3] / np.maximum(picture[..., 3:], 0.5 / PATHS)
+
+
+def _mixed(materials: list[Material]) -> bool:
+    return any(isinstance(material, Coated | Partly) for material in materials)
+
+
+def _room(scene: NearScene) -> dict[str, Any]:
+    rows, columns = ROOM_SIZE
+    down, around = np.pi * (np.arange(rows) + 0.5) / rows, 2 * np.pi * (np.arange(columns) + 0.5) / columns
+    down, around = np.meshgrid(down, around, indexing="ij")
+    # column u looks along (sin, cos down, -cos) of the angle 2 pi u in Mitsuba's frame
+    looking = np.stack([np.sin(down) * np.sin(around), np.cos(down), -np.sin(down) * np.cos(around)]).reshape(3, -1)
+    light = ROOM * np.asarray(scene.room.convolved(SCENE_FROM_ROOM[:3, :3] @ looking, SHARP)).T.reshape(rows, columns, 3)
+    return {"type": "envmap", "bitmap": mi.Bitmap(light.astype(np.float32)), "to_world": _transform(SCENE_FROM_ROOM)}
+
+
+def _lamps(scene: NearScene) -> dict[str, Any]:
+    glow = lambda colour: {"type": "area", "radiance": {"type": "rgb", "value": list(colour)}}  # noqa: E731
+    return {
+        f"lamp{number}": {"type": "sphere", "center": list(lamp.place), "radius": LAMP_RADIUS, "emitter": glow(lamp.colour)}
+        for number, lamp in enumerate(scene.lamps)
+    }
+
+
+def _shapes(materials: list[Material], meshes: tuple[Mesh, ...], kind: Kind) -> dict[str, Any]:
+    return {f"part{number}": _shape(*pair, kind) for number, pair in enumerate(zip(materials, meshes, strict=True))}
+
+
+def _shape(material: Material, mesh: Mesh, kind: Kind) -> Any:
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(_bsdf(material, kind))
+    brushed = isinstance(material, Metal) and material.across is not None
+    has = {"has_vertex_normals": True, "has_vertex_texcoords": brushed}
+    shape = mi.Mesh("part", len(mesh.vertices), len(mesh.faces), props=properties, **has)
+    values = mi.traverse(shape)
+    values["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
+    values["faces"] = mesh.faces.astype(np.uint32).ravel()
+    values["vertex_normals"] = mesh.normals.astype(np.float32).ravel()
+    if brushed:  # u grows along circles around x: tangents need no map without seams
+        values["vertex_texcoords"] = mesh.vertices[:, [2, 0]].astype(np.float32).ravel()
+    values.update()
+    if isinstance(material, Matte | Partly):
+        shape.add_attribute("vertex_colour", 3, material.colour(mesh.vertices).astype(np.float32).ravel())
+    if isinstance(material, Coated | Partly):
+        shape.add_attribute("vertex_share", 1, material.share(mesh.vertices).astype(np.float32).ravel())
+    return shape
+
+
+def _bsdf(material: Material, kind: Kind) -> dict[str, Any]:
+    shown = lambda this: 1.0 if kind in ("all", this) else 0.0  # noqa: E731
+    match material:
+        case Metal(name, roughness, across):
+            alpha = {"alpha": roughness} if across is None else {"alpha_u": roughness, "alpha_v": across}
+            light = {"specular_reflectance": {"type": "rgb", "value": shown("specular")}}
+            return {"type": "roughconductor", "material": name, "distribution": "ggx", **alpha, **light}
+        case Glass(refraction):
+            return {"type": "dielectric", "int_ior": refraction, "ext_ior": 1.0}
+        case Coated(first, second, _, roughness):
+            coat = {"type": "roughplastic", "distribution": "ggx", "alpha": roughness, "specular_reflectance": shown("specular")}
+            lit = lambda colour: [shown("diffuse") * channel for channel in colour]  # noqa: E731
+            return _blended(*({**coat, "diffuse_reflectance": {"type": "rgb", "value": lit(body)}} for body in (first, second)))
+        case Partly(_, metal, _):
+            matte = {"type": "diffuse", "reflectance": COLOUR if shown("diffuse") else 0.0}
+            return _blended(matte, _bsdf(metal, kind))
+        case Matte():
+            return {"type": "diffuse", "reflectance": COLOUR}
+
+
+def _blended(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    weight = {"type": "mesh_attribute", "name": "vertex_share"}
+    return {"type": "blendbsdf", "weight": weight, "first": first, "second": second}
+
+
+def _sensor(camera: Camera, scene_from_camera: NDArray[np.float64]) -> Any:
+    film = {
+        "type": "hdrfilm",
+        "width": camera.width,
+        "height": camera.height,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgba",
+        "component_format": "float32",
+    }
+    sensor = {
+        "type": "perspective",
+        "film": film,
+        "sampler": {"type": "multijitter"},
+        "near_clip": 0.05,
+        "far_clip": 100.0,
+        "fov_axis": "x",
+        "fov": float(np.rad2deg(2 * np.arctan(0.5 * camera.width / camera.fx))),
+        "to_world": _transform(scene_from_camera @ MITSUBA_FROM_OPENCV),
+    }
+    return mi.load_dict(sensor)
+
+
+def _transform(matrix: NDArray[np.float64]) -> Any:
+    transform: Any = mi.ScalarTransform4f  # its stubs do not accept a matrix
+    return transform(matrix)
