@@ -78,7 +78,7 @@ def test_the_mirror_is_where_its_line_says() -> None:
     height = (pose[:3, 3] + maps["depth"] * rays)[..., 2] / RADIUS_M
     top, bottom = seen(maps) & (height > 0.2), seen(maps) & (height < -0.2)
     assert top.sum() > 5 and bottom.sum() > 5
-    assert not maps["diffuse"][top].any() and not maps["specular"][bottom].any()
+    assert maps["diffuse"][top].max() < 1e-6 and maps["specular"][bottom].max() < 1e-6  # the renderer's rounding
 
 
 def test_the_same_view_is_the_same_again() -> None:
