@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
 from reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
+from reconstruct.errors import ReconstructError
 
 EDGES, CLEAR_EDGES = 6, 12
 """Most edges of a light path, without glass and with it."""
 PATHS = 16
 """Light paths per ray of a picture."""
+DRAWS = 4
+"""Pictures that are rendered at most until each pixel is finite in one."""
 SHARP = 1e6
 """Concentration of a lobe that leaves the room's light as it is."""
 ROOM_SIZE = (128, 256)
@@ -73,11 +76,23 @@ class Renderer:
         return np.where(diffuse[..., None], found["all"], 0), np.where(diffuse[..., None], 0, found["all"])
 
     def _rendered(self, kind: Kind, camera: Camera, scene_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-        """Mean light of those paths of a pixel that meet a solid."""
+        """Mean light of those paths of a pixel that meet a solid.
+
+        A path that grazes rough metal may carry a value that is not finite; its pixel is drawn again.
+        """
         sensor = _sensor(camera, scene_from_camera)
         render: Any = mi.render  # its stubs do not accept an int as seed
-        picture = np.array(render(self._scenes[kind], sensor=sensor, integrator=self._light, spp=PATHS, seed=seed), float)
-        return picture[..., :3] / np.maximum(picture[..., 3:], 0.5 / PATHS)
+        light = np.full((camera.height, camera.width, 3), np.nan)
+        for again in range(DRAWS):
+            drawn = (seed + again) % 2**32
+            picture = np.array(render(self._scenes[kind], sensor=sensor, integrator=self._light, spp=PATHS, seed=drawn), float)
+            missing = ~np.isfinite(light).all(-1)
+            light[missing] = (picture[..., :3] / np.maximum(picture[..., 3:], 0.5 / PATHS))[missing]
+            if np.isfinite(light).all():
+                return light
+        raise ReconstructError(
+            "light is not finite", why=f"{DRAWS} pictures have it in the same pixel", remedy="set KOALA_RENDERER=scalar_rgb"
+        )
 
 
 def _mixed(materials: list[Material]) -> bool:
