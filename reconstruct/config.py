@@ -117,6 +117,11 @@ class SurfaceConfig(Schema):
 
     enabled: bool = setting(True, "Run the second pass.")
     rays: int = setting(128, "Rays per step whose first surface is used, by the regularisers and by the losses of normals.", ge=1)
+    first: Literal["median", "share", "half"] = setting(
+        "median",
+        "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
+        "weight, or where half of the light is stopped.",
+    )
     samples: int = setting(32, "Points and directions on the sphere.", ge=4)
     sampling: Literal["lattice", "fibonacci", "random"] = setting(
         "lattice", "Lattice directions on shells, the same without shells, or independent random directions."

@@ -7,7 +7,7 @@ from typer import Argument, Context, Option, Typer
 
 from datasets.core import console
 from reconstruct.bench.gpu.command import gpu_command
-from reconstruct.options import ModelName
+from reconstruct.options import ModelName, Settings
 
 app = Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
 
@@ -137,3 +137,30 @@ def scenes_command(
                 written.append(name)
     text = "\n".join(f"{out / name}{'' if name in written else '  (existed already)'}" for name in chosen)
     console.report({"scenes": [str(out / name) for name in chosen], "written": written}, as_json=as_json, text=text)
+
+
+@app.command("surfaces")
+def surfaces_command(
+    name: Annotated[str, Argument(metavar="SCENE", help="Name of a rendered scene.")],
+    made_in: Annotated[
+        Path, Option("--in", help="Folder that `reconstruct bench scenes` wrote; the scene is made if it is missing.")
+    ],
+    model: ModelName = "surfnerf",
+    settings: Settings = None,
+    as_json: console.Json = False,
+) -> None:
+    """Train a rendered scene, and count on the way how many first surfaces are where the surface is, by each rule."""
+    from datasets.core.errors import UsageError, nearest
+    from datasets.formats import load_scene
+    from reconstruct.backend import cache_compilations
+    from reconstruct.bench import first_surfaces
+    from reconstruct.bench.scenes import make, stages
+    from reconstruct.models import load_config
+
+    if name not in stages.STAGES:
+        raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, stages.STAGES))
+    cache_compilations()
+    make.provide(name, made_in / name)
+    config = load_config(model, "fast", settings or [])
+    found = first_surfaces.watch(load_scene(made_in / name), made_in / name, stages.STAGES[name].tracer(), config)
+    console.report({"surfaces": [vars(seen) for seen in found]}, as_json=as_json, text=first_surfaces.table(found))

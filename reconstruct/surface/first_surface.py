@@ -12,6 +12,8 @@ HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
 """Half-width at half-maximum of a Gaussian, in standard deviations."""
 CONFIDENT = 0.5
 """Opacity above which a ray has a surface."""
+SHARE = 0.5
+"""Of the largest weight, for the rule "share"."""
 
 
 class Surface(eqx.Module):
@@ -26,16 +28,35 @@ class Surface(eqx.Module):
     """Half-width of the neighbourhood [scene unit]."""
 
 
-def first_surface(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Int[Array, " rays"]:
-    """Slot of the first sample whose weight exceeds the ray's median weight (supplement B).
+def first_surface(
+    weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"], rule: str = "median"
+) -> Int[Array, " rays"]:
+    """Slot of the first surface; of the largest weight where the rule finds none.
 
-    An entry exceeds the median exactly where at least half of the ray's entries are smaller: counting
-    needs no sort. Where none does (one sample, or all alike) it is the largest.
+    Args:
+        rule: "median": the first weight above the ray's median (supplement B); "share": the first of at least `SHARE` of the
+            largest; "half": where the light that gets through falls below one half.
     """
+    found = RULES[rule](weights, valid)
+    return jnp.where(jnp.any(found, -1), jnp.argmax(found, -1), jnp.argmax(jnp.where(valid, weights, -1.0), -1))
+
+
+def _above_median(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Bool[Array, "rays slots"]:
+    """An entry exceeds the median exactly where at least half of the ray's entries are smaller: counting needs no sort."""
     smaller = jnp.sum((weights[:, None, :] < weights[:, :, None]) & valid[:, None, :], -1)
-    exceeds = valid & (2 * smaller >= jnp.sum(valid, -1, keepdims=True)) & (smaller > 0)
-    first = jnp.argmax(exceeds, -1)
-    return jnp.where(jnp.any(exceeds, -1), first, jnp.argmax(jnp.where(valid, weights, -1.0), -1))
+    return valid & (2 * smaller >= jnp.sum(valid, -1, keepdims=True)) & (smaller > 0)
+
+
+def _of_the_largest(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Bool[Array, "rays slots"]:
+    return valid & (weights >= SHARE * jnp.max(jnp.where(valid, weights, 0.0), -1, keepdims=True))
+
+
+def _past_half(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Bool[Array, "rays slots"]:
+    return valid & (jnp.cumsum(jnp.where(valid, weights, 0.0), -1) >= 0.5)
+
+
+RULES = {"median": _above_median, "share": _of_the_largest, "half": _past_half}
+"""Which slots may be the first surface, of which the first is."""
 
 
 def neighbourhood_radius(
@@ -54,16 +75,24 @@ def neighbourhood_radius(
 
 
 def find_surfaces(
-    weights: Float[Array, "rays slots"], samples: RaySamples, pixel_radius: Float[Array, " rays"], count: int
+    weights: Float[Array, "rays slots"],
+    samples: RaySamples,
+    pixel_radius: Float[Array, " rays"],
+    count: int,
+    rule: str = "median",
 ) -> Surface:
-    """First surfaces of up to `count` rays that are opaque enough. Other rays are skipped, not multiplied by zero."""
+    """First surfaces of up to `count` rays that are opaque enough. Other rays are skipped, not multiplied by zero.
+
+    Args:
+        rule: see `first_surface`.
+    """
     weights = jax.lax.stop_gradient(weights)
     opaque = jnp.sum(weights, -1) > CONFIDENT
     (ray,) = jnp.nonzero(opaque, size=count, fill_value=0)
     real = jnp.arange(count) < jnp.sum(opaque)
     t, length = samples.padded(samples.t)[ray], samples.padded(samples.length)[ray]
     rows = weights[ray]
-    slot = first_surface(rows, length > 0)[:, None]
+    slot = first_surface(rows, length > 0, rule)[:, None]
     pick = lambda table: jnp.take_along_axis(table, slot, -1)[:, 0]  # noqa: E731
     t_mid, t_half = pick(t), pick(length) / 2
     return Surface(

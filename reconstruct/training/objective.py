@@ -39,6 +39,8 @@ class Objective:
     place: Place
     surface_rays: int
     """Rays whose first surface is looked for, at most."""
+    first_rule: str = "median"
+    """How it is found, see `first_surface`."""
     precision: str = "float32"
     pose_sigma: tuple[float, ...] = (1.0,) * 6
     """Standard deviations of a pose's correction [scene unit, rad]."""
@@ -50,7 +52,8 @@ class Objective:
         normalisation = facts.normalisation
         weights = config.losses.in_scene(bounded=normalisation.bounded)
         sigma = config.poses.sigma(normalisation.scale)
-        return cls(weights, place, config.surface.rays, config.train.precision, sigma, config.poses.prior)
+        first, precision = config.surface.first, config.train.precision
+        return cls(weights, place, config.surface.rays, first, precision, sigma, config.poses.prior)
 
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
@@ -71,7 +74,8 @@ class Objective:
             rendered, batch.colour, background, batch.used, self.weights.charbonnier, model.per_image is not None
         )
         terms |= self.ray_terms(model, rendered, density, found, progress)
-        surface = jax.lax.stop_gradient(find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays))
+        surface = find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, self.first_rule)
+        surface = jax.lax.stop_gradient(surface)
         terms |= surface_point_terms(model.field, rays, surface, self.weights, self.place)
         return total(terms), (terms, jax.lax.stop_gradient(density), surface)
 

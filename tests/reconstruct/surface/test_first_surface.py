@@ -37,6 +37,20 @@ def test_stray_samples_behind_do_not_move_the_surface() -> None:
     np.testing.assert_array_equal(FIRST(stray, everything), [3])  # median 0.015: one interval on, and not at the stray sample
 
 
+def test_rules_differ_where_fog_lies_before_a_surface() -> None:
+    """Fog at the start of a ray, more of it than of empty space: it lies above the median weight, and no other rule takes it."""
+    fog = jnp.array([[0.02, 0.0, 0.0, 0.0, 0.0, 0.30, 0.55, 0.05]])
+    everything = jnp.ones((1, 8), bool)
+    assert [int(first_surface(fog, everything, rule)[0]) for rule in ("median", "share", "half")] == [0, 5, 6]
+
+
+@pytest.mark.parametrize("rule", ["median", "share", "half"])
+def test_every_rule_takes_the_largest_of_a_ray_without_a_surface_and_no_empty_slot(rule: str) -> None:
+    weights = jnp.array([[0.1, 0.1, 0.1, 0.0], [0.0, 0.9, 0.0, 0.0]])
+    valid = jnp.array([[True, True, True, False], [False, True, True, False]])
+    np.testing.assert_array_equal(first_surface(weights, valid, rule), [0, 1])
+
+
 def test_radius_is_that_of_the_frustum_and_has_the_thin_limit() -> None:
     """The variance across a conical frustum, integrated numerically: area-weighted t^2 r^2 / 4 (a uniform disc has r^2 / 4)."""
     pixel, middle = 0.02, 3.0
