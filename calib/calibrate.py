@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms, flips, joints, mistakes, outliers, uncertainty, verify
+from calib.handeye import closed_forms, flips, joints, mistakes, order, outliers, uncertainty, verify
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
@@ -129,6 +129,7 @@ def _check_poses(session: TargetSession) -> None:
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, Mask]:
     """A start and the views that agree with it. Raises CalibrationError for weak motion and for mistakes in the arm's poses."""
+    order.explain(session.stand_from_mount, boards, [observation.name for observation in session.observations])
     try:
         uncertainty.check_motion(session.base_from_flange)
         closed, keep = closed_forms.solve_robustly(session.stand_from_mount, boards)

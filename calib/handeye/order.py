@@ -1,0 +1,85 @@
+"""Poses and pictures that are listed in different orders, recognised without knowing where the camera is on the arm.
+
+Between two views arm and camera turn by the same angle, whatever the pose of the camera on the arm: A X = X B makes A and B
+similar. So two lists in the right order agree in the angle between each two of their views.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Array
+from calib.errors import CalibrationError
+
+ALIKE = np.deg2rad(1.0)
+"""Angles within this agree: twice what hobby arms and small boards scatter by; of random pairs of views 3 to 5 % do."""
+SUSPECT = 0.5
+"""A view that agrees with a smaller share of the others may be in the wrong place."""
+EXPLAINS = 0.9
+"""Share of pairs of views that must agree once a mistake is undone."""
+SHIFTS = (1, -1, 2, -2)
+FEWEST = 6
+"""Views below which nothing is suspected: too few pairs of them."""
+Order = NDArray[np.intp]
+
+
+def explain(stand_from_mount: Array, camera_from_board: Array, names: Sequence[str]) -> None:
+    """Raise a CalibrationError that names the view from which on lists are out of step, if that is why views disagree."""
+    found = recognise(stand_from_mount, camera_from_board, names)
+    if found:
+        raise CalibrationError("pictures and arm poses do not fit together", why=found, remedy="correct the list and run again")
+
+
+def recognise(stand_from_mount: Array, camera_from_board: Array, names: Sequence[str]) -> str:
+    """The mistake in the order of views that explains why some disagree, in words; empty where none does."""
+    arm, camera = (angles_between(poses) for poses in (stand_from_mount, camera_from_board))
+    every = np.arange(len(names))
+    if len(names) < FEWEST or not (suspects := np.flatnonzero(_agreement_of_views(arm, camera) < SUSPECT)).size:
+        return ""
+    best, words = EXPLAINS, ""
+    for pictures, poses, said in _hypotheses(every, suspects, names):
+        share = _agreement_of_views(arm[np.ix_(poses, poses)], camera[np.ix_(pictures, pictures)]).mean()
+        if share > best:
+            best, words = float(share), said
+    return words
+
+
+def angles_between(poses: Array) -> Array:
+    """(views, views) angle of the rotation between each two of (views, 4, 4) poses [rad]."""
+    rotations = poses[:, :3, :3]
+    trace = np.einsum("aij,bij->ab", rotations, rotations)
+    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
+
+
+def _agreement_of_views(arm: Array, camera: Array) -> Array:
+    """(views,) share of the other views to which each turns alike."""
+    alike = np.abs(arm - camera) < ALIKE
+    return (alike.sum(1) - 1) / (len(alike) - 1)
+
+
+def _hypotheses(every: Order, suspects: Order, names: Sequence[str]) -> Iterator[tuple[Order, Order, str]]:
+    """Pictures and the poses that belong to them, by mistake, with the mistake in words; the simplest first."""
+    count = len(every)
+    yield every, every[::-1], "the poses are in reverse order"
+    for shift in SHIFTS:
+        for start in range(count - FEWEST // 2 - abs(shift)):
+            before = every[:start]
+            if shift > 0:  # a pose is missing: each later one belongs to a later picture
+                pictures = np.concatenate([before, every[start + shift :]])
+                poses = np.concatenate([before, every[start : count - shift]])
+            else:
+                pictures = np.concatenate([before, every[start : count + shift]])
+                poses = np.concatenate([before, every[start - shift :]])
+            yield pictures, poses, _shifted(shift, names[start])
+    for first, second in combinations(suspects, 2):
+        poses = every.copy()
+        poses[[first, second]] = second, first
+        yield every, poses, f"views {names[first]} and {names[second]} have each other's pose"
+
+
+def _shifted(shift: int, name: str) -> str:
+    place, lost = ("after", "poses") if shift > 0 else ("before", "pictures")
+    number = "one" if abs(shift) == 1 else "two"
+    return f"from view {name} on, each picture has the pose of the {number} {place} it: {number} of the {lost} may be missing"
