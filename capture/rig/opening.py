@@ -114,13 +114,14 @@ def _controller(
 
 
 def _arm(description: RigDescription, trajectory: Trajectory, controller: "ControllerHandle | None") -> Robot:
-    from capture.robots.timing import Deadlines, Settling
+    from capture.robots.settling import Settling
+    from capture.robots.timing import Deadlines
     from capture.robots.ur import UR5e
     from capture.safety import Limits
 
     motion, robot = trajectory.motion, description.robot
     limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
-    settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
+    settling = Settling(motion.settle_spread, motion.settle_time_s, motion.settle_timeout_s)
     if controller is None:
         return UR5e(robot.host, limits=limits, settling=settling, client=robot.client)
     patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core

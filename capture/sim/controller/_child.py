@@ -52,7 +52,8 @@ async def _run(options: dict[str, Any]) -> None:
     length_m, angle_rad, links = options["length_error_m"], options["angle_error_rad"], UR5E
     if length_m or angle_rad:
         links = UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
-    arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
+    deviations = options["repeatability_m"], options["repeatability_rad"]
+    arm = Arm(seed, np.array(options["home"]), *deviations, links, options["noise_rad"])
     server = ControllerServer(arm, options["time_scale"])
     host, side_port = await _listen(server, options["host"])
     loop = asyncio.get_running_loop()

@@ -31,6 +31,8 @@ def reply(controller: "ControllerServer", line: str) -> str:
     if word in answers:
         return answers[word]
     if word == "stop":
+        if controller.unstoppable or not (running or controller.program_paused):
+            return "Failed to execute: stop"
         controller.stop_program()
         return "Stopped"
     if word == "pause":

@@ -46,7 +46,7 @@ class Outputs:
     @cached_property
     def actual(self) -> tuple[Joints, Joints]:
         """(6,) angles and speeds that the encoders measure."""
-        return self.arm.actual(self.now)
+        return self.arm.measured(self.now)
 
 
 _CHANGING: dict[str, Callable[[Outputs], Any]] = {

@@ -36,7 +36,7 @@ class ControllerServer:
         self.sessions: list[Session] = []
         self.digital_outputs = 0
         self.silent_until, self.hung_until = 0.0, 0.0
-        self.deaf = False
+        self.deaf, self.unstoppable = False, False
         self._input_written_s = 0.0
         self._start = time.monotonic()
         self._poses: dict[bytes, np.ndarray] = {}

@@ -54,10 +54,10 @@ def _truth(server: ControllerServer, exposure_s: float = 0.0, count: int = 0) ->
     }
 
 
-def _motions(server: ControllerServer, settle_speed: float = 0.001) -> dict[str, Any]:
-    """The latest motions: start on the controller's clock, duration, and until when after it joints exceed that speed [s]."""
+def _motions(server: ControllerServer, settle_spread: float = 5e-5) -> dict[str, Any]:
+    """The latest motions: start on the controller's clock, duration, and until when after it joints vary by more [s, rad]."""
     arm = server.arm
-    return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_speed)] for start, profile in arm.motions]}
+    return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_spread)] for start, profile in arm.motions]}
 
 
 def _drop(server: ControllerServer) -> None:
@@ -79,6 +79,11 @@ def _hang(server: ControllerServer, seconds: float) -> None:
 def _ignore_commands(server: ControllerServer, ignore: bool = True) -> None:
     """Stop acknowledging commands, or resume."""
     server.deaf = ignore
+
+
+def _refuse_stop(server: ControllerServer, refuse: bool = True) -> None:
+    """Answer the dashboard's order to stop with a failure, or obey it again."""
+    server.unstoppable = refuse
 
 
 def _joint_limit(server: ControllerServer, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
@@ -106,6 +111,7 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "silent": _silent,
     "hang": _hang,
     "ignore_commands": _ignore_commands,
+    "refuse_stop": _refuse_stop,
     "joint_limit": _joint_limit,
     "reach": _reach,
     "speed_slider": _speed_slider,
