@@ -38,7 +38,9 @@ class Safety(IntEnum):
     """The controller's safety modes."""
 
     NORMAL = 1
+    REDUCED = 2
     PROTECTIVE_STOP = 3
+    SAFEGUARD_STOP = 5
     ROBOT_EMERGENCY_STOP = 7
 
 
@@ -80,7 +82,7 @@ class Arm:
     @property
     def may_move(self) -> bool:
         """Powered, brakes released and not stopped for safety."""
-        return self.mode is RobotMode.RUNNING and self.safety is Safety.NORMAL
+        return self.mode is RobotMode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
 
     def phase(self, now: float) -> float:
         """Time within the motion [s]: slower than the clock where the speed slider is below 100 %."""

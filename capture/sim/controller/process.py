@@ -48,6 +48,7 @@ class SimulatedController(ControllerHandle):
         angle_error_deg: float = 0.0,
         links_seed: int | None = None,
         noise_rad: float = 0.0,
+        hangs: bool = False,
         home: NDArray[np.float64] | tuple[float, ...] = HOME,
         host: str = "",
     ) -> Self:
@@ -60,6 +61,7 @@ class SimulatedController(ControllerHandle):
             length_error_mm, angle_error_deg: standard deviation of the links from the nominal ones; the controller knows them.
             links_seed: of the links; None: `seed`. The same one gives the same arm.
             noise_rad: standard deviation of the angles that the encoders measure.
+            hangs: whether the base's z axis points to the ground.
             home: (6,) joint angles at the start [rad].
             host: loopback address; empty: a free one.
 
@@ -80,6 +82,7 @@ class SimulatedController(ControllerHandle):
             "length_error_m": length_error_mm / 1000,
             "angle_error_rad": float(np.radians(angle_error_deg)),
             "noise_rad": float(noise_rad),
+            "up": [0.0, 0.0, -1.0 if hangs else 1.0],
         }
         process, ready, output = _launch(options)
         if not ready:
@@ -95,7 +98,7 @@ class SimulatedController(ControllerHandle):
         """`start` an arm with the links and the encoders of a real one; out of the way if it hangs."""
         errors = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG, "noise_rad": ENCODER_NOISE_RAD}
         home = HANGING_HOME if hangs else HOME
-        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, home=home, **errors)
+        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, home=home, hangs=hangs, **errors)
 
     def __enter__(self) -> Self:
         return self

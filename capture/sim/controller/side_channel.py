@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from capture.kinematics import JOINT_LIMIT
-from capture.sim.controller.arm import Safety
+from capture.arm_model import load_arm
+from capture.kinematics import JOINT_LIMIT, pose_from_six
+from capture.sim.controller.arm import RobotMode, Safety
+from capture.sim.controller.installation import Installation
 from capture.sim.controller.server import ControllerServer, closing
 
 
@@ -86,6 +88,24 @@ def _refuse_stop(server: ControllerServer, refuse: bool = True) -> None:
     server.unstoppable = refuse
 
 
+def _install(server: ControllerServer, model: str = "", tcp: list[float] | None = None, **settings: Any) -> None:
+    """Set what a person sets at the pendant, by the names of `Installation`; without arguments, as it was at the start.
+
+    `model`: another arm stands there, with nominal links; `tcp`: (6,) position [m] and rotation vector [rad] of the tool.
+    """
+    unknown = settings.keys() - vars(Installation()).keys()
+    if unknown:
+        raise ValueError(f"no setting {', '.join(sorted(unknown))}")
+    server.installed = Installation(**{"up": server.up, **settings})
+    server.arm.links = load_arm(model).links if model else server.links
+    server.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
+
+
+def _safety(server: ControllerServer, mode: str = "NORMAL", power: str = "RUNNING") -> None:
+    """Put the controller into a safety mode and a robot mode, by name."""
+    server.arm.safety, server.arm.mode = Safety[mode], RobotMode[power]
+
+
 def _joint_limit(server: ControllerServer, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
     """Narrow the range of a joint (1 to 6), as safety settings do; leaving it causes a protective stop."""
     server.arm.joint_limits[:, joint - 1] = np.clip(np.radians([lower_deg, upper_deg]), -JOINT_LIMIT, JOINT_LIMIT)
@@ -112,6 +132,8 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "hang": _hang,
     "ignore_commands": _ignore_commands,
     "refuse_stop": _refuse_stop,
+    "install": _install,
+    "safety": _safety,
     "joint_limit": _joint_limit,
     "reach": _reach,
     "speed_slider": _speed_slider,

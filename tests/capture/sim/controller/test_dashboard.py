@@ -7,13 +7,14 @@ import pytest
 
 from capture.sim.controller.arm import Arm, RobotMode, Safety
 from capture.sim.controller.dashboard import reply
+from capture.sim.controller.installation import Installation
 
 
 @pytest.fixture
 def controller():
     found = SimpleNamespace(
         arm=Arm(0, np.zeros(6), 0.0, 0.0),
-        version=(5, 11, 5, 7),
+        installed=Installation(version=(5, 11, 5, 7)),
         unstoppable=False,
         program_running=True,
         program_paused=False,
