@@ -21,9 +21,8 @@ def check(answers: Answers, stated: InstallationDescription) -> list[Line]:
 def _control(answers: Answers) -> list[Line]:
     replies = answers.dashboard
     if replies is None:
-        why = "no dashboard server" if answers.primary is not None else "no answer"
-        remedy = "PolyScope X has none and drives without it; on PolyScope 5 enable it under Security > Services"
-        lines = [unknown("dashboard", f"{answers.host}: {why}", remedy)]
+        remedy = "on PolyScope 5 enable it under Settings > Security > Services; PolyScope X has none, and Koala needs it"
+        lines = [wrong("dashboard", f"no dashboard server at {answers.host}", remedy)]
         lines.append(unknown("remote control", "only the dashboard says it", "see the top right of the pendant"))
         state = answers.sample["runtime_state"] if answers.sample is not None else None
         program = {PLAYING: "PLAYING", RESUMING: "PLAYING", PAUSED: "PAUSED"}.get(state or 0, "STOPPED")

@@ -36,6 +36,11 @@ class Primary:
     """Of the safety configuration, hexadecimal."""
 
     @property
+    def heard(self) -> bool:
+        """Whether anything was said."""
+        return self.version is not None or self.tcp_offset is not None
+
+    @property
     def complete(self) -> bool:
         """Whether nothing is left to wait for."""
         return None not in (self.version, self.checksum) and self.tcp_offset is not None and self.links is not None

@@ -25,6 +25,7 @@ from capture.safety import Limits
 from datasets import pose
 
 log = logging.getLogger(__name__)
+BUSY = ("PLAYING", "PAUSED")  # states of a program that somebody may want to go on
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
 START_REMEDIES = {
     StartFailure.IN_USE: "end the other program that controls the robot",
@@ -48,6 +49,7 @@ class UR5e:
         tolerance: largest difference between measured and target angles at the end of a motion [rad].
         frequency: requested sample rate of the controller [Hz].
         client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed.
+        take_over: end a program that runs on the controller; else entering leaves it alone and raises NotReady.
     """
 
     def __init__(
@@ -60,10 +62,11 @@ class UR5e:
         tolerance: float = 1e-3,
         frequency: float = 500.0,
         client: str = ClientChoice.AUTO,
+        take_over: bool = False,
     ) -> None:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
         self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
-        self.client = ClientChoice(client)
+        self.client, self.take_over = ClientChoice(client), take_over
         self._brake = Brake(host)
         self._link: ChildLink | None = None
         self._tcp_from_flange = np.eye(4)
@@ -77,7 +80,7 @@ class UR5e:
         try:
             dashboard = self._brake.connect()
             dashboard.require_ready()
-            dashboard.ask("stop")  # a program left by a killed client blocks the next one for minutes
+            self._end_programs(dashboard)
             self._link = ChildLink.start(self.client, self.host, self.frequency, self.deadlines.watchdog_hz)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
@@ -176,6 +179,16 @@ class UR5e:
     def description(self) -> dict[str, Any]:
         """Model, address, serial number, software and tool offset of the arm, and the client in use."""
         return dict(self._description)
+
+    def _end_programs(self, dashboard: Dashboard) -> None:
+        """Raise NotReady where a program goes on that nobody asked to end; one of a killed client ends by its watchdog."""
+        deadline = time.monotonic() + 1.0 / self.deadlines.watchdog_hz + 1.0
+        while not self.take_over and (state := dashboard.program_state()).startswith(BUSY):
+            if time.monotonic() > deadline:
+                remedy = "wait for it, stop it at the pendant, or take over: 'capture run --take-over' ends it"
+                raise NotReady("a program runs on the robot and was left alone", where=self.host, why=state, remedy=remedy)
+            time.sleep(0.05)
+        dashboard.ask("stop")  # a client that was killed has left threads that block the next one for minutes
 
     def _connected(self) -> ChildLink:
         if self._link is None:
