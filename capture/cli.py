@@ -72,7 +72,10 @@ def run(
             if view:
                 stack.enter_context(viewing.watched(out, session, mount, planned, port))
             shown = stack.enter_context(console.progress("capture", len(planned), "views"))
-            options = {"examine": examination(out, session.upwards, take_over), "take_over": take_over}
+            options = {
+                "examine": examination(out, session.upwards, session.camera.pixel_format == "rgb8", take_over),
+                "take_over": take_over,
+            }
             with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale, **options) as opened:
 
                 def advance(name: str) -> None:

@@ -22,7 +22,7 @@ OUTPUTS = (
     "timestamp actual_q actual_TCP_pose actual_tool_accelerometer payload payload_cog safety_mode robot_mode runtime_state "
     "target_speed_fraction"
 ).split()
-RATE_HZ, SAMPLE_S = 125.0, 2.0  # of the samples, and until the first one has come
+RATE_HZ, SAMPLE_S = 125.0, 4.0  # of the samples, and until the first one has come
 
 
 @dataclass(frozen=True)

@@ -12,20 +12,23 @@ from datasets.core import console
 def doctor(
     rig: RigName = "sim",
     out: Annotated[Path, Option(metavar="FOLDER", help="Where recordings will be: the disk whose free space is shown.")] = Path(),
+    seconds: Annotated[float, Option(min=0.1, max=600, help="How long the network is watched.")] = 5.0,
     as_json: console.Json = False,
 ) -> None:
-    """Ask arm and computer whether a recording can begin: a table of ok, wrong and unknown, with remedies. Nothing moves.
+    """Ask arm, camera and computer whether a recording can begin: a table of ok, wrong and unknown, with remedies.
+
+    Nothing moves and nothing at the pendant is changed; the camera is brought to its factory settings, as before a recording.
 
     The exit status is 1 where a line is wrong.
     """
-    from capture.doctor.examine import Place, examine
+    from capture.doctor.examine import examine
     from capture.doctor.lines import Verdict, table
     from capture.rig.opening import controller_of, describe
 
     description = describe(rig)
     with controller_of(rig, description) as controller:
         host = description.robot.host if controller is None else controller.host
-        lines = examine(description, host, Place(out), simulated=controller is not None)
+        lines = examine(description, host, out, simulated=controller is not None, seconds=seconds)
     found = [
         {"name": line.name, "verdict": line.verdict, "found": line.found, "remedy": line.remedy, "blocks": line.blocks}
         for line in lines

@@ -1,76 +1,102 @@
-"""All checks of a rig together: one examination, and what it means for a session that is about to begin."""
+"""All checks of a rig together: what a person asks for, and what a session asks before it begins."""
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
-from capture.doctor import arm, computer, pendant, safety
+from capture.cameras.nodes import Nodes
+from capture.doctor import arm, camera, computer, pendant, safety
 from capture.doctor.answers import Answers, ask
 from capture.doctor.lines import Line, Verdict, ok, unknown, wrong
-from capture.errors import NotReady
+from capture.errors import NotReady, RigConnectionError
 from capture.rig.description import RigDescription
 from capture.robots.timing import Deadlines
 
 log = logging.getLogger(__name__)
-LISTEN_S, BRIEFLY_S = 5.0, 0.3
-"""How long the samples are watched: for a person who asks, and before a session."""
+BRIEFLY_S = 0.3  # how long samples are watched before a session
+SESSION_BYTES = 1e9  # a session of the whole sensor takes 0.3 GB
+SIMULATED_PATIENCE = 10  # the computer of a simulation is busy with rendering: gaps of its samples may be so much longer
 PROGRAM = "program"  # name of the line that `take_over` answers
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a recording will be, and what it needs there."""
-
-    folder: Path = Path()
-    needed: float = 1e9  # bytes; a session of the whole sensor takes 0.3 GB
-
-
-def examine(
-    rig: RigDescription, host: str, place: Place, *, simulated: bool, up: int | None = None, seconds: float = LISTEN_S
+def examine_arm(
+    host: str,
+    rig: RigDescription,
+    *,
+    folder: Path,
+    seconds: float,
+    needed: float = SESSION_BYTES,
+    longest_gap_s: float = Deadlines().stale_s,
+    rate: float | None = 1.0,
+    up: int | None = None,
+    now: Callable[[], datetime] = lambda: datetime.now(UTC),
 ) -> list[Line]:
-    """Ask the controller at `host` and this computer; nothing moves.
+    """Ask the controller at `host`, and this computer; nothing moves.
 
     Args:
-        simulated: its clock may run at any rate, and its computer is busy with rendering.
-        up: sign of the base's z axis in the upward direction that the session needs; None: the rig file's.
         seconds: how long samples are watched.
+        up: sign of the base's z axis in the upward direction that the session needs; None: the rig file's.
+        folder, needed, longest_gap_s, rate: see `capture.doctor.computer.check`.
     """
     answers = ask(host, seconds)
     if answers.dashboard is None and answers.primary is None and answers.sample is None:
         remedy = "check that it is switched on, the cable, and robot.host in the rig file"
         return [wrong("controller", f"{host}: {answers.silent[0]}", remedy)]
     stated = rig.robot.installation
-    gap_s = Deadlines().stale_s * (10 if simulated else 1)
     return [
         *_ports(answers),
         *arm.check(answers, rig.robot, up),
         *pendant.check(answers, stated),
         *safety.check(answers, stated),
-        *computer.check(
-            answers,
-            place.folder,
-            needed=place.needed,
-            now=datetime.now(UTC),
-            longest_gap_s=gap_s,
-            rate=None if simulated else 1.0,
-        ),
+        *computer.check(answers, folder, needed=needed, now=now(), longest_gap_s=longest_gap_s, rate=rate),
     ]
 
 
-def examination(out: Path, up: int, take_over: bool) -> Callable[[RigDescription, str, bool], None]:
+def examine_camera(nodes: Nodes, serial: str, rig: RigDescription, *, encoded: bool = True) -> list[Line]:
+    """Bring a camera to its known state and ask what it is; `encoded`: it must send sRGB."""
+    return camera.check(nodes, serial, rig.camera, encoded=encoded)
+
+
+def examine(
+    rig: RigDescription,
+    host: str,
+    folder: Path,
+    *,
+    simulated: bool,
+    seconds: float,
+    needed: float = SESSION_BYTES,
+    up: int | None = None,
+    encoded: bool = True,
+) -> list[Line]:
+    """Arm, computer and camera. A simulated camera is an ace USB over pylon's emulation; arguments as in the two above."""
+    from capture.cameras.basler import opened
+    from capture.sim.camera_nodes import SimulatedNodes
+
+    gap_s = Deadlines().stale_s * (SIMULATED_PATIENCE if simulated else 1)
+    rate = None if simulated else 1.0
+    lines = examine_arm(host, rig, folder=folder, seconds=seconds, needed=needed, longest_gap_s=gap_s, rate=rate, up=up)
+    with ExitStack() as stack:
+        try:
+            nodes, serial = stack.enter_context(opened("" if simulated else rig.camera.serial, emulated=simulated))
+        except RigConnectionError as error:
+            return [*lines, *camera.missing(f"{error.what} ({error.why})" if error.why else error.what)]
+        return [*lines, *examine_camera(SimulatedNodes(nodes, "ace USB") if simulated else nodes, serial, rig, encoded=encoded)]
+
+
+def examination(out: Path, up: int, encoded: bool, take_over: bool) -> Callable[[RigDescription, str, bool], None]:
     """The checks at the start of a session that writes to `out`, for `open_rig`: silent where nothing is wrong."""
 
     def checked(rig: RigDescription, host: str, simulated: bool) -> None:
-        place = Place(out, 0.0)  # the recorder knows how much each view takes, and refuses a disk without room
-        lines = examine(rig, host, place, simulated=simulated, up=up, seconds=BRIEFLY_S)
-        require_fit(lines, host, take_over=take_over)
+        # the recorder knows how much each view takes, and refuses a disk without room
+        lines = examine(rig, host, out, simulated=simulated, seconds=BRIEFLY_S, needed=0.0, up=up, encoded=encoded)
+        refuse_wrong(lines, host, take_over=take_over)
 
     return checked
 
 
-def require_fit(lines: list[Line], where: str, *, take_over: bool) -> None:
+def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> None:
     """Warn of what makes a recording worse; raise NotReady where something must be mended first.
 
     Args:

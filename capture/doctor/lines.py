@@ -48,7 +48,7 @@ def judged(name: str, good: bool, found: str, remedy: str, *, blocks: bool = Tru
 def compared(name: str, found: str, stated: str, key: str) -> Line:
     """A value that the rig file may state: wrong where it states another one, unknown where it states none."""
     if not stated:
-        return unknown(name, found, f"write {key}: {found} into the rig file, to have it compared")
+        return unknown(name, found, f"write {key}: '{found}' into the rig file, to have it compared")
     return judged(name, found == stated, found, f"the rig file states {stated} in {key}: find out which is right")
 
 

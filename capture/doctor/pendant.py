@@ -46,7 +46,7 @@ def _payload(sample: dict[str, Any] | None, stated: InstallationDescription) -> 
     found = f"{mass:.2f} kg", f"({', '.join(f'{1e3 * one:.0f}' for one in centre)}) mm"
     if mass == 0:
         remedy = "weigh camera, lens and bracket and enter them at the pendant: Installation > General > Payload"
-        return [wrong(names[0], found[0], remedy), unknown(names[1], "of no payload", "enter the payload first")]
+        return [wrong(names[0], "none entered", remedy), unknown(names[1], "of no payload", "enter the payload first")]
     remedy = "enter at the pendant what the rig file states, or correct the rig file"
     if stated.payload_kg is None:
         first = unknown(names[0], found[0], "write robot.installation.payload_kg into the rig file, to have it compared")

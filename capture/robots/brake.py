@@ -6,10 +6,11 @@ from enum import Enum
 
 import numpy as np
 
-from capture.errors import RigConnectionError
+from capture.errors import NotReady, RigConnectionError
 from capture.robots.dashboard import Dashboard
 from capture.robots.link import Sample
 
+BUSY = ("PLAYING", "PAUSED")  # states of a program that somebody may want to go on
 STILL_RAD_S = 0.01
 """Below this speed of its fastest joint an arm counts as at rest [rad/s]: ten times the noise of measured speeds."""
 
@@ -30,12 +31,28 @@ class Brake:
         self.host = host
         self.dashboard: Dashboard | None = None
         self.reply = ""  # of the dashboard, where it refused
+        self._ours = False  # whether a program that runs may be ended on leaving
         self._lock = threading.Lock()
 
     def connect(self) -> Dashboard:
         """Open the connection. Raises RigConnectionError: no UR controller answers there."""
         self.dashboard = Dashboard.connect(self.host)
         return self.dashboard
+
+    def take(self, patience_s: float, *, by_force: bool) -> None:
+        """End what a killed client has left; it would block the next client for minutes.
+
+        Raises NotReady: a program still runs or is paused after `patience_s`, in which the watchdog ends a killed client's. It
+        is left alone, also on `release`, unless `by_force`.
+        """
+        dashboard, deadline = self.dashboard or self.connect(), time.monotonic() + patience_s
+        while not by_force and (state := dashboard.ask("programState")).startswith(BUSY):
+            if time.monotonic() > deadline:
+                remedy = "wait for it, stop it at the pendant, or take over: 'capture run --take-over' ends it"
+                raise NotReady("a program runs on the robot and was left alone", where=self.host, why=state, remedy=remedy)
+            time.sleep(0.05)
+        self._ours = True
+        dashboard.ask("stop")
 
     def stop(self) -> Answer:
         """Order the controller to end its program; tries again over a new connection. Only the reply "Stopped" is a stop."""
@@ -59,11 +76,12 @@ class Brake:
             return "", ""
 
     def release(self) -> None:
-        """End the program and close the connection; may be called twice."""
-        dashboard, self.dashboard = self.dashboard, None
+        """End the program, if it is ours, and close the connection; may be called twice."""
+        (dashboard, self.dashboard), (ours, self._ours) = (self.dashboard, None), (self._ours, False)
         if dashboard is not None:
             try:
-                dashboard.ask("stop")
+                if ours:
+                    dashboard.ask("stop")
             except RigConnectionError:
                 return  # unreachable: the watchdog ends the program
             finally:

@@ -62,10 +62,6 @@ class Dashboard:
         """Whether a program runs and is not paused."""
         return self.ask("running").partition(":")[2].strip().lower() == "true"
 
-    def program_state(self) -> str:
-        """ "STOPPED name.urp", "PLAYING ...", "PAUSED ..."."""
-        return self.ask("programState")
-
     def require_ready(self) -> None:
         """Raise NotReady unless the arm could move now."""
         safety, mode = self.safety_status(), self.robot_mode()

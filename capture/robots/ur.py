@@ -12,7 +12,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from capture.arm_model import identify
+from capture.errors import CaptureError, MotionError, ProtectiveStop, RigConnectionError, StopLatched
 from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
 from capture.robots.brake import STILL_RAD_S, Answer, Brake
@@ -25,7 +26,6 @@ from capture.safety import Limits
 from datasets import pose
 
 log = logging.getLogger(__name__)
-BUSY = ("PLAYING", "PAUSED")  # states of a program that somebody may want to go on
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
 START_REMEDIES = {
     StartFailure.IN_USE: "end the other program that controls the robot",
@@ -80,13 +80,13 @@ class UR5e:
         try:
             dashboard = self._brake.connect()
             dashboard.require_ready()
-            self._end_programs(dashboard)
+            self._brake.take(1.0 / self.deadlines.watchdog_hz + 1.0, by_force=self.take_over)
             self._link = ChildLink.start(self.client, self.host, self.frequency, self.deadlines.watchdog_hz)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
                 raise self._no_connection(self._link, ready)
             self._describe(dashboard, ready["client"], ready["tcp_offset"])
-            self.state()
+            self._description["model"] = _model(self.state())
         except BaseException:
             self.close()
             raise
@@ -180,16 +180,6 @@ class UR5e:
         """Model, address, serial number, software and tool offset of the arm, and the client in use."""
         return dict(self._description)
 
-    def _end_programs(self, dashboard: Dashboard) -> None:
-        """Raise NotReady where a program goes on that nobody asked to end; one of a killed client ends by its watchdog."""
-        deadline = time.monotonic() + 1.0 / self.deadlines.watchdog_hz + 1.0
-        while not self.take_over and (state := dashboard.program_state()).startswith(BUSY):
-            if time.monotonic() > deadline:
-                remedy = "wait for it, stop it at the pendant, or take over: 'capture run --take-over' ends it"
-                raise NotReady("a program runs on the robot and was left alone", where=self.host, why=state, remedy=remedy)
-            time.sleep(0.05)
-        dashboard.ask("stop")  # a client that was killed has left threads that block the next one for minutes
-
     def _connected(self) -> ChildLink:
         if self._link is None:
             raise RigConnectionError("the robot is not connected", where=self.host, remedy="enter the context again")
@@ -200,7 +190,6 @@ class UR5e:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
         self._tcp_from_flange = pose.inverse(pose_from_six(tcp_offset))
         self._description = {
-            "model": "UR5e",
             "host": self.host,
             "serial": dashboard.ask("get serial number"),
             "software": dashboard.version(),
@@ -337,6 +326,12 @@ class UR5e:
             why = f"{silence}. {link.kill()}".strip()
         remedy = START_REMEDIES[StartFailure(answer["failure"]) if answer else StartFailure.OTHER]
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
+
+
+def _model(state: RobotState) -> str:
+    """Which arm it is, by where it says its flange is at its joint angles; "unknown" where it is none that we know."""
+    found = identify(state.joints, state.base_from_flange)
+    return found.model.name if found.certain else "unknown"
 
 
 def _unsafe(sample: Sample) -> bool:

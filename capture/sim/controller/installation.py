@@ -18,5 +18,6 @@ class Installation:
     checksum: str = "5afe0011"  # of the safety configuration, hexadecimal
     program: str = ""  # "PLAYING" or "PAUSED": a program that somebody else has started
     dashboard: bool = True  # PolyScope X has no dashboard server
+    calibrated: bool = True  # its calibration is installed; else it says that its links are the nominal ones
     primary: bool = True  # the primary interface may be blocked in the security settings
     latency_s: float = 0.0  # a sample arrives late by up to this much
