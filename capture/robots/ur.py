@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture.arm_model import identify
-from capture.errors import CaptureError, MotionError, ProtectiveStop, RigConnectionError, StopLatched
+from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
 from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
 from capture.robots.brake import STILL_RAD_S, Answer, Brake

@@ -256,8 +256,17 @@ def test_an_unreachable_controller_is_one_clear_line():
 
 
 @pytest.mark.both_clients
-def test_a_second_owner_is_refused(connect, simulated):
+def test_a_second_owner_is_refused_and_the_first_goes_on(connect, simulated):
     with connect(simulated) as first:
-        with pytest.raises(CaptureError, match=r"does not take the control program .*end the other program"), connect(simulated):
+        with pytest.raises(NotReady, match=r"a program runs on the robot and was left alone"), connect(simulated):
+            pytest.fail("entered a robot that another program controls")
+        first.move_to(first.state().joints + 0.01, speed=0.5, acceleration=1.0)
+
+
+@pytest.mark.both_clients
+def test_taking_over_from_a_client_that_holds_its_registers_is_refused(connect, simulated):
+    with connect(simulated) as first:
+        words = r"does not take the control program .*end the other program"
+        with pytest.raises(CaptureError, match=words), connect(simulated, take_over=True):
             pytest.fail("entered a robot that another program controls")
         del first
