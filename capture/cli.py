@@ -7,6 +7,7 @@ from typing import Annotated
 from typer import Option
 
 from capture import viewing
+from capture.doctor.commands import doctor
 from capture.options import RigName, Settings, TimeScale, TrajectoryName
 from capture.recording import commands as recording_commands
 from capture.rig import commands as rig_commands
@@ -39,6 +40,9 @@ def run(
     seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
     time_scale: TimeScale = 20.0,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
+    take_over: Annotated[
+        bool, Option("--take-over", help="End a program that runs on the robot; else it is left alone.")
+    ] = False,
     view: Annotated[bool, Option("--view", help="Show the session in the browser, with a stop button.")] = False,
     port: console.Port = 8080,
     settings: Settings = None,
@@ -47,6 +51,7 @@ def run(
     """Record every view of a trajectory. Ctrl-C stops the arm and keeps the frames; --resume continues."""
     import time
 
+    from capture.doctor.examine import examination
     from capture.planning import plan
     from capture.recording.recorder import record
     from capture.rig.opening import describe, open_rig, scene_for
@@ -67,7 +72,11 @@ def run(
             if view:
                 stack.enter_context(viewing.watched(out, session, mount, planned, port))
             shown = stack.enter_context(console.progress("capture", len(planned), "views"))
-            with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale) as opened:
+            options = {
+                "examine": examination(out, session.upwards, session.camera.pixel_format == "rgb8", take_over),
+                "take_over": take_over,
+            }
+            with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale, **options) as opened:
 
                 def advance(name: str) -> None:
                     shown.advance()
@@ -123,6 +132,7 @@ app.command()(recording_commands.check)
 app.command()(viewing.report)
 app.command()(recording_commands.replay)
 app.command()(rig_commands.sim)
+app.command()(doctor)
 app.command()(recording_commands.bench)
 
 

@@ -23,6 +23,10 @@ class MotionError(CaptureError):
     """A motion did not end at the expected place or time. The arm has been stopped."""
 
 
+class StopLatched(MotionError):
+    """Somebody stopped the arm. Nothing moves until that is cleared on purpose."""
+
+
 class UnreachableError(CaptureError):
     """The arm cannot take some viewpoints. Names each with its reason."""
 

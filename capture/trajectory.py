@@ -55,7 +55,9 @@ class Motion(Schema):
     order: Literal["given", "shortest"] = Field(default="given", description="take the views as listed, or in a shorter order")
     speed: float = Field(default=0.8, gt=0, le=np.pi, description="speed of the fastest joint [rad/s]")
     acceleration: float = Field(default=1.2, gt=0, le=10, description="acceleration of the fastest joint [rad/s^2]")
-    settle_speed: float = Field(default=0.001, gt=0, description="a joint slower than this counts as still [rad/s]")
+    settle_spread: float = Field(
+        default=5e-5, gt=0, le=0.1, description="the arm is still when no joint angle varies by more during settle_time_s [rad]"
+    )
     settle_time_s: float = Field(default=0.3, ge=0, le=60, description="how long the arm must be still before the exposure [s]")
     settle_difference: float | None = Field(
         default=None,
@@ -150,7 +152,10 @@ class Trajectory(Schema):
 
 def recorded_trajectory(recording: Recording) -> Trajectory:
     """The trajectory that a recording was made along; raises an error with the key where its manifest is wrong."""
-    return validate(recording.trajectory, Trajectory, where=f"{recording.path / MANIFEST}, trajectory")
+    content = dict(recording.trajectory)
+    if isinstance(content.get("motion"), dict):  # recordings made before settling was judged by positions have a speed there
+        content["motion"] = {key: value for key, value in content["motion"].items() if key != "settle_speed"}
+    return validate(content, Trajectory, where=f"{recording.path / MANIFEST}, trajectory")
 
 
 def load_trajectory(path: Path | str, *, overrides: list[str] | None = None) -> Trajectory:

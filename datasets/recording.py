@@ -60,6 +60,12 @@ class Frame:
     """Time from the end of the motion to the exposure [s]."""
     sha256: str
     """Of the image file."""
+    base_from_flange_after: NDArray[np.float64] | None = None
+    """(4, 4) as the controller reported it after the exposure [m]; None where only the pose before it was kept."""
+    joints_after: NDArray[np.float64] | None = None
+    """(6,) measured joint angles after the exposure [rad]."""
+    robot_time_after_s: float | None = None
+    """The controller's time stamp of that [s]."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary of the fields, arrays as lists."""
@@ -71,7 +77,14 @@ class Frame:
         try:
             arrays = {"joints": np.asarray(content["joints"], np.float64)}
             arrays["base_from_flange"] = pose.checked(content["base_from_flange"], where=where)
+            if content.get("base_from_flange_after") is not None:
+                arrays["joints_after"] = np.asarray(content["joints_after"], np.float64)
+                arrays["base_from_flange_after"] = pose.checked(content["base_from_flange_after"], where=where)
+                if not abs(content["robot_time_after_s"]) < LARGEST:
+                    raise ValueError(f"robot_time_after_s is {content['robot_time_after_s']!r:.80}")
             for one in fields(cls):
+                if one.default is None:
+                    continue
                 kind, given = cast(Any, one.type), content[one.name]
                 if kind in (str, int, float) and (kind(given) != given or (kind is not str and not abs(given) < LARGEST)):
                     raise ValueError(f"{one.name} is {given!r:.80}")
@@ -79,8 +92,9 @@ class Frame:
         except (TypeError, KeyError, ValueError, OverflowError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
         checked_name(frame.name, where=where)
-        if frame.joints.shape != (6,) or not np.isfinite(frame.joints).all():
-            raise DatasetError("joint angles are not six finite numbers", where=where)
+        for joints in (frame.joints, frame.joints if frame.joints_after is None else frame.joints_after):
+            if joints.shape != (6,) or not np.isfinite(joints).all():
+                raise DatasetError("joint angles are not six finite numbers", where=where)
         return frame
 
 

@@ -24,6 +24,10 @@ def loader(folder: str) -> Callable[[Path], Any]:
         from capture.rig.description import load_rig
 
         return load_rig
+    if folder == "arms":
+        from capture.arm_model import load_arm
+
+        return load_arm
     if folder == "imports":
         from calib.sessions.importer import load_description
 

@@ -5,10 +5,13 @@ With `emulated=True` the same code drives the emulated camera of pylon, which sh
 
 import os
 import time
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 from capture.cameras.genicam_lock import release_abandoned
 from capture.cameras.pixels import choose_format, colours
+from capture.cameras.start_state import load_default, set_colour_space, set_plain
 from capture.errors import CaptureError, RigConnectionError
 from capture.measurements import Image
 from capture.trajectory import CameraSettings
@@ -21,8 +24,6 @@ BUFFERS = 2
 """Image buffers: only one exposure is in flight. With the default of ten, the first use of each would cost milliseconds."""
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 """Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
-SRGB = (("BslColorSpace", "sRgb"), ("BslColorSpaceMode", "sRGB"), ("GammaSelector", "sRGB"))
-"""Settings, by model, that make a camera encode its colours as sRGB."""
 
 EMULATED_SENSOR = {"Width": 1920, "Height": 1080}  # sensor of the simulated rig [px]: that of an acA1920-25uc
 CHANGE = "change the camera settings of the trajectory"
@@ -144,15 +145,15 @@ class Basler:
         return devices[0]
 
     def _configure(self) -> None:
-        camera, wanted = self._camera, self.settings
+        camera, wanted, nodes = self._camera, self.settings, PylonNodes(self._camera)
+        load_default(nodes)
+        set_plain(nodes)
         for automatic in AUTOMATICS:
             if _has(camera, automatic):
                 self._set(automatic, "Off")
         self._set("PixelFormat", choose_format(wanted.pixel_format, camera.PixelFormat.Symbolics, where=self._name()))
-        for name, value in SRGB if wanted.pixel_format == "rgb8" else ():  # raw formats are linear and encoded by `colours`
-            if _has(camera, name) and value in getattr(camera, name).Symbolics:
-                self._set(name, value)
-                break
+        if not self.emulated:  # the emulation sends the picture file's values as they are; `colours` encodes raw formats
+            set_colour_space(nodes, encoded=wanted.pixel_format == "rgb8")
         if wanted.binning > 1 or _has(camera, "BinningHorizontal"):
             self._set("BinningHorizontal", wanted.binning)
             self._set("BinningVertical", wanted.binning)
@@ -221,6 +222,62 @@ class Basler:
         camera, self._camera = self._camera, None
         if camera is not None:
             camera.Close()  # also stops grabbing; may be called when not open
+
+
+class PylonNodes:
+    """`capture.cameras.nodes.Nodes` of an opened camera."""
+
+    def __init__(self, camera: Any) -> None:
+        self._camera = camera
+
+    def has(self, name: str) -> bool:
+        """Commands count as readable."""
+        return _has(self._camera, name)
+
+    def read(self, name: str) -> Any:
+        """Its value."""
+        return getattr(self._camera, name).Value
+
+    def symbolics(self, name: str) -> Collection[str]:
+        """Names of an enumeration's values."""
+        return tuple(getattr(getattr(self._camera, name), "Symbolics", ()))
+
+    def write(self, name: str, value: Any) -> None:
+        """A command takes None."""
+        from pypylon import genicam
+
+        try:
+            if value is None:
+                getattr(self._camera, name).Execute()
+            else:
+                getattr(self._camera, name).Value = value
+        except (genicam.GenericException, TypeError) as error:
+            raise CaptureError(f"camera rejected {name}", why=f"requested {value}: {_first_line(error)}", remedy=CHANGE) from None
+
+
+@contextmanager
+def opened(serial: str, *, emulated: bool = False) -> Iterator[tuple[PylonNodes, str]]:
+    """Open a camera only to look at it: its settings and its serial number.
+
+    Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
+    """
+    if emulated:
+        os.environ["PYLON_CAMEMU"] = "1"
+    release_abandoned()
+    from pypylon import pylon
+
+    driver = Basler(CameraSettings(), serial=serial, emulated=emulated)
+    driver._pylon = pylon
+    camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(driver._find()))
+    try:
+        camera.Open()
+    except pylon.GenericException as error:
+        remedy = "close other programs that use it, or plug it in again"
+        raise RigConnectionError("camera cannot be opened", where=driver._name(), why=_first_line(error), remedy=remedy) from None
+    try:
+        yield PylonNodes(camera), str(camera.GetDeviceInfo().GetSerialNumber())
+    finally:
+        camera.Close()
 
 
 def _has(camera: Any, name: str) -> bool:

@@ -19,7 +19,8 @@ from capture.recording.focus import sharpness
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
-from capture.robots.timing import Deadlines, Settling
+from capture.robots.settling import Settling
+from capture.robots.timing import Deadlines
 from capture.robots.ur import UR5e
 from capture.sim.camera import SimulatedCamera
 from capture.sim.controller.process import SimulatedController
@@ -61,13 +62,13 @@ def loop_overhead(count: int = 12, *, advance: Advance = lambda name: None) -> N
     description = RigDescription()
     planned = plan(trajectory, description.flange_from_camera.matrix())[:count]
     motion = trajectory.motion
-    settling = Settling(motion.settle_speed, motion.settle_time_s, 20.0)
+    settling = Settling(motion.settle_spread, motion.settle_time_s, 20.0)
     with TemporaryDirectory(prefix="koala-bench-") as folder, SimulatedController.start(time_scale=1.0) as controller:
         with Basler(trajectory.camera, emulated=True) as camera:
             with UR5e(controller.host, deadlines=PATIENT, settling=settling) as robot:
                 rig = Rig(robot, camera, description, "bench")
                 frames = record(trajectory, rig, Path(folder) / "recording", planned=planned, advance=advance).frames
-                motions = controller.ask("motions", settle_speed=motion.settle_speed)["motions"]
+                motions = controller.ask("motions", settle_spread=motion.settle_spread)["motions"]
     return _overheads(frames, np.array(motions), motion.settle_time_s)
 
 
@@ -102,7 +103,7 @@ def settle_curve(
 
             def look(start: NDArray[np.float64], delay_s: float) -> tuple[float, float, NDArray[np.float64]]:
                 for joints, wait_s in ((start, 0.0), (target, delay_s)):
-                    robot.settling = Settling(10.0, wait_s)  # any speed counts as still: only the wait matters
+                    robot.settling = Settling(np.inf, wait_s)  # any spread counts as still: only the wait matters
                     robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
                 truth = controller.ask("truth")
                 image = camera.grab()

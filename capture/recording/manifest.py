@@ -4,7 +4,7 @@ from datetime import datetime
 from importlib.metadata import version
 from typing import Any
 
-from capture.rig.description import RigDescription, recorded_rig
+from capture.rig.description import InstallationDescription, RigDescription, recorded_rig
 from capture.rig.opening import Rig
 from capture.trajectory import Trajectory, recorded_trajectory
 from datasets.core.errors import UsageError
@@ -66,9 +66,7 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
 
 
 def _anywhere(rig: RigDescription) -> RigDescription:
-    """The rig without address and client of its controller and without its lens, which is compared as a device."""
-    robot, camera = (
-        rig.robot.model_copy(update={"host": "anywhere", "client": "auto"}),
-        rig.camera.model_copy(update={"lens": ""}),
-    )
+    """The rig without address, client and expected settings of its controller, and without the lens: a device by itself."""
+    plain: dict[str, Any] = {"host": "anywhere", "client": "auto", "installation": InstallationDescription()}
+    robot, camera = rig.robot.model_copy(update=plain), rig.camera.model_copy(update={"lens": "", "firmware": ""})
     return rig.model_copy(update={"robot": robot, "camera": camera, "simulation": None})

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from capture.errors import CaptureError, MotionError
-from capture.measurements import Image, Pixels
+from capture.measurements import Image, Pixels, RobotState
 from capture.planning import Obstacles, PlannedView, connect, plan
 from capture.recording.manifest import manifest_of, require_same_session
 from capture.recording.writer import Advance, Writer
@@ -83,34 +83,36 @@ def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: lis
 def _expose(
     recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, motion: Motion
 ) -> tuple[Frame, Pixels]:
-    """Take the picture of one view from the current pose. The hash of the frame is still missing."""
+    """Take the picture of one view, with the pose before and after it. The hash of the frame is still missing."""
     name, split, truth = view.viewpoint.name, view.viewpoint.split, rig.ground_truth
     if truth is not None:
         truth.prepare(index)
     state = rig.robot.state()
     image = rig.camera.grab()
     if motion.settle_difference is not None:
-        image = _still(rig, image, motion, name)
-        state = rig.robot.state()
+        image, state = _still(rig, image, motion, name)
+    after = rig.robot.state(newer_than_ns=time.monotonic_ns())
     settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
     if truth is not None:
         truth.save_truth(recording.path / TRUTH, name, split)
     arm = (state.base_from_flange, state.joints, state.robot_time_s)
     exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
-    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, sha256=""), image.pixels
+    then = (after.base_from_flange, after.joints, after.robot_time_s)
+    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then), image.pixels
 
 
-def _still(rig: Rig, image: Image, motion: Motion, name: str) -> Image:
-    """The first picture that equals the previous one: nothing moves, whatever the encoders report.
+def _still(rig: Rig, image: Image, motion: Motion, name: str) -> tuple[Image, RobotState]:
+    """The first picture that equals the previous one, and the arm's state before it: nothing moves, whatever encoders report.
 
     Raises MotionError: the pictures still differ after the settling timeout.
     """
     deadline = time.monotonic() + motion.settle_timeout_s
     while True:
+        state = rig.robot.state()
         before, image = image, rig.camera.grab()
         difference = picture_difference(before.pixels, image.pixels)
         if difference < (motion.settle_difference or 0.0):
-            return image
+            return image, state
         if time.monotonic() > deadline:
             why = f"two in a row differ by {difference:.4f}, limit {motion.settle_difference:g}"
             remedy = "look for something that moves or flickers, or raise motion.settle_difference"

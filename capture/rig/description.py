@@ -10,6 +10,27 @@ from capture.geometry import PoseDescription
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
 
+Three = tuple[float, float, float]
+Six = tuple[float, float, float, float, float, float]
+
+
+class InstallationDescription(Schema):
+    """What the pendant should say; `capture doctor` compares it with what the controller reports. Empty or null: not compared."""
+
+    serial: str = Field(default="", description="serial number of the arm")
+    mounting: Literal["table", "ceiling"] = Field(default="table", description="whether the arm stands or hangs")
+    payload_kg: float | None = Field(default=None, ge=0, le=100, description="camera, lens, bracket and plug [kg]")
+    payload_centre: Three | None = Field(default=None, description="their centre of gravity in the flange [m]")
+    tool_offset: Six | None = Field(
+        default=None, description="tool centre point in the flange: position [m], rotation vector [rad]"
+    )
+    safety_checksum: str = Field(default="", description="of the safety settings, as 'capture doctor' has printed it")
+
+    @property
+    def upwards(self) -> int:
+        """Sign of the base's z axis in the upward direction."""
+        return 1 if self.mounting == "table" else -1
+
 
 class RobotDescription(Schema):
     """The arm and its limits."""
@@ -22,6 +43,9 @@ class RobotDescription(Schema):
     )
     max_joint_speed: float = Field(default=1.05, gt=0, le=np.pi, description="limit of every joint [rad/s]")
     max_joint_acceleration: float = Field(default=1.4, gt=0, le=10, description="limit of every joint [rad/s^2]")
+    installation: InstallationDescription = Field(
+        default_factory=InstallationDescription, description="settings of the pendant that 'capture doctor' compares"
+    )
 
 
 class CameraDescription(Schema):
@@ -29,6 +53,7 @@ class CameraDescription(Schema):
 
     model: Literal["basler"] = Field(default="basler", description="kind of camera")
     serial: str = Field(default="", description="serial number; empty: the only connected camera")
+    firmware: str = Field(default="", description="firmware version; empty: not compared")
     lens: str = Field(default="", description="focal length, aperture and focus, in your words; empty: not compared")
 
 

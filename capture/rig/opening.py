@@ -1,6 +1,6 @@
 """Opens a rig: a real one that a file describes, or a simulated one that a seed defines."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from capture.sim.controller.handle import ControllerHandle
 
 SIMULATED = "sim"  # name of the simulated rig
+Examination = Callable[[RigDescription, str, bool], None]
+"""Gets the rig, the address of its controller, and whether it is simulated."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,16 @@ def describe(name: str) -> RigDescription:
 
 
 @contextmanager
-def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_scale: float) -> Iterator[Rig]:
+def open_rig(
+    name: str,
+    trajectory: Trajectory,
+    *,
+    scene: str,
+    seed: int,
+    time_scale: float,
+    examine: Examination = lambda description, host, simulated: None,
+    take_over: bool = False,
+) -> Iterator[Rig]:
     """Connect arm and camera; leaving the context closes both.
 
     Args:
@@ -58,14 +69,18 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
         scene: what the simulated camera looks at.
         seed: of everything random in a simulation that is started here. A running simulation has its own seed.
         time_scale: speed of a simulated arm that is started here, relative to real time.
+        examine: called before anything is connected; may refuse by raising.
+        take_over: end a program that runs on the controller; else the arm is left to it.
     """
     description = describe(name)
-    with _controller(name, description, trajectory, seed, time_scale) as controller:
+    hangs = trajectory.upwards < 0
+    with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
+        examine(description, description.robot.host if controller is None else controller.host, controller is not None)
         if controller is None:
             from capture.cameras.basler import Basler
 
             with Basler(trajectory.camera, serial=description.camera.serial) as camera:
-                with _arm(description, trajectory, None) as robot:
+                with _arm(description, trajectory, None, take_over) as robot:
                     yield Rig(robot, camera, description, name)
             return
         from capture.sim.camera import SimulatedCamera
@@ -74,7 +89,7 @@ def open_rig(name: str, trajectory: Trajectory, *, scene: str, seed: int, time_s
         seed = seed if description.simulation is None else description.simulation.seed
         truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
         with SimulatedCamera(trajectory, scene, truth, controller, seed) as simulated:
-            with _arm(description, trajectory, controller) as robot:
+            with _arm(description, trajectory, controller, take_over) as robot:
                 yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed})
 
 
@@ -88,20 +103,26 @@ def open_arm(
     of `seed`.
     """
     description = describe(name)
-    with _controller(name, description, trajectory, seed, time_scale, links_seed) as controller:
+    hangs = trajectory.upwards < 0
+    with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale, links_seed=links_seed) as controller:
         with _arm(description, trajectory, controller) as robot:
             yield robot, controller
 
 
 @contextmanager
-def _controller(
-    name: str, description: RigDescription, trajectory: Trajectory, seed: int, time_scale: float, links_seed: int | None = None
+def controller_of(
+    name: str,
+    description: RigDescription,
+    *,
+    hangs: bool = False,
+    seed: int = 0,
+    time_scale: float = 1.0,
+    links_seed: int | None = None,
 ) -> "Iterator[ControllerHandle | None]":
     """The simulated controller of a rig, started here or already running; None for a real rig."""
     if name == SIMULATED:
         from capture.sim.controller.process import SimulatedController
 
-        hangs = trajectory.upwards < 0
         with SimulatedController.as_built(seed=seed, time_scale=time_scale, links_seed=links_seed, hangs=hangs) as started:
             yield started
     elif description.simulation is not None:
@@ -113,18 +134,22 @@ def _controller(
         yield None
 
 
-def _arm(description: RigDescription, trajectory: Trajectory, controller: "ControllerHandle | None") -> Robot:
-    from capture.robots.timing import Deadlines, Settling
+def _arm(
+    description: RigDescription, trajectory: Trajectory, controller: "ControllerHandle | None", take_over: bool = False
+) -> Robot:
+    from capture.robots.settling import Settling
+    from capture.robots.timing import Deadlines
     from capture.robots.ur import UR5e
     from capture.safety import Limits
 
     motion, robot = trajectory.motion, description.robot
     limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
-    settling = Settling(motion.settle_speed, motion.settle_time_s, motion.settle_timeout_s)
+    settling = Settling(motion.settle_spread, motion.settle_time_s, motion.settle_timeout_s)
     if controller is None:
-        return UR5e(robot.host, limits=limits, settling=settling, client=robot.client)
+        return UR5e(robot.host, limits=limits, settling=settling, client=robot.client, take_over=take_over)
     patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
-    return UR5e(controller.host, limits=limits, settling=settling, deadlines=patient, frequency=125.0, client=robot.client)
+    options: dict[str, Any] = {"limits": limits, "settling": settling, "client": robot.client, "take_over": take_over}
+    return UR5e(controller.host, deadlines=patient, frequency=125.0, **options)
 
 
 def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, seed: int) -> None:

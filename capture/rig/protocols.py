@@ -26,12 +26,15 @@ class Robot(Protocol):
         Raises a CaptureError that says what happened. The arm is always stopped then.
         """
 
-    def state(self) -> RobotState:
-        """The newest state; raises where it is too old."""
+    def state(self, *, newer_than_ns: int = 0) -> RobotState:
+        """The newest state, taken after a time of the monotonic host clock [ns]; raises where none comes."""
         ...
 
     def stop(self) -> None:
-        """Stop the arm now. May be called twice and from another thread."""
+        """Stop the arm now; nothing moves until `clear_stop`. May be called twice and from another thread."""
+
+    def clear_stop(self) -> None:
+        """Allow motions again after `stop`."""
 
     def description(self) -> dict[str, Any]:
         """What the manifest stores about the arm: client, model, serial, software version, tool offset."""

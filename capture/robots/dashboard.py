@@ -58,6 +58,10 @@ class Dashboard:
         """ "RUNNING", "IDLE", "POWER_OFF", ..."""
         return self.ask("robotmode").partition(":")[2].strip()
 
+    def program_running(self) -> bool:
+        """Whether a program runs and is not paused."""
+        return self.ask("running").partition(":")[2].strip().lower() == "true"
+
     def require_ready(self) -> None:
         """Raise NotReady unless the arm could move now."""
         safety, mode = self.safety_status(), self.robot_mode()

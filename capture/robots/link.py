@@ -87,12 +87,18 @@ class ChildLink:
             self._news.wait_for(lambda: self._sample is not previous or self._closed, timeout_s)
             return self._sample if self._sample is not previous else None
 
-    def fresh_sample(self, age_s: float, timeout_s: float) -> Sample | None:
-        """A sample younger than `age_s`; None: none came in time."""
+    @property
+    def newest(self) -> Sample | None:
+        """The newest sample, however old; None: there was none."""
+        return self._sample
+
+    def fresh_sample(self, age_s: float, timeout_s: float, *, newer_than_ns: int = 0) -> Sample | None:
+        """A sample younger than `age_s` and newer than a time of the host's clock [ns]; None: none came in time."""
         deadline = time.monotonic() + timeout_s
         while True:
             sample = self._sample
-            if sample is not None and time.monotonic() - sample.content["host_time_ns"] / 1e9 < age_s:
+            at_ns = sample.content["host_time_ns"] if sample is not None else 0
+            if sample is not None and time.monotonic() - at_ns / 1e9 < age_s and at_ns > newer_than_ns:
                 return sample
             left = deadline - time.monotonic()
             if left <= 0 or self._closed:

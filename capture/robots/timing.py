@@ -1,18 +1,6 @@
-"""How long to wait for an arm, and when it counts as still."""
+"""How long to wait for an arm."""
 
 from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class Settling:
-    """The arm is still when every joint was slower than `speed` [rad/s] for `time_s` [s], on the controller's clock.
-
-    It is an error where that takes longer than `timeout_s` [s], on the host's clock.
-    """
-
-    speed: float = 0.001
-    time_s: float = 0.3
-    timeout_s: float = 5.0
 
 
 @dataclass(frozen=True)

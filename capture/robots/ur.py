@@ -12,13 +12,16 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError
+from capture.arm_model import identify
+from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
 from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
+from capture.robots.brake import STILL_RAD_S, Answer, Brake
 from capture.robots.client import ClientChoice, StartFailure
 from capture.robots.dashboard import Dashboard
 from capture.robots.link import ChildLink, Sample
-from capture.robots.timing import Deadlines, Settling
+from capture.robots.settling import Settling, Window
+from capture.robots.timing import Deadlines
 from capture.safety import Limits
 from datasets import pose
 
@@ -39,12 +42,14 @@ class UR5e:
 
     Entering succeeds completely or leaves nothing open; leaving may happen twice. `move_to` returns with the arm within
     `tolerance` of the target and still. On every exception, Ctrl-C included, the arm is ordered to stop. After a fault
-    the connection is closed: enter again. One owner; only `stop` may be called from another thread.
+    the connection is closed: enter again. After `stop` nothing moves until `clear_stop`, entering again included. One owner;
+    only `stop` may be called from another thread.
 
     Args:
         tolerance: largest difference between measured and target angles at the end of a motion [rad].
         frequency: requested sample rate of the controller [Hz].
         client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed.
+        take_over: end a program that runs on the controller; else entering leaves it alone and raises NotReady.
     """
 
     def __init__(
@@ -57,59 +62,57 @@ class UR5e:
         tolerance: float = 1e-3,
         frequency: float = 500.0,
         client: str = ClientChoice.AUTO,
+        take_over: bool = False,
     ) -> None:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
         self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
-        self.client = ClientChoice(client)
-        self._dashboard: Dashboard | None = None
+        self.client, self.take_over = ClientChoice(client), take_over
+        self._brake = Brake(host)
         self._link: ChildLink | None = None
         self._tcp_from_flange = np.eye(4)
         self._description: dict[str, Any] = {}
         self._stopped = threading.Event()
         self._slider = 1.0
-        self._dashboard_lock = threading.Lock()
 
     def __enter__(self) -> Self:
         """Connect. Raises RigConnectionError or NotReady, with nothing left open."""
         self.close()
         try:
-            self._dashboard = Dashboard.connect(self.host)
-            self._dashboard.require_ready()
-            self._dashboard.ask("stop")  # a program left by a killed client blocks the next one for minutes
+            dashboard = self._brake.connect()
+            dashboard.require_ready()
+            self._brake.take(1.0 / self.deadlines.watchdog_hz + 1.0, by_force=self.take_over)
             self._link = ChildLink.start(self.client, self.host, self.frequency, self.deadlines.watchdog_hz)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
                 raise self._no_connection(self._link, ready)
-            self._describe(self._dashboard, ready["client"], ready["tcp_offset"])
-            self._stopped.clear()
-            self.state()
+            self._describe(dashboard, ready["client"], ready["tcp_offset"])
+            self._description["model"] = _model(self.state())
         except BaseException:
             self.close()
             raise
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if exception and exception[0] is not None:
-            self.stop()
-        self.close()
+        try:
+            if exception and exception[0] is not None and self._link is not None:  # without a link a fault has stopped it
+                self.stop()
+        finally:
+            self.close()
 
     def close(self) -> None:
         """Let the arm come to rest and close everything; may be called twice."""
         link, self._link = self._link, None
         if link is not None:
             link.close()
-        dashboard, self._dashboard = self._dashboard, None
-        if dashboard is not None:
-            try:
-                dashboard.ask("stop")
-            except RigConnectionError:
-                return  # unreachable: the watchdog ends the program
-            finally:
-                dashboard.close()
+        self._brake.release()
 
-    def state(self) -> RobotState:
-        """The newest state. Raises RigConnectionError where no new one arrives within a second."""
-        sample = self._connected().fresh_sample(self.deadlines.stale_s, timeout_s=1.0 + self.deadlines.stale_s)
+    def state(self, *, newer_than_ns: int = 0) -> RobotState:
+        """The newest state, and where asked for one that arrived after a time of the monotonic host clock [ns].
+
+        Raises RigConnectionError where no new one arrives within a second.
+        """
+        patience_s = 1.0 + self.deadlines.stale_s
+        sample = self._connected().fresh_sample(self.deadlines.stale_s, timeout_s=patience_s, newer_than_ns=newer_than_ns)
         if sample is None:
             raise self._fault("no state arrives from the robot", RigConnectionError)
         if not sample.content["connected"]:  # the client goes on returning the last values
@@ -127,13 +130,16 @@ class UR5e:
 
         Raises:
             SafetyError: the target or the speed is outside the limits; nothing has moved.
+            StopLatched: the arm was stopped and not cleared; nothing has moved.
             ProtectiveStop: the controller has stopped the arm for safety.
             MotionError: it did not arrive, or was stopped; it stands still.
             RigConnectionError: the connection was lost; the arm is ordered to stop, and stops by its watchdog in any case.
         """
         target = self.limits.check(joints, speed, acceleration)
+        if self._stopped.is_set():
+            why, remedy = "nothing moves after a stop until it is cleared", "make sure that nobody is in reach, then clear_stop()"
+            raise StopLatched("the arm was stopped on request", where=self.host, why=why, remedy=remedy)
         start = self.state().joints
-        self._stopped.clear()
         try:
             self._move(target, start, speed, acceleration)
             self._settle(target)
@@ -149,12 +155,26 @@ class UR5e:
         return self._connected().samples
 
     def stop(self) -> None:
-        """Bring the arm to rest: by the client where it answers, else by the dashboard. Any thread, any number of times."""
+        """Bring the arm to rest, by the client where it answers, else by the dashboard; it stays there until `clear_stop`.
+
+        Any thread, any number of times. Raises RigConnectionError where nothing confirms that the arm stops.
+        """
         self._stopped.set()
         link = self._link
         if link is not None and link.request("stop", deceleration=3.0) and self._rests_within(2.0):
             return
-        self._stop_by_dashboard()
+        answer = self._brake.stop()
+        if answer is not Answer.STOPPED and not self._rests_within(0.3):
+            raise RigConnectionError(
+                "nothing confirms that the arm stops",
+                where=self.host,
+                why=self._brake.known(answer, None if link is None else link.newest),
+                remedy="press the emergency stop",
+            )
+
+    def clear_stop(self) -> None:
+        """Allow motions again after `stop`."""
+        self._stopped.clear()
 
     def description(self) -> dict[str, Any]:
         """Model, address, serial number, software and tool offset of the arm, and the client in use."""
@@ -170,7 +190,6 @@ class UR5e:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
         self._tcp_from_flange = pose.inverse(pose_from_six(tcp_offset))
         self._description = {
-            "model": "UR5e",
             "host": self.host,
             "serial": dashboard.ask("get serial number"),
             "software": dashboard.version(),
@@ -224,19 +243,19 @@ class UR5e:
 
     def _settle(self, target: NDArray[np.float64]) -> None:
         """Return once the arm is still and at the target."""
-        begun, still_since = time.monotonic(), None
+        begun, settling, window = time.monotonic(), self.settling, Window(self.settling.time_s)
         for sample in self._samples(self._connected()):
             if sample is not None:
-                moment = sample.content["robot_time_s"]
-                still = np.abs(sample.content["joint_speeds"]).max() < self.settling.speed
-                still_since = (moment if still_since is None else still_since) if still else None
-                if still_since is not None and moment - still_since >= self.settling.time_s:
-                    missed = float(np.abs(np.asarray(sample.content["joints"]) - target).max())
+                window.add(sample.content["robot_time_s"], sample.content["joints"])
+                if window.full and window.spread <= settling.spread:
+                    missed = float(np.abs(window.mean - target).max())
                     if missed > self.tolerance:
                         raise self._fault(f"the arm stopped {np.degrees(missed):.3f} degrees from its target")
                     return
-            if time.monotonic() - begun > self.settling.timeout_s + self.settling.time_s:
-                raise self._fault("the arm does not come to rest")
+            if time.monotonic() - begun > settling.timeout_s + settling.time_s:
+                spread = f"its joints vary by {window.spread:.1e} rad, limit {settling.spread:.1e}" if sample else "no samples"
+                remedy = "look for what moves it; for an arm with noisier encoders raise motion.settle_spread; then resume"
+                raise self._fault(f"the arm does not come to rest: {spread}", remedy=remedy)
 
     def _samples(self, link: ChildLink) -> Iterator[Sample | None]:
         """Every new sample, None where none came for a moment; raises where a motion cannot continue."""
@@ -264,57 +283,37 @@ class UR5e:
             raise self._fault("the robot's program was stopped or paused")
 
     def _stopped_error(self) -> CaptureError:
+        why = "the arm stands still"
         if not self._rests_within(3.0):
-            self._stop_by_dashboard()
-        return MotionError("the motion was stopped on request", where=self.host, why="the arm stands still")
+            why = self._brake.known(self._brake.stop(), None if self._link is None else self._link.newest)
+        return MotionError("the motion was stopped on request", where=self.host, why=why)
 
     def _fault(self, what: str, kind: type[CaptureError] = MotionError, *, remedy: str = "resume the recording") -> CaptureError:
         """Stop the arm by every means, close, and find out what happened; an error of `kind` unless the controller knows more."""
-        stopped = self._stop_by_dashboard()
+        answer = self._brake.stop()
         link, self._link = self._link, None
         printed = link.kill() if link is not None else ""
-        safety, mode = self._safety_and_mode()
+        safety, mode = self._brake.safety_and_mode()
+        known = self._brake.known(answer, None if link is None else link.newest)
         self.close()
         if safety == "PROTECTIVE_STOP":
             remedy = "look for the cause, release it at the pendant, then resume"
             return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what, remedy=remedy)
         if safety and safety not in ("NORMAL", "REDUCED"):
-            remedy, why = (
-                "release it at the pendant, switch the arm on, then resume",
-                f"safety status {safety}, robot mode {mode}",
-            )
+            remedy = "release it at the pendant, switch the arm on, then resume"
+            why = f"safety status {safety}, robot mode {mode}"
             return NotReady("the robot is stopped for safety", where=self.host, why=why, remedy=remedy)
-        why = "the arm was stopped"
-        if not stopped:
-            kind, why = RigConnectionError, "the dashboard does not answer either"
-            remedy = "the arm stops by its own watchdog; check network and controller, then resume"
-        return kind(what, where=self.host, why="; ".join(filter(None, (why, printed))), remedy=remedy)
-
-    def _safety_and_mode(self) -> tuple[str, str]:
-        """What the dashboard says of them; empty where it does not answer."""
-        try:
-            return (self._dashboard.safety_status(), self._dashboard.robot_mode()) if self._dashboard else ("", "")
-        except RigConnectionError:
-            return "", ""
-
-    def _stop_by_dashboard(self) -> bool:
-        """Whether the dashboard accepted the order to stop; tries again over a new connection."""
-        with self._dashboard_lock:
-            for attempt in range(2):
-                try:
-                    if attempt or self._dashboard is None:
-                        self._dashboard = Dashboard.connect(self.host)
-                    self._dashboard.ask("stop")
-                    return True
-                except RigConnectionError:
-                    continue
-        return False
+        if answer is Answer.SILENT:
+            kind, remedy = RigConnectionError, "the arm stops by its own watchdog; check network and controller, then resume"
+        elif answer is Answer.REFUSED:
+            remedy = "see at the pendant what its program does, and stop it there"
+        return kind(what, where=self.host, why="; ".join(filter(None, (known, printed))), remedy=remedy)
 
     def _rests_within(self, seconds: float) -> bool:
         link, deadline = self._link, time.monotonic() + seconds
         while link is not None and time.monotonic() < deadline:
             sample = link.fresh_sample(self.deadlines.stale_s, timeout_s=0.1)
-            if sample is not None and np.abs(sample.content["joint_speeds"]).max() < 0.01:
+            if sample is not None and np.abs(sample.content["joint_speeds"]).max() < STILL_RAD_S:
                 return True
             time.sleep(0.01)
         return False
@@ -327,6 +326,12 @@ class UR5e:
             why = f"{silence}. {link.kill()}".strip()
         remedy = START_REMEDIES[StartFailure(answer["failure"]) if answer else StartFailure.OTHER]
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
+
+
+def _model(state: RobotState) -> str:
+    """Which arm it is, by where it says its flange is at its joint angles; "unknown" where it is none that we know."""
+    found = identify(state.joints, state.base_from_flange)
+    return found.model.name if found.certain else "unknown"
 
 
 def _unsafe(sample: Sample) -> bool:

@@ -7,8 +7,9 @@ from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
 from capture.robots.client import StartError, StartFailure, State, versioned
+from capture.robots.rtde.stream import RegistersInUse, RtdeStream
 
-START_S = 2.0
+START_S, RELEASED_S = 2.0, 0.5  # until the program runs, and until a client that failed has let go of its registers [s]
 VARIABLES = (
     "timestamp actual_q actual_qd actual_TCP_pose robot_mode safety_mode safety_status_bits runtime_state target_speed_fraction"
 ).split()
@@ -22,9 +23,9 @@ class VendorClient:
         try:
             self._receive = RTDEReceiveInterface(host, frequency, VARIABLES)
             self._control = RTDEControlInterface(host, frequency)
-        except RuntimeError as error:
-            in_use = "in use" in str(error)  # the library has one class for all its errors
-            raise StartError(str(error), StartFailure.IN_USE if in_use else StartFailure.OTHER) from None
+        except RuntimeError as error:  # the library has one class for all its errors: ask the controller which it is
+            time.sleep(RELEASED_S)
+            raise StartError(str(error), StartFailure.IN_USE if _registers_in_use(host) else StartFailure.OTHER) from None
         deadline = time.monotonic() + START_S
         while not (self._connected and self._control.isProgramRunning()):
             if time.monotonic() > deadline:
@@ -74,3 +75,14 @@ class VendorClient:
     def leave(self) -> None:
         """Let the arm come to rest."""
         self.stop(2.0)
+
+
+def _registers_in_use(host: str) -> bool:
+    """Whether another client owns the registers that the library writes."""
+    try:
+        RtdeStream(host, ["timestamp"], [["input_int_register_0"]], 1.0).close()
+    except RegistersInUse:
+        return True
+    except OSError:
+        return False
+    return False

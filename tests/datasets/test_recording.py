@@ -42,6 +42,20 @@ def test_frames_come_back(recording: Recording) -> None:
     assert again.frames[1].host_time_ns == 10**18 + 1  # does not fit a float
 
 
+def test_the_pose_after_an_exposure_comes_back_and_is_checked(recording: Recording) -> None:
+    moved = {"base_from_flange_after": np.eye(4), "joints_after": np.ones(6), "robot_time_after_s": 1.7}
+    recording.append(replace(frame(3), **moved))
+    again = Recording.open(recording.path).frames
+    assert again[2].joints_after is None  # a line from before it was kept has no such key either
+    assert again[3].robot_time_after_s == 1.7 and np.array_equal(again[3].joints_after, np.ones(6))
+    old = {key: value for key, value in frame(4).to_json().items() if not key.endswith(("after", "after_s"))}
+    assert Frame.from_json(old, where="here").base_from_flange_after is None
+    whole = replace(frame(4), **moved).to_json()
+    for damage in ({"joints_after": [1.0]}, {"robot_time_after_s": None}, {"base_from_flange_after": [1.0]}):
+        with pytest.raises(DatasetError):
+            Frame.from_json(whole | damage, where="here")
+
+
 @pytest.mark.parametrize("cut", [1, 20, 200])
 def test_an_incomplete_last_line_is_dropped_and_recorded_again(recording: Recording, cut: int) -> None:
     path = recording.path / FRAMES

@@ -80,7 +80,7 @@ FAULTS = {
         ("the controller ended its program instead of moving", "cannot reach"),
         _ask("reach", metres=2.0),
     ),
-    "script ended": Fault(_ask("stop_program"), ("the robot's program was stopped or paused", "the arm was stopped")),
+    "script ended": Fault(_ask("stop_program"), ("the robot's program was stopped or paused", "the controller runs no program")),
     "program paused": Fault(
         lambda session: session.at_the_pendant("pause"),
         ("the robot's program was stopped or paused", "the arm was stopped"),

@@ -44,6 +44,7 @@ def test_stop_from_another_thread(robot):
     threading.Timer(0.5, robot.stop).start()
     with pytest.raises(MotionError, match="stopped on request"):
         robot.move_to(start + 5 * STEP, speed=0.05, acceleration=0.5)
+    robot.clear_stop()
     robot.move_to(start, speed=0.1, acceleration=0.5)
 
 

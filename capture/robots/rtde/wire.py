@@ -28,11 +28,13 @@ OUTPUT_TYPES = _types(
     "joint_temperatures actual_joint_voltage payload_inertia actual_current_as_torque ft_raw_wrench",
     DOUBLE="timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
     "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 standard_analog_output0 "
-    "standard_analog_output1 payload",
-    INT32="robot_mode safety_mode",
-    UINT32="runtime_state robot_status_bits safety_status_bits",
+    "standard_analog_output1 payload tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature "
+    "tcp_force_scalar",
+    INT32="robot_mode safety_mode tool_output_voltage",
+    UINT32="runtime_state robot_status_bits safety_status_bits tool_mode tool_analog_input_types "
+    "output_bit_registers0_to_31 output_bit_registers32_to_63 input_bit_registers0_to_31 input_bit_registers32_to_63",
     UINT64="actual_digital_input_bits actual_digital_output_bits",
-    VECTOR3D="actual_tool_accelerometer payload_cog",
+    VECTOR3D="actual_tool_accelerometer payload_cog elbow_position elbow_velocity",
     VECTOR6INT32="joint_mode",
 )
 INPUT_TYPES = _types(

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from capture.kinematics import UR5E
-from capture.sim.controller import side_channel
+from capture.sim.controller import primary, side_channel
 from capture.sim.controller.arm import Arm
+from capture.sim.controller.installation import Installation
 from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
 from capture.sim.controller.session import CYCLE_HZ
 
@@ -30,6 +31,7 @@ def _random_host() -> str:
 async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
     """Open all ports on the address `wanted`, or on a free loopback address; returns it and the side channel's port."""
     handlers = {RTDE_PORT: server.serve_rtde, SCRIPT_PORT: server.serve_script, DASHBOARD_PORT: server.serve_dashboard}
+    handlers |= dict.fromkeys(primary.PORTS, partial(primary.serve, server))
     ports = ", ".join(map(str, handlers))
     for host in [wanted] if wanted else [*(_random_host() for _ in range(50)), ONLY_HOST]:
         opened = []
@@ -52,8 +54,9 @@ async def _run(options: dict[str, Any]) -> None:
     length_m, angle_rad, links = options["length_error_m"], options["angle_error_rad"], UR5E
     if length_m or angle_rad:
         links = UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
-    arm = Arm(seed, np.array(options["home"]), options["repeatability_m"], options["repeatability_rad"], links)
-    server = ControllerServer(arm, options["time_scale"])
+    deviations = options["repeatability_m"], options["repeatability_rad"]
+    arm = Arm(seed, np.array(options["home"]), *deviations, links, options["noise_rad"])
+    server = ControllerServer(arm, options["time_scale"], Installation(up=tuple(options["up"])))
     host, side_port = await _listen(server, options["host"])
     loop = asyncio.get_running_loop()
     orphaned = asyncio.Event()

@@ -21,6 +21,8 @@ RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION = 12.0, 0.06, 1.5e-4
 """After a stop the joints oscillate, which the encoders measure: frequency, decay time, and amplitude [rad per rad/s^2]."""
 FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
 """Tubes, gears and bracket bend as well, which no encoder measures: as above."""
+SPEED_NOISE_PER_S = 250.0
+"""Noise of measured speeds per noise of measured angles [1/s]: they are differences of angles 4 ms apart."""
 QUIET_S = 0.36  # this long after a stop both have decayed to less than a hundredth, and count as zero [s]
 
 
@@ -36,7 +38,9 @@ class Safety(IntEnum):
     """The controller's safety modes."""
 
     NORMAL = 1
+    REDUCED = 2
     PROTECTIVE_STOP = 3
+    SAFEGUARD_STOP = 5
     ROBOT_EMERGENCY_STOP = 7
 
 
@@ -49,10 +53,20 @@ class Arm:
         repeatability_m: standard deviation per axis of where the flange really stops [m].
         repeatability_rad: the same of its orientation [rad].
         links: the true links, which the controller is calibrated to; they differ from the nominal ones.
+        noise_rad: standard deviation of the angles that the encoders measure [rad].
     """
 
-    def __init__(self, seed: int, home: Joints, repeatability_m: float, repeatability_rad: float, links: Links = UR5E) -> None:
-        self.seed, self.links = seed, links
+    def __init__(
+        self,
+        seed: int,
+        home: Joints,
+        repeatability_m: float,
+        repeatability_rad: float,
+        links: Links = UR5E,
+        noise_rad: float = 0.0,
+    ) -> None:
+        self.seed, self.links, self.noise_rad = seed, links, noise_rad
+        self._noise = np.random.default_rng([seed, 11])
         self.deviation = repeatability_m, repeatability_rad
         self.flange_from_tcp = np.eye(4)
         self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
@@ -68,7 +82,7 @@ class Arm:
     @property
     def may_move(self) -> bool:
         """Powered, brakes released and not stopped for safety."""
-        return self.mode is RobotMode.RUNNING and self.safety is Safety.NORMAL
+        return self.mode is RobotMode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
 
     def phase(self, now: float) -> float:
         """Time within the motion [s]: slower than the clock where the speed slider is below 100 %."""
@@ -87,8 +101,16 @@ class Arm:
         rate = self._tempo.rate(now)
         return angles, speeds * rate, accelerations * rate**2
 
+    def measured(self, now: float) -> tuple[Joints, Joints]:
+        """(6,) angles and speeds that the encoders measure: `actual` and their noise, another one at every call."""
+        angles, speeds = self.actual(now)
+        if self.noise_rad == 0:
+            return angles, speeds
+        noise = self.noise_rad * self._noise.normal(size=(2, 6))
+        return angles + noise[0], speeds + SPEED_NOISE_PER_S * noise[1]
+
     def actual(self, now: float) -> tuple[Joints, Joints]:
-        """(6,) angles and speeds that the encoders measure: the target plus the oscillation after a stop."""
+        """(6,) angles and speeds of the joints: the target plus the oscillation after a stop."""
         angles, speeds, _ = self.target(now)
         swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION)
         return angles - swing, speeds - swing_speed
@@ -107,14 +129,15 @@ class Arm:
         sine, cosine = np.sin(omega * since), np.cos(omega * since)
         return size * sine, size * (omega * cosine - sine / decay_s)
 
-    def swings_for(self, profile: Profile, speed: float) -> float:
-        """Seconds after the end of a motion at full speed until every joint stays slower than `speed` [rad/s]."""
+    def swings_for(self, profile: Profile, spread: float) -> float:
+        """Seconds after the end of a motion at full speed from which on no joint varies by more than `spread` [rad]."""
         slowing = np.abs(profile.at(profile.duration * (1 - 1e-6))[2]).max()
-        omega = 2 * np.pi * RINGING_HZ
         since = np.arange(0.0, QUIET_S, 1e-4)
-        swing = np.exp(-since / RINGING_DECAY_S) * (omega * np.cos(omega * since) - np.sin(omega * since) / RINGING_DECAY_S)
-        fast = np.flatnonzero(np.abs(RINGING_PER_ACCELERATION * slowing * swing) >= speed)
-        return float(since[fast[-1]]) if len(fast) else 0.0
+        size = RINGING_PER_ACCELERATION * slowing * np.exp(-since / RINGING_DECAY_S)
+        swing = size * np.sin(2 * np.pi * RINGING_HZ * since)
+        ahead = np.maximum.accumulate(swing[::-1])[::-1] - np.minimum.accumulate(swing[::-1])[::-1]
+        wide = np.flatnonzero(ahead > spread)
+        return float(since[wide[-1]]) if len(wide) else 0.0
 
     def base_from_tcp(self, joints: Joints) -> NDArray[np.float64]:
         """(4, 4) as the controller reports it: calibrated links, active tool offset [m]."""

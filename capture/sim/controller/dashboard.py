@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from capture.sim.controller.server import ControllerServer
 
 GREETING = "Connected: Universal Robots Dashboard Server"
-SERIAL = "20235500001"
 
 
 def reply(controller: "ControllerServer", line: str) -> str:
@@ -16,21 +15,24 @@ def reply(controller: "ControllerServer", line: str) -> str:
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running
     state = "PLAYING" if running else "PAUSED" if controller.program_paused else "STOPPED"
+    installed, loaded = controller.installed, "palletizing.urp" if controller.installed.program else "rtde_control.urp"
     answers = {
-        "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*controller.version),
-        "get serial number": SERIAL,
+        "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*installed.version),
+        "get serial number": installed.serial,
         "get robot model": "UR5",
-        "is in remote control": "true",
+        "is in remote control": str(installed.remote).lower(),
         "running": f"Program running: {str(running).lower()}",
         "robotmode": f"Robotmode: {arm.mode.name}",
         "safetystatus": f"Safetystatus: {arm.safety.name}",
         "safetymode": f"Safetymode: {arm.safety.name}",
-        "programstate": f"{state} rtde_control.urp",
-        "get loaded program": "Loaded program: /programs/rtde_control.urp",
+        "programstate": f"{state} {loaded}",
+        "get loaded program": f"Loaded program: /programs/{loaded}",
     }
     if word in answers:
         return answers[word]
     if word == "stop":
+        if controller.unstoppable or not (running or controller.program_paused):
+            return "Failed to execute: stop"
         controller.stop_program()
         return "Stopped"
     if word == "pause":

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from capture.kinematics import forward, link_frames
 from capture.robots.rtde import wire
 from capture.sim.controller.arm import RobotMode, Safety
 from capture.sim.controller.profiles import Joints
@@ -15,8 +18,15 @@ if TYPE_CHECKING:
     from capture.sim.controller.server import ControllerServer
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
-SAFETY_BITS = {Safety.NORMAL: 1, Safety.PROTECTIVE_STOP: 1 << 2 | 1 << 10, Safety.ROBOT_EMERGENCY_STOP: 0b11 << 6 | 1 << 10}
-"""Normal, protective stop, emergency stop of the robot and of the system, stopped for safety."""
+SAFETY_BITS = {
+    Safety.NORMAL: 1,
+    Safety.REDUCED: 1 << 1,
+    Safety.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
+    Safety.SAFEGUARD_STOP: 1 << 4 | 1 << 10,
+    Safety.ROBOT_EMERGENCY_STOP: 0b11 << 6 | 1 << 10,
+}
+"""Bit 10: stopped for safety; an emergency stop is that of the robot and of the system."""
+GRAVITY = 9.82  # [m/s^2]
 
 
 class Outputs:
@@ -43,10 +53,16 @@ class Outputs:
         """(6,) commanded angles, speeds and accelerations."""
         return self.arm.target(self.now)
 
+    @property
+    def felt(self) -> Joints:
+        """(3,) acceleration that an accelerometer in the flange of a resting arm measures: away from the ground [m/s^2]."""
+        up = np.asarray(self.controller.installed.up)
+        return GRAVITY * forward(self.arm.actual(self.now)[0], self.arm.links)[:3, :3].T @ up
+
     @cached_property
     def actual(self) -> tuple[Joints, Joints]:
         """(6,) angles and speeds that the encoders measure."""
-        return self.arm.actual(self.now)
+        return self.arm.measured(self.now)
 
 
 _CHANGING: dict[str, Callable[[Outputs], Any]] = {
@@ -70,6 +86,10 @@ _CHANGING: dict[str, Callable[[Outputs], Any]] = {
     "target_speed_fraction": lambda at: at.arm.speed_fraction,
     "actual_main_voltage": lambda at: 48.0,
     "actual_robot_voltage": lambda at: 48.0,
+    "payload": lambda at: at.controller.installed.payload_kg,
+    "payload_cog": lambda at: at.controller.installed.payload_centre,
+    "actual_tool_accelerometer": lambda at: at.felt,
+    "elbow_position": lambda at: link_frames(at.actual[0], at.arm.links)[2, :3, 3],
     "joint_temperatures": lambda at: [30.0] * 6,
     "actual_digital_output_bits": lambda at: at.controller.digital_outputs,
 }

@@ -26,6 +26,7 @@ HANGING_HOME = (0.0, -np.pi, 0.0, -np.pi / 2, 0.0, 0.0)
 """The same for a hanging arm: stretched along the ceiling, out of the way [rad]."""
 BUILT_MM, BUILT_DEG = 0.5, 0.05
 """Standard deviations of the links of an arm as built from the nominal ones; they move the flange by millimetres."""
+ENCODER_NOISE_RAD = 4e-6  # of an arm as built: its flange seems to move by 5 um, a sixth of the repeatability
 
 
 class SimulatedController(ControllerHandle):
@@ -46,6 +47,8 @@ class SimulatedController(ControllerHandle):
         length_error_mm: float = 0.0,
         angle_error_deg: float = 0.0,
         links_seed: int | None = None,
+        noise_rad: float = 0.0,
+        hangs: bool = False,
         home: NDArray[np.float64] | tuple[float, ...] = HOME,
         host: str = "",
     ) -> Self:
@@ -57,6 +60,8 @@ class SimulatedController(ControllerHandle):
             repeatability_mm, repeatability_deg: one standard deviation per axis of where the flange really stops.
             length_error_mm, angle_error_deg: standard deviation of the links from the nominal ones; the controller knows them.
             links_seed: of the links; None: `seed`. The same one gives the same arm.
+            noise_rad: standard deviation of the angles that the encoders measure.
+            hangs: whether the base's z axis points to the ground.
             home: (6,) joint angles at the start [rad].
             host: loopback address; empty: a free one.
 
@@ -76,6 +81,8 @@ class SimulatedController(ControllerHandle):
             "repeatability_rad": float(np.radians(repeatability_deg)),
             "length_error_m": length_error_mm / 1000,
             "angle_error_rad": float(np.radians(angle_error_deg)),
+            "noise_rad": float(noise_rad),
+            "up": [0.0, 0.0, -1.0 if hangs else 1.0],
         }
         process, ready, output = _launch(options)
         if not ready:
@@ -88,10 +95,10 @@ class SimulatedController(ControllerHandle):
     def as_built(
         cls, *, seed: int, time_scale: float, links_seed: int | None = None, hangs: bool = False, host: str = ""
     ) -> Self:
-        """`start` an arm whose links differ a little from the nominal ones, as on any real arm; out of the way if it hangs."""
-        errors = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG}
+        """`start` an arm with the links and the encoders of a real one; out of the way if it hangs."""
+        errors = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG, "noise_rad": ENCODER_NOISE_RAD}
         home = HANGING_HOME if hangs else HOME
-        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, home=home, **errors)
+        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, home=home, hangs=hangs, **errors)
 
     def __enter__(self) -> Self:
         return self

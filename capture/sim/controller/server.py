@@ -5,6 +5,7 @@ One asyncio loop owns everything. Controller time runs `time_scale` times as fas
 
 import asyncio
 import logging
+import random
 import struct
 import time
 from collections.abc import Iterator
@@ -17,11 +18,11 @@ from capture.kinematics import six_from_pose
 from capture.robots.rtde import wire
 from capture.sim.controller import dashboard, script
 from capture.sim.controller.arm import Arm
+from capture.sim.controller.installation import Installation
 from capture.sim.controller.outputs import Outputs
 from capture.sim.controller.session import Session
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
-VERSION = (5, 11, 5, 1010327)
 SIMULATED_INPUTS = ("standard_digital_output", "standard_digital_output_mask", "speed_slider_fraction", "speed_slider_mask")
 """Besides registers. Writing any other one ends the program."""
 log = logging.getLogger(__name__)
@@ -30,13 +31,15 @@ log = logging.getLogger(__name__)
 class ControllerServer:
     """Everything behind the three ports. Its faults are triggered through `side_channel`."""
 
-    def __init__(self, arm: Arm, time_scale: float, version: tuple[int, int, int, int] = VERSION) -> None:
-        self.arm, self.time_scale, self.version = arm, time_scale, version
+    def __init__(self, arm: Arm, time_scale: float, installed: Installation | None = None) -> None:
+        self.arm, self.time_scale, self.installed = arm, time_scale, installed or Installation()
+        self.up, self.links = self.installed.up, arm.links  # as it was started
+        self._latency = random.Random(arm.seed)
         self.program: script.ControlProgram | None = None
         self.sessions: list[Session] = []
         self.digital_outputs = 0
-        self.silent_until, self.hung_until = 0.0, 0.0
-        self.deaf = False
+        self.silent_until, self.hung_until, self._held_until = 0.0, 0.0, 0.0
+        self.deaf, self.unstoppable = False, False
         self._input_written_s = 0.0
         self._start = time.monotonic()
         self._poses: dict[bytes, np.ndarray] = {}
@@ -49,12 +52,13 @@ class ControllerServer:
     @property
     def program_running(self) -> bool:
         """Whether a program runs and is not paused."""
-        return self.program is not None and self.program.running and not self.program.paused
+        own = self.program is not None and self.program.running and not self.program.paused
+        return own or self.installed.program == "PLAYING"
 
     @property
     def program_paused(self) -> bool:
         """Whether a program is paused."""
-        return self.program is not None and self.program.paused
+        return (self.program is not None and self.program.paused) or self.installed.program == "PAUSED"
 
     @property
     def silent(self) -> bool:
@@ -63,6 +67,7 @@ class ControllerServer:
 
     def stop_program(self) -> None:
         """End the program; the arm slows down."""
+        self.installed.program = ""
         if self.program is not None:
             self.program.end(self.now)
 
@@ -93,6 +98,7 @@ class ControllerServer:
         if refused := script.refusal(text):
             return refused
         if self.arm.may_move:
+            self.installed.program = ""
             previous, self.program = self.program, script.ControlProgram(self.arm, text, self.report)
             if previous is not None:
                 self.program.input_ints, self.program.input_doubles = previous.input_ints, previous.input_doubles
@@ -113,7 +119,7 @@ class ControllerServer:
                     self._input_written_s = time.monotonic()
             elif register is None and name not in SIMULATED_INPUTS and self.program_running and program is not None:
                 program.fail(f"input {name} is not simulated")
-        if "speed_slider_fraction" in values:
+        if values.get("speed_slider_mask"):  # without its bit the fraction is not used
             self.arm.set_speed_slider(values["speed_slider_fraction"], self.now)
         if "standard_digital_output" in values:
             mask = values.get("standard_digital_output_mask", 0)
@@ -131,7 +137,9 @@ class ControllerServer:
                 program.end(now)
             elif not self.deaf:
                 program.cycle(now)
-        if not self.silent:
+        if not self.silent and time.monotonic() >= self._held_until:
+            if self.installed.latency_s:
+                self._held_until = time.monotonic() + self._latency.uniform(0.5, 1.0) * self.installed.latency_s
             wall, outputs = time.monotonic(), Outputs(self, now)
             for session in list(self.sessions):
                 session.send_sample(outputs, wall)
@@ -180,6 +188,8 @@ class ControllerServer:
         """Serve one connection of the dashboard; no more is read from a client that does not read the answers."""
         with closing(writer):
             await self._answering()
+            if not self.installed.dashboard:
+                return
             writer.write(f"{dashboard.GREETING}\n".encode())
             while line := await reader.readline():
                 await self._answering()

@@ -36,7 +36,7 @@ class Session:
             self.version = version if accepted else self.version
             return packet(kind, bytes([accepted]))
         if kind == wire.CONTROLLER_VERSION:
-            return packet(kind, struct.pack(">4I", *self.server.version))
+            return packet(kind, struct.pack(">4I", *self.server.installed.version))
         if kind == wire.OUTPUTS:
             frequency, names = (struct.unpack_from(">d", payload)[0], payload[8:]) if self.version > 1 else (CYCLE_HZ, payload)
             self.output, self.streaming = Recipe(_names(names)), False

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from capture.kinematics import JOINT_LIMIT
-from capture.sim.controller.arm import Safety
+from capture.arm_model import load_arm
+from capture.kinematics import JOINT_LIMIT, pose_from_six
+from capture.sim.controller.arm import RobotMode, Safety
+from capture.sim.controller.installation import Installation
 from capture.sim.controller.server import ControllerServer, closing
 
 
@@ -54,10 +56,10 @@ def _truth(server: ControllerServer, exposure_s: float = 0.0, count: int = 0) ->
     }
 
 
-def _motions(server: ControllerServer, settle_speed: float = 0.001) -> dict[str, Any]:
-    """The latest motions: start on the controller's clock, duration, and until when after it joints exceed that speed [s]."""
+def _motions(server: ControllerServer, settle_spread: float = 5e-5) -> dict[str, Any]:
+    """The latest motions: start on the controller's clock, duration, and until when after it joints vary by more [s, rad]."""
     arm = server.arm
-    return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_speed)] for start, profile in arm.motions]}
+    return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_spread)] for start, profile in arm.motions]}
 
 
 def _drop(server: ControllerServer) -> None:
@@ -79,6 +81,29 @@ def _hang(server: ControllerServer, seconds: float) -> None:
 def _ignore_commands(server: ControllerServer, ignore: bool = True) -> None:
     """Stop acknowledging commands, or resume."""
     server.deaf = ignore
+
+
+def _refuse_stop(server: ControllerServer, refuse: bool = True) -> None:
+    """Answer the dashboard's order to stop with a failure, or obey it again."""
+    server.unstoppable = refuse
+
+
+def _install(server: ControllerServer, model: str = "", tcp: list[float] | None = None, **settings: Any) -> None:
+    """Set what a person sets at the pendant, by the names of `Installation`; without arguments, as it was at the start.
+
+    `model`: another arm stands there, with nominal links; `tcp`: (6,) position [m] and rotation vector [rad] of the tool.
+    """
+    unknown = settings.keys() - vars(Installation()).keys()
+    if unknown:
+        raise ValueError(f"no setting {', '.join(sorted(unknown))}")
+    server.installed = Installation(**{"up": server.up, **settings})
+    server.arm.links = load_arm(model).links if model else server.links
+    server.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
+
+
+def _safety(server: ControllerServer, mode: str = "NORMAL", power: str = "RUNNING") -> None:
+    """Put the controller into a safety mode and a robot mode, by name."""
+    server.arm.safety, server.arm.mode = Safety[mode], RobotMode[power]
 
 
 def _joint_limit(server: ControllerServer, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
@@ -106,6 +131,9 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "silent": _silent,
     "hang": _hang,
     "ignore_commands": _ignore_commands,
+    "refuse_stop": _refuse_stop,
+    "install": _install,
+    "safety": _safety,
     "joint_limit": _joint_limit,
     "reach": _reach,
     "speed_slider": _speed_slider,

@@ -108,6 +108,17 @@ def test_clocks_and_gaps(recording):
     assert to_take_again(check(recording)) == ["003"]  # the same tick twice: the same picture twice
 
 
+def test_an_arm_that_moved_during_an_exposure(recording):
+    was = pose.look_at((0.4, 0, 0.5), (0, 0, 0))
+    for index, (shift_m, turn_rad) in enumerate([(9e-5, 0.0), (1.2e-4, 0.0), (0.0, 1e-4), (0.0, 3e-4)]):
+        moved = was @ pose.from_rotation_vector([0, turn_rad, 0], [shift_m, 0, 0])
+        after = {"joints_after": [0.0] * 6, "robot_time_after_s": 100.1}
+        change_line(recording, index, base_from_flange_after=moved.tolist(), **after)
+    moved = "the arm moved during the exposure"
+    assert found(recording) == [("001", moved, True), ("003", moved, True)]
+    assert "by 0.12 mm and 0.000 degrees" in check(recording)[0].line
+
+
 def test_exposure(recording):
     replace_image(recording, "001", np.clip(picture(1).astype(int) * 3, 0, 255).astype(np.uint8))
     replace_image(recording, "002", picture(2) // 12)

@@ -38,7 +38,7 @@ class Still:
     def move_to(self, joints: np.ndarray, *, speed: float, acceleration: float) -> None:
         self.joints = np.array(joints)
 
-    def state(self) -> RobotState:
+    def state(self, *, newer_than_ns: int = 0) -> RobotState:
         return RobotState(kinematics.forward(self.joints), self.joints.copy(), np.zeros(6), time.monotonic(), time.monotonic_ns())
 
     def stop(self) -> None: ...

@@ -9,6 +9,7 @@ from capture import kinematics
 from capture.errors import MotionError
 from capture.planning import plan
 from capture.planning.solutions import HOME
+from capture.recording.check import check
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
@@ -36,7 +37,7 @@ class StandInRobot:
             raise MotionError("did not arrive", remedy="resume the recording")
         self.joints, self.moves = np.array(joints), self.moves + 1
 
-    def state(self) -> RobotState:
+    def state(self, *, newer_than_ns: int = 0) -> RobotState:
         return RobotState(kinematics.forward(self.joints), self.joints.copy(), np.zeros(6), time.monotonic(), time.monotonic_ns())
 
     def stop(self) -> None: ...
@@ -99,6 +100,8 @@ def test_takes_every_view_where_it_was_planned(trajectory, rig, views, tmp_path)
         assert frame.sha256 == files.sha256(recording.image_path(frame))
         assert (images.to_uint8(images.read(recording.image_path(frame))) == frame.device_ticks).all()
         assert frame.settle_s >= trajectory.motion.settle_time_s
+        assert np.array_equal(frame.joints_after, view.joints) and frame.robot_time_after_s > frame.robot_time_s
+        np.testing.assert_allclose(frame.base_from_flange_after, frame.base_from_flange, atol=1e-12)
     assert rig.ground_truth.kept == [(frame.name, frame.split) for frame in recording.frames]
 
 
@@ -126,6 +129,28 @@ def test_board_is_described_for_a_calibration(rig, tmp_path):
         "first_id": 0,
     }
     assert recording.frames[0].split == "calibration"
+
+
+def test_the_pose_after_is_read_after_the_exposure(trajectory, rig, views, tmp_path):
+    def grab_while_it_sags():
+        rig.robot.joints = rig.robot.joints + 1e-3
+        return StandInCamera.grab(rig.camera)
+
+    rig.camera.grab = grab_while_it_sags
+    (frame,) = record(trajectory, rig, tmp_path / "rec", planned=views[:1]).frames
+    np.testing.assert_allclose(frame.joints_after - frame.joints, 1e-3, atol=1e-12)
+    (moved,) = [one for one in check(tmp_path / "rec") if one.what == "the arm moved during the exposure"]
+    assert moved.frame == frame.name and moved.again
+
+
+def test_a_session_from_before_settling_by_positions_is_resumed(trajectory, rig, views, tmp_path):
+    record(trajectory, rig, tmp_path / "rec", planned=views[:1])
+    path = tmp_path / "rec" / "manifest.json"
+    manifest = files.read_json(path)
+    manifest["trajectory"]["motion"]["settle_speed"] = 0.001
+    del manifest["trajectory"]["motion"]["settle_spread"]
+    files.write_json(path, manifest)
+    assert len(record(trajectory, rig, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
 
 
 def test_a_stopped_session_is_resumed_without_a_duplicate(trajectory, rig, views, tmp_path):

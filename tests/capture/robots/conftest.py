@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from capture.robots.timing import Deadlines, Settling
+from capture.robots.settling import Settling
+from capture.robots.timing import Deadlines
 from capture.robots.ur import UR5e
 
 BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)

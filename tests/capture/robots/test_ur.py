@@ -6,17 +6,19 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError
+from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError, StopLatched
 from capture.kinematics import forward
 from capture.robots.client import versioned
 from capture.robots.koala_client import KoalaClient
+from capture.robots.settling import Settling
 from capture.robots.ur import UR5e
-from capture.sim.controller.process import SimulatedController
+from capture.sim.controller.process import ENCODER_NOISE_RAD, SimulatedController
 from datasets import pose
 
 GOALS = np.array([[0.2, -1.4, 0.9, -1.5, -1.5, 0.2], [0.5, -1.2, 1.2, -1.5, -1.2, 0.4], [0.1, -1.3, 1.0, -1.8, -1.5, -0.2]])
@@ -140,8 +142,59 @@ def test_stop_from_another_thread(connect, slow):
         with pytest.raises(MotionError, match="stopped on request"):
             robot.move_to(FAR, speed=1.0, acceleration=1.4)
         assert _at_rest(slow)
+        rests = robot.state().joints
+        with pytest.raises(StopLatched, match=r"stopped on request .*until it is cleared"):
+            robot.move_to(rests + 0.02, speed=1.0, acceleration=1.4)
         robot.stop()
-        robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)  # the connection is still good
+        robot.clear_stop()
+        robot.move_to(rests + 0.02, speed=1.0, acceleration=1.4)  # the connection is still good
+
+
+def test_a_stop_between_motions_and_before_entering_again_holds(connect, simulated):
+    robot = connect(simulated)
+    with robot:
+        robot.stop()
+    with robot:
+        before = robot.state().joints
+        with pytest.raises(StopLatched):
+            robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+        np.testing.assert_array_equal(robot.state().joints, before)
+
+
+def test_another_reply_than_stopped_is_no_stop_and_the_message_says_how_the_arm_moves(connect, slow):
+    with pytest.raises(MotionError) as caught, connect(slow) as robot:
+        slow.ask("refuse_stop")
+        slow.ask("ignore_commands")
+        robot.deadlines = replace(robot.deadlines, accept_s=0.3)
+        robot.move_to(FAR, speed=1.0, acceleration=1.4)
+    line = str(caught.value)
+    assert "refuses to stop its program ('Failed to execute: stop'); the arm stood still 0." in line, line
+    assert "stop it there" in line
+
+
+def test_a_stop_that_nothing_confirms_asks_for_the_emergency_stop(connect, slow):
+    with connect(slow) as robot:
+        slow.ask("hang", seconds=20)
+        time.sleep(1.5)  # older than `stale_s`: what the arm did then says nothing of what it does now
+        with pytest.raises(RigConnectionError, match=r"nothing confirms that the arm stops .*press the emergency stop"):
+            robot.stop()
+        slow.ask("hang", seconds=0)
+
+
+def test_an_arm_with_noisy_encoders_settles(connect):
+    with SimulatedController.start(seed=3, time_scale=4.0, noise_rad=ENCODER_NOISE_RAD) as simulated, connect(simulated) as robot:
+        robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+        states = [robot.state(newer_than_ns=time.monotonic_ns()) for _ in range(12)]
+    noise = np.std(np.subtract([state.joints for state in states], GOALS[0]))
+    assert 0.5 < noise / ENCODER_NOISE_RAD < 1.5  # 72 draws: 8 % standard error
+    assert np.diff([state.robot_time_s for state in states]).min() > 0
+
+
+def test_an_arm_that_never_rests_names_its_spread_and_the_key(connect, simulated):
+    with pytest.raises(MotionError, match=r"does not come to rest: its joints vary by .* limit 1\.0e-09.*motion\.settle_spread"):
+        with SimulatedController.start(time_scale=20.0, noise_rad=1e-5) as noisy, connect(noisy) as robot:
+            robot.settling = Settling(spread=1e-9, timeout_s=0.5)
+            robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)
 
 
 @pytest.mark.both_clients
@@ -203,8 +256,17 @@ def test_an_unreachable_controller_is_one_clear_line():
 
 
 @pytest.mark.both_clients
-def test_a_second_owner_is_refused(connect, simulated):
+def test_a_second_owner_is_refused_and_the_first_goes_on(connect, simulated):
     with connect(simulated) as first:
-        with pytest.raises(CaptureError, match="does not take the control program"), connect(simulated):
+        with pytest.raises(NotReady, match=r"a program runs on the robot and was left alone"), connect(simulated):
+            pytest.fail("entered a robot that another program controls")
+        first.move_to(first.state().joints + 0.01, speed=0.5, acceleration=1.0)
+
+
+@pytest.mark.both_clients
+def test_taking_over_from_a_client_that_holds_its_registers_is_refused(connect, simulated):
+    with connect(simulated) as first:
+        words = r"does not take the control program .*end the other program"
+        with pytest.raises(CaptureError, match=words), connect(simulated, take_over=True):
             pytest.fail("entered a robot that another program controls")
         del first

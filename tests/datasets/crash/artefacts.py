@@ -68,7 +68,7 @@ class Rigged:
     def move_to(self, joints: np.ndarray, *, speed: float, acceleration: float) -> None:
         self.joints = np.array(joints)
 
-    def state(self) -> Any:
+    def state(self, *, newer_than_ns: int = 0) -> Any:
         from capture import kinematics
         from capture.rig.protocols import RobotState
 

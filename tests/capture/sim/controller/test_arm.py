@@ -89,10 +89,19 @@ def test_the_flange_bends_after_a_stop_beyond_what_the_encoders_see():
 def test_the_oscillation_lasts_as_long_as_it_says():
     arm = _arm()
     arm.move_to(GOAL, 1.0, 1.4, 0.0)
-    end, lasts = arm.profile.duration, arm.swings_for(arm.profile, 1e-3)
-    after = np.array([np.abs(arm.actual(end + lasts + step)[1]).max() for step in np.linspace(2e-4, 0.2, 400)])
-    assert 0.05 < lasts < 0.36 and after.max() <= 1e-3
-    assert np.abs(arm.actual(end + lasts)[1]).max() > 0.9e-3
+    end, lasts = arm.profile.duration, arm.swings_for(arm.profile, 5e-5)
+    after = np.array([arm.actual(end + lasts + step)[0] for step in np.linspace(2e-4, 0.3, 600)])
+    assert 0.05 < lasts < 0.36 and np.ptp(after, axis=0).max() <= 5e-5
+    before = np.array([arm.actual(end + lasts + step)[0] for step in np.linspace(-5e-3, 0.3, 600)])
+    assert np.ptp(before, axis=0).max() > 5e-5
+
+
+def test_encoders_have_noise_that_the_joints_have_not():
+    arm = Arm(0, HOME, 0.0, 0.0, noise_rad=1e-5)
+    angles, speeds = zip(*(arm.measured(1.0) for _ in range(500)), strict=True)
+    np.testing.assert_array_equal(arm.actual(1.0)[0], HOME)
+    assert np.std(np.subtract(angles, HOME)) == pytest.approx(1e-5, rel=0.06)  # 3000 draws: 1.3 % standard error
+    assert np.std(speeds) == pytest.approx(2.5e-3, rel=0.06)
 
 
 def test_the_speed_slider_stretches_a_motion_under_way():

@@ -7,12 +7,18 @@ import pytest
 
 from capture.sim.controller.arm import Arm, RobotMode, Safety
 from capture.sim.controller.dashboard import reply
+from capture.sim.controller.installation import Installation
 
 
 @pytest.fixture
 def controller():
     found = SimpleNamespace(
-        arm=Arm(0, np.zeros(6), 0.0, 0.0), version=(5, 11, 5, 7), program_running=True, program_paused=False, stopped=0
+        arm=Arm(0, np.zeros(6), 0.0, 0.0),
+        installed=Installation(version=(5, 11, 5, 7)),
+        unstoppable=False,
+        program_running=True,
+        program_paused=False,
+        stopped=0,
     )
     found.stop_program = lambda: setattr(found, "stopped", found.stopped + 1)
     found.pause_program, found.play_program = lambda: found.program_running, lambda: found.program_paused

@@ -6,6 +6,7 @@ import pytest
 from capture.kinematics import forward
 from capture.robots.rtde import wire
 from capture.sim.controller.arm import Arm, Safety
+from capture.sim.controller.installation import Installation
 from capture.sim.controller.outputs import Outputs
 from capture.sim.controller.script import ControlProgram
 from capture.sim.controller.server import ControllerServer
@@ -65,4 +66,4 @@ def test_every_variable_has_a_value_that_its_type_can_hold(server):
     names = [*wire.OUTPUT_TYPES, "output_double_register_0", "input_int_register_47"]
     moment, recipe = Outputs(server, 1.0), wire.Recipe(names)
     values = recipe.unpack(recipe.pack([moment[name] for name in names]))
-    assert values["joint_temperatures"] == [30.0] * 6 and values["payload_cog"] == [0.0] * 3
+    assert values["joint_temperatures"] == [30.0] * 6 and values["payload_cog"] == list(Installation().payload_centre)

@@ -54,7 +54,9 @@ def test_it_listens_on_loopback_addresses_only(host):
 
 def test_a_busy_port_is_reported():
     with SimulatedController.start() as simulated:
-        with pytest.raises(SimulationError, match=rf"{simulated.host}.*30004, 30003, 29999 are not free there.*another --host"):
+        with pytest.raises(
+            SimulationError, match=rf"{simulated.host}.*30004, 30003, 29999, 30001, 30002 are not free there.*another --host"
+        ):
             SimulatedController.start(host=simulated.host)
 
 

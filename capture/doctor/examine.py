@@ -1,0 +1,125 @@
+"""All checks of a rig together: what a person asks for, and what a session asks before it begins."""
+
+import logging
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+
+from capture.cameras.nodes import Nodes
+from capture.doctor import arm, camera, computer, pendant, safety
+from capture.doctor.answers import Answers, ask
+from capture.doctor.lines import Line, Verdict, ok, unknown, wrong
+from capture.errors import NotReady, RigConnectionError
+from capture.rig.description import RigDescription
+from capture.robots.timing import Deadlines
+
+log = logging.getLogger(__name__)
+BRIEFLY_S = 0.3  # how long samples are watched before a session
+SESSION_BYTES = 1e9  # a session of the whole sensor takes 0.3 GB
+SIMULATED_PATIENCE = 10  # the computer of a simulation is busy with rendering: gaps of its samples may be so much longer
+PROGRAM = "program"  # name of the line that `take_over` answers
+
+
+def examine_arm(
+    host: str,
+    rig: RigDescription,
+    *,
+    folder: Path,
+    seconds: float,
+    needed: float = SESSION_BYTES,
+    longest_gap_s: float = Deadlines().stale_s,
+    rate: float | None = 1.0,
+    up: int | None = None,
+    now: Callable[[], datetime] = lambda: datetime.now(UTC),
+) -> list[Line]:
+    """Ask the controller at `host`, and this computer; nothing moves.
+
+    Args:
+        seconds: how long samples are watched.
+        up: sign of the base's z axis in the upward direction that the session needs; None: the rig file's.
+        folder, needed, longest_gap_s, rate: see `capture.doctor.computer.check`.
+    """
+    answers = ask(host, seconds)
+    if answers.dashboard is None and answers.primary is None and answers.sample is None:
+        remedy = "check that it is switched on, the cable, and robot.host in the rig file"
+        return [wrong("controller", f"{host}: {answers.silent[0]}", remedy)]
+    stated = rig.robot.installation
+    return [
+        *_ports(answers),
+        *arm.check(answers, rig.robot, up),
+        *pendant.check(answers, stated),
+        *safety.check(answers, stated),
+        *computer.check(answers, folder, needed=needed, now=now(), longest_gap_s=longest_gap_s, rate=rate),
+    ]
+
+
+def examine_camera(nodes: Nodes, serial: str, rig: RigDescription, *, encoded: bool = True) -> list[Line]:
+    """Bring a camera to its known state and ask what it is; `encoded`: it must send sRGB."""
+    return camera.check(nodes, serial, rig.camera, encoded=encoded)
+
+
+def examine(
+    rig: RigDescription,
+    host: str,
+    folder: Path,
+    *,
+    simulated: bool,
+    seconds: float,
+    needed: float = SESSION_BYTES,
+    up: int | None = None,
+    encoded: bool = True,
+) -> list[Line]:
+    """Arm, computer and camera. A simulated camera is an ace USB over pylon's emulation; arguments as in the two above."""
+    from capture.cameras.basler import opened
+    from capture.sim.camera_nodes import SimulatedNodes
+
+    gap_s = Deadlines().stale_s * (SIMULATED_PATIENCE if simulated else 1)
+    rate = None if simulated else 1.0
+    lines = examine_arm(host, rig, folder=folder, seconds=seconds, needed=needed, longest_gap_s=gap_s, rate=rate, up=up)
+    with ExitStack() as stack:
+        try:
+            nodes, serial = stack.enter_context(opened("" if simulated else rig.camera.serial, emulated=simulated))
+        except RigConnectionError as error:
+            return [*lines, *camera.missing(f"{error.what} ({error.why})" if error.why else error.what)]
+        return [*lines, *examine_camera(SimulatedNodes(nodes, "ace USB") if simulated else nodes, serial, rig, encoded=encoded)]
+
+
+def examination(out: Path, up: int, encoded: bool, take_over: bool) -> Callable[[RigDescription, str, bool], None]:
+    """The checks at the start of a session that writes to `out`, for `open_rig`: silent where nothing is wrong."""
+
+    def checked(rig: RigDescription, host: str, simulated: bool) -> None:
+        # the recorder knows how much each view takes, and refuses a disk without room
+        lines = examine(rig, host, out, simulated=simulated, seconds=BRIEFLY_S, needed=0.0, up=up, encoded=encoded)
+        refuse_wrong(lines, host, take_over=take_over)
+
+    return checked
+
+
+def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> None:
+    """Warn of what makes a recording worse; raise NotReady where something must be mended first.
+
+    Args:
+        take_over: a program that runs is no hindrance.
+    """
+    bad = [line for line in lines if line.verdict is Verdict.WRONG and not (take_over and line.name == PROGRAM)]
+    for line in bad:
+        if not line.blocks:
+            log.warning("%s: %s; %s", line.name, line.found, line.remedy)
+    blocking = [line for line in bad if line.blocks]
+    if blocking:
+        why = "; ".join(f"{line.name}: {line.found}" for line in blocking)
+        remedy = "; ".join(dict.fromkeys(line.remedy for line in blocking))
+        raise NotReady("the rig is not ready, nothing has moved", where=where, why=why, remedy=remedy)
+
+
+def _ports(answers: Answers) -> list[Line]:
+    """Which interfaces answer."""
+    samples = ok("RTDE", "sends samples")
+    if answers.sample is None:
+        samples = wrong("RTDE", "no samples", "enable RTDE at the pendant: Settings > Security > Services")
+    primary = ok("primary interface", "sends the state")
+    if answers.primary is None or not answers.primary.heard:
+        remedy = "enable Primary/Secondary at the pendant: Settings > Security > Services"
+        primary = unknown("primary interface", "says nothing", remedy)
+    return [samples, primary]

@@ -1,0 +1,71 @@
+"""Settings of cameras that pylon's emulation does not have, laid over those that it has, and faults of them.
+
+The families differ in the names by which they encode colours; see `capture.cameras.start_state`.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
+
+from capture.cameras.nodes import Nodes
+from capture.errors import CaptureError
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting of a simulated camera; a stuck one takes a value and keeps its own."""
+
+    value: Any
+    symbolics: tuple[str, ...] = ()
+    stuck: bool = False
+
+
+COMMON = {"DeviceTemperature": Setting(45.0), "DeviceLinkSpeed": Setting(500_000_000)}
+FAMILIES: dict[str, dict[str, Setting]] = {
+    "ace USB": {
+        **COMMON,
+        "ColorSpace": Setting("RGB", ("RGB", "sRGB")),
+        "LightSourcePreset": Setting("Daylight5000K", ("Off", "Daylight5000K", "Tungsten2800K")),
+    },
+    "ace 2": {**COMMON, "BslColorSpace": Setting("Off", ("Off", "sRgb")), "BslTemperatureStatus": Setting("Ok")},
+    "dart": {**COMMON, "BslColorSpaceMode": Setting("RGB", ("RGB", "sRGB"))},
+    "ace GigE": {
+        "TemperatureAbs": Setting(48.0),
+        "DeviceLinkSpeed": Setting(125_000_000),
+        "GammaSelector": Setting("User", ("User", "sRGB")),
+        "GammaEnable": Setting(False),
+        "BlackLevelRaw": Setting(32),
+    },
+}
+
+
+class SimulatedNodes:
+    """The settings of a family over those of the emulation (`under`); `without` some, and with `changed` ones."""
+
+    def __init__(
+        self, under: Nodes, family: str, *, without: Collection[str] = (), changed: dict[str, Setting] | None = None
+    ) -> None:
+        self._under, self._without = under, set(without)
+        self._over = {**FAMILIES[family], **(changed or {})}
+
+    def has(self, name: str) -> bool:
+        """See `Nodes`."""
+        return name not in self._without and (name in self._over or self._under.has(name))
+
+    def read(self, name: str) -> Any:
+        """See `Nodes`."""
+        return self._over[name].value if name in self._over else self._under.read(name)
+
+    def symbolics(self, name: str) -> Collection[str]:
+        """See `Nodes`."""
+        return self._over[name].symbolics if name in self._over else self._under.symbolics(name)
+
+    def write(self, name: str, value: Any) -> None:
+        """See `Nodes`."""
+        setting = self._over.get(name)
+        if setting is None:
+            self._under.write(name, value)
+        elif setting.symbolics and value not in setting.symbolics:
+            raise CaptureError(f"camera rejected {name}", why=f"requested {value}, possible: {', '.join(setting.symbolics)}")
+        elif not setting.stuck:
+            self._over[name] = replace(setting, value=value)

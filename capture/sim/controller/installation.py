@@ -1,0 +1,23 @@
+"""What a person has set at the pendant of the simulated controller, and how well its network works."""
+
+from dataclasses import dataclass
+
+VERSION = (5, 11, 5, 1010327)
+
+
+@dataclass
+class Installation:
+    """The settings; the side channel's `install` changes them."""
+
+    serial: str = "20235500001"
+    version: tuple[int, ...] = VERSION
+    remote: bool = True  # remote control, not local
+    payload_kg: float = 0.5
+    payload_centre: tuple[float, ...] = (0.0, 0.03, 0.05)  # centre of gravity in the flange [m]
+    up: tuple[float, ...] = (0.0, 0.0, 1.0)  # unit vector away from the ground, in the base
+    checksum: str = "5afe0011"  # of the safety configuration, hexadecimal
+    program: str = ""  # "PLAYING" or "PAUSED": a program that somebody else has started
+    dashboard: bool = True  # PolyScope X has no dashboard server
+    calibrated: bool = True  # its calibration is installed; else it says that its links are the nominal ones
+    primary: bool = True  # the primary interface may be blocked in the security settings
+    latency_s: float = 0.0  # a sample arrives late by up to this much

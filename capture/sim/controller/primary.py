@@ -1,0 +1,54 @@
+"""The primary interface of the simulated controller: a version message, then its state ten times a second."""
+
+import asyncio
+import struct
+from typing import TYPE_CHECKING
+
+from capture.kinematics import UR5E, six_from_pose
+from capture.robots import primary
+from capture.robots.primary import package
+
+if TYPE_CHECKING:
+    from capture.sim.controller.server import ControllerServer
+
+PORTS = (30001, 30002)
+PERIOD_S = 0.1
+PROJECT, BUILT = b"URControl", b"2022-01-01"
+
+
+def version_message(version: tuple[int, ...]) -> bytes:
+    """Major, minor, bugfix and build number."""
+    numbers = struct.pack(">BBii", *version)
+    content = struct.pack(">Qbb", 0, -2, primary.VERSION) + bytes([len(PROJECT)]) + PROJECT + numbers + BUILT
+    return package(primary.MESSAGE, content)
+
+
+def state_message(server: "ControllerServer") -> bytes:
+    """Tool pose and offset, the calibrated links, and the checksum of the safety settings."""
+    arm, links = server.arm, server.arm.links if server.installed.calibrated else UR5E
+    pose = [*server.tcp_pose(arm.actual(server.now)[0]), *six_from_pose(arm.flange_from_tcp)]
+    numbers = [float(one) for part in (links.theta, links.a, links.d, links.alpha) for one in part]
+    parts = (
+        package(primary.CARTESIAN, primary.CARTESIAN_FIELDS.pack(*pose)),
+        package(primary.KINEMATICS, primary.KINEMATICS_FIELDS.pack(*[0] * 6, *numbers, 0)),
+        package(primary.SAFETY, bytes.fromhex(server.installed.checksum)),
+    )
+    return package(primary.STATE, b"".join(parts))
+
+
+async def serve(server: "ControllerServer", reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Serve one connection until the client leaves; nothing that it sends is read."""
+    del reader
+    try:
+        if not server.installed.primary:
+            return
+        writer.write(version_message(server.installed.version))
+        while not writer.is_closing():
+            if not server.silent:
+                writer.write(state_message(server))
+                await writer.drain()
+            await asyncio.sleep(PERIOD_S)
+    except ConnectionError:
+        return
+    finally:
+        writer.close()

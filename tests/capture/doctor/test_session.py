@@ -1,0 +1,113 @@
+"""What the examination means for a session: silence, warnings, or a refusal before anything moves; programs that run."""
+
+import json
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from capture.doctor.examine import examination
+from capture.errors import NotReady
+from capture.rig.description import RigDescription
+from capture.rig.opening import write_simulated_rig
+from capture.robots.dashboard import Dashboard
+from capture.robots.timing import Deadlines
+from capture.robots.ur import UR5e
+from capture.sim.controller.process import SimulatedController
+
+SESSION = """\
+format: koala-trajectory
+version: 1
+name: one
+views:
+  - {kind: hemisphere, target: [0.4, 0.0, 0.1], distance: 0.4, elevation_deg: [40, 60], azimuth_deg: [150, 210], rings: 1,
+     count: 3, roll_deg: [0, 90, 180, 270]}
+split: null
+object: {centre: [0.4, 0.0, 0.1], size: [0.2, 0.2, 0.2]}
+camera: {exposure_us: 10000, binning: 4, width: 48, height: 48}
+"""
+BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
+"""Tests run beside others on two cores: a pause of half a second is no fault there."""
+
+
+@pytest.fixture
+def simulated():
+    with SimulatedController.as_built(seed=3, time_scale=20.0) as controller:
+        yield controller
+
+
+def state(host: str) -> str:
+    dashboard = Dashboard.connect(host)
+    try:
+        return dashboard.ask("programState")
+    finally:
+        dashboard.close()
+
+
+def test_a_session_on_a_good_rig_starts_in_silence(simulated, tmp_path, caplog):
+    with caplog.at_level(logging.INFO):
+        examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
+    assert not caplog.text
+
+
+def test_what_makes_a_recording_worse_is_a_warning(simulated, tmp_path, caplog):
+    simulated.ask("safety", mode="REDUCED")
+    examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
+    assert "reduced mode: active" in caplog.text and caplog.text.count("\n") == 1
+
+
+def test_what_must_be_mended_is_refused_with_every_remedy(simulated, tmp_path):
+    simulated.ask("install", payload_kg=0.0, remote=False)
+    with pytest.raises(NotReady, match=r"payload: none entered.*remote control at the pendant") as caught:
+        examination(tmp_path / "rec", 1, True, True)(RigDescription(), simulated.host, True)
+    assert "local control" in str(caught.value) and "nothing has moved" in str(caught.value)
+
+
+def test_a_session_for_a_hanging_arm_is_refused_on_a_standing_one(simulated, tmp_path):
+    with pytest.raises(NotReady, match="mounting"):
+        examination(tmp_path / "rec", -1, True, False)(RigDescription(), simulated.host, True)
+
+
+@pytest.mark.parametrize("program", ["PLAYING", "PAUSED"])
+def test_a_program_that_runs_is_reported_and_left_alone_unless_taken_over(simulated, program, tmp_path):
+    simulated.ask("install", program=program)
+    with pytest.raises(NotReady, match=f"left alone.*{program} palletizing.*--take-over"):
+        with UR5e(simulated.host, deadlines=BUSY, client="koala"):
+            pass
+    with pytest.raises(NotReady, match=f"program: {program} palletizing"):
+        examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
+    assert state(simulated.host) == f"{program} palletizing.urp"
+    examination(tmp_path / "rec", 1, True, True)(RigDescription(), simulated.host, True)
+    with UR5e(simulated.host, deadlines=BUSY, client="koala", take_over=True) as robot:
+        assert "palletizing" not in state(simulated.host)
+        assert robot.description()["model"] == "UR5e"
+
+
+def test_the_model_that_is_recorded_is_the_one_that_stands_there(simulated):
+    simulated.ask("install", model="ur10e")
+    with UR5e(simulated.host, deadlines=BUSY, client="koala") as robot:
+        assert robot.description()["model"] == "UR10e"
+
+
+def capture(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "capture.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_the_commands(simulated, tmp_path: Path):
+    rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
+    small.write_text(SESSION)
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    simulated.ask("install", program="PLAYING", payload_kg=0.0)
+    done = capture("doctor", "--rig", rig, "--seconds", 0.2)
+    assert done.returncode == 1 and not done.stderr, done.stderr
+    rows = {line[:17].strip(): line[17:].split()[0] for line in done.stdout.splitlines()}
+    assert {name for name, verdict in rows.items() if verdict == "wrong"} == {"program", "payload"}, done.stdout
+    refused = capture("run", small, "--rig", rig, "--out", out)
+    assert (refused.returncode, refused.stderr.count("\n")) == (1, 1) and "payload: none entered" in refused.stderr
+    assert not out.exists() and state(simulated.host) == "PLAYING palletizing.urp"
+    simulated.ask("install")
+    good = capture("doctor", "--rig", rig, "--seconds", 0.2, "--json")
+    assert good.returncode == 0 and {line["verdict"] for line in json.loads(good.stdout)["lines"]} == {"ok", "unknown"}
