@@ -10,6 +10,9 @@ EXTRAS = {
     "viser": "view",
     "tensorboardX": "tensorboard",
     "ray": "sweep",
+    "xatlas": "asset",
+    "pxr": "asset",
+    "coacd": "asset",
 }
 """Module to the extra of pyproject.toml that brings it."""
 
