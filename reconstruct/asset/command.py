@@ -26,7 +26,7 @@ def asset(
     """Bake a run into a textured mesh that renderers, viewers and robot simulators show."""
     from datasets.core.files import refuse_existing
     from reconstruct.asset import asset as assets
-    from reconstruct.asset import saving
+    from reconstruct.asset.writing import saving
     from reconstruct.output.commands import opened
 
     save = saving.writer(out)

@@ -63,7 +63,7 @@ def sample_material(
         return _composited(field, start, outward, jnp.asarray(step, jnp.float32), space, frame)
 
     values = by_chunks(evaluate, places, normals)
-    material = Material.unstacked(values[:, 1:].T)
+    material = Material.unstacked(jnp.asarray(values[:, 1:].T))
     predicted = np.asarray(material.normals_pred).T
     length = np.linalg.norm(predicted, axis=-1, keepdims=True)
     unit = predicted / np.maximum(length, 1e-6)

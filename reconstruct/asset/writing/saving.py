@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from datasets.core.errors import UsageError
-from reconstruct.asset import glb, obj, usd
 from reconstruct.asset.asset import Asset
+from reconstruct.asset.writing import glb, obj, usd
 
 WRITERS: dict[str, Callable[[Asset, Path], None]] = {".glb": glb.save, ".usdz": usd.save, ".obj": obj.save}
 

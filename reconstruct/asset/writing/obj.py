@@ -11,7 +11,7 @@ import numpy as np
 from datasets.core import files
 from reconstruct.asset.asset import Asset
 from reconstruct.asset.certainty import MEANING
-from reconstruct.asset.png import encoded
+from reconstruct.asset.writing.png import encoded
 
 FORMAT, VERSION = "koala-asset-frame", 1
 

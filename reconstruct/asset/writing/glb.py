@@ -10,7 +10,7 @@ import numpy as np
 from datasets.core import files
 from reconstruct.asset.asset import Asset
 from reconstruct.asset.certainty import MEANING
-from reconstruct.asset.png import encoded
+from reconstruct.asset.writing.png import encoded
 
 FLOAT, UNSIGNED = 5126, 5125
 ARRAYS, INDICES = 34962, 34963  # targets of buffer views

@@ -11,7 +11,7 @@ from datasets.core import files
 from datasets.core.errors import DatasetError
 from reconstruct.asset.asset import Asset
 from reconstruct.asset.certainty import MEANING
-from reconstruct.asset.obj import write_textures
+from reconstruct.asset.writing.obj import write_textures
 
 SHADED = {
     "diffuseColor": ("base_colour", "rgb", "sRGB"),
