@@ -10,8 +10,8 @@ import trimesh
 
 from datasets.imaging import images
 from reconstruct.asset import asset as assets
-from reconstruct.asset import glb, obj, usd
 from reconstruct.asset.materials import metallic_roughness
+from reconstruct.asset.writing import glb, obj, usd
 from reconstruct.output.trained_model import TrainedModel
 
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
