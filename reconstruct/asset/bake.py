@@ -1,4 +1,5 @@
-"""From a trained model and a mesh of it to values at texels: diffuse albedo, reflectance, roughness, normals, occlusion, certainty."""
+"""From a trained model and a mesh of it to values at texels: diffuse albedo, reflectance, roughness, normals, occlusion,
+certainty."""
 
 from dataclasses import dataclass
 

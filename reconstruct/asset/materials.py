@@ -2,7 +2,8 @@
 
     albedo = base (1 - metallic),  reflectance = 0.04 (1 - metallic) s + base metallic
 
-with s = 1 but for what `KHR_materials_specular` says. Both sums of a colour give base = albedo + reflectance - 0.04 (1 - metallic);
+with s = 1 but for what `KHR_materials_specular` says.
+Both sums of a colour give base = albedo + reflectance - 0.04 (1 - metallic);
 put into the first equation, metallic m solves 0.04 m^2 + (a + r - 0.08) m + 0.04 - r = 0, here for luminances a and r.
 """
 

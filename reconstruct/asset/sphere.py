@@ -1,6 +1,7 @@
 """Light from all directions, as values at the nodes of a sphere; and what rough surfaces mirror of it.
 
-    lobe of roughness r    the share of light from each node that a surface of GGX's alpha = r^2 mirrors towards its normal's direction
+    lobe of roughness r    the share of light from each node that a surface of GGX's alpha = r^2 mirrors
+                           towards its normal's direction
 
 That is the light of the split sum (Karis 2013, "Real Shading in Unreal Engine 4"): normal, view and reflected direction are one.
 """

@@ -30,7 +30,8 @@ def summary(asset: Asset) -> tuple[dict[str, Any], str]:
     return result, "\n".join(
         [
             f"{counts['faces']} triangles, {' x '.join(f'{side:.3f}' for side in size)} {unit}, y up",
-            f"{certainty['seen_by_3_views']:.0%} of the surface is seen by three views or more, {certainty['unseen']:.0%} by none",
+            f"{certainty['seen_by_3_views']:.0%} of the surface is seen by three views or more, "
+            f"{certainty['unseen']:.0%} by none",
             f"{asset.about['specular_unexplained']:.1%} of the mirrored light's energy is not explained by material and light",
         ]
     )
