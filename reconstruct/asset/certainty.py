@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 MEANING = (
     "red: training views that see the texel, counted in steps of 1/255; green: largest cosine between its normal and the "
-    "direction to one of them; blue: spread of these directions, 0 to 90 degrees; black: seen by none, values copied from the nearest seen"
+    "direction to one of them; blue: spread of these directions, 0 to 90 degrees; black: seen by none, "
+    "values copied from the nearest seen"
 )
 """Of the texture."""
 ENOUGH = 3  # views, from which on a point counts as seen in summaries
