@@ -1,1 +1,1 @@
-"""A trained model as an asset for other programs: textured mesh, light, bodies for robot simulators."""
+"""A trained model as an asset for other programs: a textured mesh, and the light it was seen in."""

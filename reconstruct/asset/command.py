@@ -1,4 +1,4 @@
-"""Commands for what is taken away from a trained run: asset, light."""
+"""The command that makes an asset of a trained run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +15,7 @@ app = Typer()
 @app.command()
 def asset(
     run: RunFolder,
-    out: Annotated[Path, Option("--out", metavar="FILE", help="File to write: FILE.glb, FILE.usdz or FILE.obj; must be new.")],
+    out: Annotated[Path, Option("--out", metavar="FILE", help="File to write: FILE.glb, .obj, .usd or .usdz; must be new.")],
     faces: Annotated[int, Option(min=100, help="Target number of triangles.")] = 20_000,
     texture: Annotated[int, Option(min=64, max=8192, help="Width and height of the textures in texels.")] = 1024,
     resolution: Annotated[int, Option(min=16, max=768, help="Grid points along the longest side of the object's box.")] = 256,
@@ -23,7 +23,7 @@ def asset(
     closed: Annotated[bool, Option("--closed/--open", help="Close the surface where it leaves the box.")] = True,
     as_json: console.Json = False,
 ) -> None:
-    """Bake a run into a textured mesh that renderers, viewers and robot simulators show."""
+    """Bake a run into a textured mesh that renderers, viewers and modelling programs show."""
     from datasets.core.files import refuse_existing
     from reconstruct.asset import asset as assets
     from reconstruct.asset.writing import saving

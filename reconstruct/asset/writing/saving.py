@@ -10,7 +10,12 @@ from datasets.core.errors import UsageError
 from reconstruct.asset.asset import Asset
 from reconstruct.asset.writing import glb, obj, usd
 
-WRITERS: dict[str, Callable[[Asset, Path], None]] = {".glb": glb.save, ".usdz": usd.save, ".obj": obj.save}
+WRITERS: dict[str, Callable[[Asset, Path], None]] = {
+    ".glb": glb.save,
+    ".obj": obj.save,
+    ".usd": usd.save,
+    ".usdz": usd.save_packed,
+}
 
 
 def writer(path: Path) -> Callable[[Asset, Path], None]:

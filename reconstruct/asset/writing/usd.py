@@ -1,4 +1,4 @@
-"""USD: a mesh with a UsdPreviewSurface, packed with its textures into one file (usdz)."""
+"""USD: a mesh with a UsdPreviewSurface, with its textures beside it (usd) or packed into one file with them (usdz)."""
 
 import os
 import tempfile
@@ -24,25 +24,26 @@ SHADED = {
 
 
 def save(asset: Asset, path: Path) -> None:
-    """Write an asset as FILE.usdz."""
+    """Write an asset as FILE.usd, its textures beside it: FILE_base_colour.png and so on, see `obj.write_textures`."""
+    names = write_textures(asset, path.parent, path.stem)
+    with files.atomic_path(path) as temporary:
+        _write_layer(asset, temporary, names)
+
+
+def save_packed(asset: Asset, path: Path) -> None:
+    """Write an asset as FILE.usdz. Raises DatasetError: the library cannot pack it."""
     from pxr import Sdf, UsdUtils
 
     with files.atomic_path(path) as temporary, tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.stem}.") as folder:
-        names = write_textures(asset, Path(folder), "asset")
-        layer = Path(folder) / "asset.usdc"
-        _write_layer(asset, layer, names)
-        packed = temporary.with_name(f"{temporary.stem}_packed.usdz")  # the library refuses names that exist
-        try:
-            good = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(os.fspath(layer)), os.fspath(packed))
-            if not good:
-                raise DatasetError("USD cannot be packed", where=path, remedy="choose a name that ends in .glb")
-            os.replace(packed, temporary)
-        finally:
-            packed.unlink(missing_ok=True)
+        layer, packed = Path(folder) / "asset.usdc", Path(folder) / "packed.usdz"  # the library refuses names that exist
+        _write_layer(asset, layer, write_textures(asset, Path(folder), "asset"))
+        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(os.fspath(layer)), os.fspath(packed)):
+            raise DatasetError("USD cannot be packed", where=path, remedy="choose a name that ends in .glb")
+        os.replace(packed, temporary)
 
 
 def _write_layer(asset: Asset, path: Path, names: dict[str, str]) -> None:
-    """The stage that a package begins with."""
+    """The stage: /asset with its mesh and material."""
     from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
     stage = Usd.Stage.CreateNew(os.fspath(path))
@@ -90,7 +91,7 @@ def _material(stage: Any, names: dict[str, str]) -> Any:
     for wanted, (texture, channel, space) in SHADED.items():
         node = UsdShade.Shader.Define(stage, f"/asset/material/{texture}")
         node.CreateIdAttr("UsdUVTexture")
-        node.CreateInput("file", types.Asset).Set(Sdf.AssetPath(names[texture]))
+        node.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"./{names[texture]}"))
         node.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
         node.CreateInput("sourceColorSpace", types.Token).Set(space)
         for axis in ("wrapS", "wrapT"):
