@@ -6,6 +6,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from datasets.core import console
+from reconstruct.asset import command as asset_command
 from reconstruct.bench import commands as bench_commands
 from reconstruct.diagnosis import command as diagnosis_command
 from reconstruct.options import Preset
@@ -64,6 +65,7 @@ app.command()(models)
 app.command()(backend)
 app.add_typer(study_commands.app)
 app.add_typer(output_commands.app)
+app.add_typer(asset_command.app)
 app.command()(diagnosis_command.diagnose)
 app.command()(view)
 app.add_typer(bench_commands.app, name="bench")

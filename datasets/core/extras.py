@@ -10,6 +10,8 @@ EXTRAS = {
     "viser": "view",
     "tensorboardX": "tensorboard",
     "ray": "sweep",
+    "xatlas": "asset",
+    "pxr": "asset",
 }
 """Module to the extra of pyproject.toml that brings it."""
 

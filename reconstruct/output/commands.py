@@ -43,7 +43,7 @@ def figures(
     """Draw the figures of the paper's supplement from the code and a trained run."""
     from reconstruct.output.paper_figures import draw_all
 
-    result = draw_all(_opened(run), out, steps=steps)
+    result = draw_all(opened(run), out, steps=steps)
     console.report(result, as_json=as_json, text="\n".join(result["figures"]))
 
 
@@ -70,7 +70,7 @@ def eval_command(
 
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
-        result = evaluate(_opened(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
+        result = evaluate(opened(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
         where = run / METRICS
     elif run is None and renders is not None and scene is not None and not align and stands_on is None:
         result, where = measure(renders, load_scene(scene), split=split, out=out, lpips=perceptual), out
@@ -87,7 +87,7 @@ def render(run: RunFolder, out: NewFolder, split: Split = "test", path: CameraPa
 
     refuse_existing(out)
     frames = None if path is None else camera_path.from_file(path)[0]
-    trained = _opened(run)
+    trained = opened(run)
     result = export.render(trained, out, split=split) if frames is None else export.render_along(trained, frames, out)
     console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
 
@@ -109,7 +109,7 @@ def film(
     from reconstruct.output.film import film
 
     along = None if path is None else camera_path.from_file(path)
-    trained = _opened(run)
+    trained = opened(run)
     poses, rate = along or (camera_path.orbit(trained.scene, frames), fps)
     result = film(trained, poses, out, shown=shown or ("rgb",), fps=rate)
     console.report(result, as_json=as_json, text=f"{result['frames']} frames at {rate:g} per second\n{out}")
@@ -142,7 +142,7 @@ def mesh(
         kind = "meshes" if points is None else "points"
         raise UsageError(f"{kind} are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(suffixes)}")
     refuse_existing(out)
-    trained = _opened(run)
+    trained = opened(run)
     surface = extraction.extract(
         trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on, follow=follow
     )
@@ -165,11 +165,11 @@ def report(
     from reconstruct.output.report import write
 
     refuse_existing(out)
-    result = write(_opened(run), out, calibration=calibration)
+    result = write(opened(run), out, calibration=calibration)
     console.report(result, as_json=as_json, text=result["report"])
 
 
-def _opened(run: Path) -> "TrainedModel":
+def opened(run: Path) -> "TrainedModel":
     """A run's trained model; compiled programs are cached on disk."""
     from reconstruct.backend import cache_compilations
     from reconstruct.output.trained_model import TrainedModel

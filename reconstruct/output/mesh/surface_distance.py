@@ -85,25 +85,32 @@ def compare(
 
 
 def visible(points: NDArray[np.float64], views: tuple[View, ...]) -> NDArray[np.bool_]:
+    """(n,) True for points that one of the views sees, see `seen_by`."""
+    found = np.zeros(len(points), bool)
+    for view in views:
+        found |= seen_by(points, view)
+    return found
+
+
+def seen_by(points: NDArray[np.float64], view: View) -> NDArray[np.bool_]:
     """(n,) True for points that a view sees: inside its image and not behind other points.
 
     There must be about one point per pixel or more: larger images are reduced to `PICTURE_PX`.
     """
     from scipy.ndimage import minimum_filter
 
+    camera = view.camera.undistorted()
+    factor = min(1.0, PICTURE_PX / max(camera.width, camera.height))
+    camera = camera.scaled(round(camera.width * factor), round(camera.height * factor))
+    local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+    front = np.flatnonzero(local[:, 2] > 1e-6)
+    column, row = np.floor(camera.project(local[front])).astype(np.int64).T
+    inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    front, pixel = front[inside], (row * camera.width + column)[inside]
+    depth = local[front, 2]
+    nearest = np.full(camera.width * camera.height, np.inf)
+    np.minimum.at(nearest, pixel, depth)
+    nearest = minimum_filter(nearest.reshape(camera.height, camera.width), 3).reshape(-1)  # no gaps between points
     found = np.zeros(len(points), bool)
-    for view in views:
-        camera = view.camera.undistorted()
-        factor = min(1.0, PICTURE_PX / max(camera.width, camera.height))
-        camera = camera.scaled(round(camera.width * factor), round(camera.height * factor))
-        local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-        front = np.flatnonzero(local[:, 2] > 1e-6)
-        column, row = np.floor(camera.project(local[front])).astype(np.int64).T
-        inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-        front, pixel = front[inside], (row * camera.width + column)[inside]
-        depth = local[front, 2]
-        nearest = np.full(camera.width * camera.height, np.inf)
-        np.minimum.at(nearest, pixel, depth)
-        nearest = minimum_filter(nearest.reshape(camera.height, camera.width), 3).reshape(-1)  # no gaps between points
-        found[front] |= depth < nearest[pixel] * (1 + HIDDEN_PX / camera.fx)
+    found[front] = depth < nearest[pixel] * (1 + HIDDEN_PX / camera.fx)
     return found

@@ -1,0 +1,134 @@
+"""What a trained field says of points on its surface: the material, and the light that it reflects towards cameras.
+
+A point's material is composited along a short way through the surface, against the mesh's normal, as a picture's pixel is.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from reconstruct.field.appearance import Material
+from reconstruct.field.cloud import Cloud
+from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
+from reconstruct.numerics.compiling import compiled
+from reconstruct.numerics.safe import normalise
+from reconstruct.output.trained_model import TrainedModel
+from reconstruct.rendering.pictures import ahead
+from reconstruct.scene.light import LightFrame
+from reconstruct.scene.space import Space
+
+CHUNK = 1 << 13  # points evaluated by one program
+STEPS = 16  # samples along the way through the surface
+REACH = 1 / 64
+"""Half the length of that way, as a share of the longest side of the object's box."""
+
+
+@dataclass(frozen=True)
+class MaterialSamples:
+    """The field at n points of a surface."""
+
+    diffuse: Float[np.ndarray, "n 3"]
+    """Linear light that leaves the point in all directions alike."""
+    tint: Float[np.ndarray, "n 3"]
+    roughness: Float[np.ndarray, " n"]
+    """The model's: the inverse concentration of a von Mises-Fisher lobe."""
+    normals: Float[np.ndarray, "n 3"]
+    """Unit, as predicted; those of the mesh where the model predicts none, or none that face outward."""
+    opacity: Float[np.ndarray, " n"]
+    """How much of the light the way through the surface absorbs: below 1 the model's surface is elsewhere, or thin."""
+    channels: Float[np.ndarray, "n channels"]
+    """The whole material, for `Shader`."""
+
+    def rows(self, which: Int[np.ndarray, " m"]) -> "MaterialSamples":
+        """Some of the points."""
+        return MaterialSamples(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def sample_material(
+    trained: TrainedModel, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+) -> MaterialSamples:
+    """The material at points (world frame and unit) of a surface with these outward unit normals."""
+    normalisation = trained.run.normalisation
+    low, high = np.asarray(trained.scene.box) * normalisation.scale
+    step = 2 * REACH * float((high - low).max()) / STEPS
+    places = (points - normalisation.centre) * normalisation.scale + normals * (step * STEPS / 2)
+    field, space, frame = trained.model.field, normalisation.space, trained.run.facts.light
+
+    def evaluate(start: Array, outward: Array) -> Array:
+        return _composited(field, start, outward, jnp.asarray(step, jnp.float32), space, frame)
+
+    values = by_chunks(evaluate, places, normals)
+    material = Material.unstacked(jnp.asarray(values[:, 1:].T))
+    predicted = np.asarray(material.normals_pred).T
+    length = np.linalg.norm(predicted, axis=-1, keepdims=True)
+    unit = predicted / np.maximum(length, 1e-6)
+    usable = (length[:, 0] > 1e-3) & (np.sum(unit * normals, -1) > 0.2)
+    shading = np.where(usable[:, None], unit, normals)
+    return MaterialSamples(values[:, 1:4], values[:, 4:7], values[:, 7], shading, values[:, 0], values[:, 1:])
+
+
+class Shader:
+    """The part of a field's colour that depends on the direction, at points whose material is known."""
+
+    def __init__(self, trained: TrainedModel, samples: MaterialSamples) -> None:
+        self._field, self._frame, self._samples = trained.model.field, trained.run.facts.light, samples
+
+    def specular(self, which: Int[np.ndarray, " n"], viewdirs: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Linear light of some of the points, by their indices, towards cameras that look along unit directions."""
+        chosen = self._samples
+        evaluate = lambda channels, normals, along: _specular(self._field, channels, normals, along, self._frame)  # noqa: E731
+        return by_chunks(evaluate, chosen.channels[which], chosen.normals[which], viewdirs)
+
+
+def by_chunks(function: Callable[..., Any], *arrays: Float[np.ndarray, "n _"]) -> Float[np.ndarray, "n _"]:
+    """Rows of a function of (channels, CHUNK) arrays at the rows of some arrays."""
+
+    def part(start: int) -> Any:
+        padded = [np.zeros((array.shape[1], CHUNK), np.float32) for array in arrays]
+        for whole, array in zip(padded, arrays, strict=True):
+            whole[:, : max(len(array) - start, 0)] = array[start : start + CHUNK].T
+        return function(*map(jnp.asarray, padded))
+
+    count = len(arrays[0])
+    found = [np.asarray(values).T for values in ahead(part(start) for start in range(0, max(count, 1), CHUNK))]
+    return np.concatenate(found)[:count]
+
+
+@compiled
+def _composited(
+    field: Field,
+    start: Float[Array, "3 n"],
+    outward: Float[Array, "3 n"],
+    step: Float[Array, ""],
+    space: Space,
+    frame: LightFrame,
+) -> Float[Array, "channels n"]:
+    """Opacity and the mean material along the way from `start` against `outward`."""
+    offsets = (jnp.arange(STEPS) + 0.5) * step
+    points = start[:, :, None] - outward[:, :, None] * offsets
+    density, material = field(Cloud(points.reshape(3, -1), None, space))
+    count = start.shape[1]
+    absorbed = density.reshape(count, STEPS) * step
+    before = jnp.cumsum(absorbed, axis=-1) - absorbed
+    weights = -jnp.expm1(-absorbed) * jnp.exp(-before)
+    opacity = jnp.sum(weights, -1)
+    stacked = material.stacked()
+    mean = jnp.sum(stacked.reshape(stacked.shape[0], count, STEPS) * weights, -1) / jnp.maximum(opacity, 1e-6)
+    lit = field.lit(Material.unstacked(mean), Lit.towards(frame, -outward))
+    return jnp.concatenate([opacity[None], lit.stacked()])
+
+
+@compiled
+def _specular(
+    field: Field,
+    channels: Float[Array, "channels n"],
+    normals: Float[Array, "3 n"],
+    viewdirs: Float[Array, "3 n"],
+    frame: LightFrame,
+) -> Float[Array, "3 n"]:
+    return field.shade(Material.unstacked(channels), viewdirs, normalise(normals, axis=0), Lit.towards(frame, viewdirs)).specular

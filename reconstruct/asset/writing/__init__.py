@@ -1,0 +1,1 @@
+"""Files of an asset: glTF, OBJ, USD."""
