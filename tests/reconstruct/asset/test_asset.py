@@ -88,7 +88,7 @@ def test_obj_and_usd_are_read_back(asset: assets.Asset, tmp_path: Path) -> None:
     assert pxr
     from pxr import Usd, UsdGeom
 
-    usd.save(asset, tmp_path / "ball.usdz")
+    usd.save_packed(asset, tmp_path / "ball.usdz")
     stage = Usd.Stage.Open(str(tmp_path / "ball.usdz"))
     assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/asset/mesh"))
