@@ -73,7 +73,8 @@ def check_equal(killed: Path, whole: Path) -> None:
     for frame in theirs.frames:
         same = by_name[frame.name]
         assert same.sha256 == files.sha256(ours.image_path(same)) == frame.sha256  # the very same picture
-        np.testing.assert_allclose(same.base_from_flange, frame.base_from_flange, atol=1e-6)
+        # two readings of noisy encoders: six joints of 4 urad each, within five deviations
+        np.testing.assert_allclose(same.base_from_flange, frame.base_from_flange, atol=7e-5)
         np.testing.assert_array_equal(truths[0][frame.name], truths[1][frame.name])
 
 
