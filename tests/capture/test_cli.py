@@ -153,7 +153,7 @@ def test_a_missing_camera_is_one_line_and_leaves_nothing(session, tmp_path):
     if "cannot be reached" in done.stderr or "several" in done.stderr:
         pytest.skip("a Basler camera is connected to this computer")
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
-    assert "camera: no Basler camera was found (connected: none); check cable and power" in done.stderr
+    assert "nothing has moved" in done.stderr and "no Basler camera was found (connected: none)" in done.stderr
     assert not (tmp_path / "rec").exists()
 
 
@@ -218,7 +218,7 @@ def test_sim_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path):
     replayed = capture("replay", tmp_path / "rec", "--out", tmp_path / "replay.json")
     assert replayed.returncode == 0 and replayed.stdout.count("\n") == 26, replayed.stderr
     content = files.read_json(tmp_path / "replay.json", kind="koala-replay", version=1)
-    assert content["translation_mm"]["worst"] < 0.001  # to where the controller says that it was
+    assert content["translation_mm"]["worst"] < 0.07  # where the controller says that it was: noise of the encoders, as in test_kill
     assert 0.02 < content["true_mm"]["rms"] < 0.15  # twice 0.03 mm along three axes: 0.073
 
     (tmp_path / "rec" / "images" / "004.png").write_bytes(b"")
