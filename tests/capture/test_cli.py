@@ -218,7 +218,7 @@ def test_sim_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path):
     replayed = capture("replay", tmp_path / "rec", "--out", tmp_path / "replay.json")
     assert replayed.returncode == 0 and replayed.stdout.count("\n") == 26, replayed.stderr
     content = files.read_json(tmp_path / "replay.json", kind="koala-replay", version=1)
-    assert content["translation_mm"]["worst"] < 0.07  # where the controller says that it was: noise of the encoders, as in test_kill
+    assert content["translation_mm"]["worst"] < 0.07  # to where it says that it was: noise of encoders, see test_kill
     assert 0.02 < content["true_mm"]["rms"] < 0.15  # twice 0.03 mm along three axes: 0.073
 
     (tmp_path / "rec" / "images" / "004.png").write_bytes(b"")
