@@ -120,7 +120,7 @@ class SurfaceConfig(Schema):
     first: Literal["median", "share", "half"] = setting(
         "median",
         "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
-        "weight, or where half of the light is stopped.",
+        "weight (better before a blank background, fails among surroundings), or where half of the light is stopped.",
     )
     samples: int = setting(32, "Points and directions on the sphere.", ge=4)
     sampling: Literal["lattice", "fibonacci", "random"] = setting(
