@@ -17,6 +17,7 @@ from reconstruct.rendering.model import render
 from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.rays import Normalisation
 from reconstruct.surface.first_surface import RULES, find_surfaces
+from reconstruct.training.batches import ONE_DEVICE, drawn_batch
 from reconstruct.training.starting import start
 from reconstruct.training.training import Training
 
@@ -59,9 +60,7 @@ def _compared(training: Training, tracer: Tracer, width_m: float) -> list[Seen]:
     """All rules on one batch of the model as it is; nothing while no ray has a surface."""
     model, normalisation = training.state.model, training.run.normalisation
     pixel_key, batch_key, sample_key = jax.random.split(jax.random.key(training.clock.step), 3)
-    index = model.sampler.pixels(training.pixels, pixel_key)
-    rays, colour = training.pixels.take(index)
-    batch = model.sampler.batch(rays, colour, batch_key)
+    batch = drawn_batch(model, training.pixels, pixel_key, batch_key, ONE_DEVICE)
     drawn = model.sampler.sampled(batch, sample_key)
     cloud = cloud_of(batch.rays, drawn.samples, space=normalisation.space, footprint=drawn.footprint)
     rendered, _ = render(model.field, batch.rays, drawn.samples, cloud)
