@@ -79,7 +79,10 @@ def against_neighbours(evidence: Evidence, values: NDArray[np.float64]) -> NDArr
 
 
 def equivalent(evidence: Evidence, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(views,) Gaussian blur that lowers the contrast of sharp pictures as much [px]; 0 for those at or above the median."""
+    """(views,) Gaussian blur that lowers the contrast of sharp pictures as much [px]; 0 for those at or above the median.
+
+    Views without a value (NaN) count as sharp.
+    """
     sharp = np.argsort(np.where(np.isfinite(values), -values, np.inf))[: min(3, len(values))]
     curve = np.zeros(len(BLURS_PX))
     for view in sharp:
@@ -89,7 +92,8 @@ def equivalent(evidence: Evidence, values: NDArray[np.float64]) -> NDArray[np.fl
             continue
         levels = [float(np.median(contrast(_blurred(picture, blur))[shown])) for blur in BLURS_PX]
         curve += (np.array(levels) - levels[0]) / len(sharp)
-    return np.interp(-np.nan_to_num(values), -np.minimum.accumulate(curve), BLURS_PX)
+    known = np.isfinite(values)
+    return np.where(known, np.interp(-np.where(known, values, 0.0), -np.minimum.accumulate(curve), BLURS_PX), 0.0)
 
 
 def contrast(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -104,8 +108,9 @@ def contrast(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mean of the channels; grey where nothing is."""
-    mean = np.nan_to_num(picture[..., :3].mean(-1), nan=0.5).astype(np.float32)
+    """Mean of the channels; grey where nothing is, or no finite value."""
+    mean = picture[..., :3].mean(-1)
+    mean = np.where(np.isfinite(mean), mean, 0.5).astype(np.float32)
     return mean if picture.shape[-1] == 3 else mean * picture[..., 3] + 0.5 * (1 - picture[..., 3])
 
 

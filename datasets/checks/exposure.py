@@ -21,12 +21,14 @@ def find(evidence: Evidence) -> list[Finding]:
 
 
 def deviating(values: np.ndarray, std: np.ndarray, least: float, certain: float) -> np.ndarray:
-    """True for (n,) log values that stand out from the others, or that are certainly far from their median."""
+    """True for (n,) log values that stand out from the others, or that are certainly far from their median.
+
+    A NaN among `values` or `std` stands for what could not be measured, and is never true.
+    """
     known = np.isfinite(values)
     spread = 1.4826 * np.median(np.abs(values[known] - np.median(values[known])))
-    size = np.abs(np.nan_to_num(values - np.median(values[known]))) - 0.0
-    sure = size > 4 * np.nan_to_num(std, nan=np.inf)
-    return known & sure & ((size > max(least, OUTSTANDING * spread)) | (size > certain))
+    size = np.abs(values - np.median(values[known]))
+    return known & (size > 4 * std) & ((size > max(least, OUTSTANDING * spread)) | (size > certain))
 
 
 def _exposure(found: ExposureGains) -> list[Finding]:

@@ -49,8 +49,9 @@ class LightFrames:
 
     @property
     def best(self) -> str:
-        """The frame that explains most."""
-        return max(FRAMES, key=lambda name: np.nan_to_num(self.explained[name], nan=-1.0))
+        """The frame that explains most, of those that explain anything."""
+        known = [name for name in FRAMES if np.isfinite(self.explained[name])]
+        return max(known or FRAMES, key=lambda name: self.explained[name])
 
 
 @dataclass(frozen=True, eq=False)

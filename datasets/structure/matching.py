@@ -119,7 +119,8 @@ def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """(height, width, 3) linear light of an sRGB picture, blurred; pixels count by their alpha."""
     import cv2
 
-    light = np.nan_to_num(images.linear_from_srgb(picture[..., :3]), nan=0.0)  # behind a mask there may be anything
+    light = images.linear_from_srgb(picture[..., :3])
+    light = np.where(np.isfinite(light), light, np.float32(0))  # behind a mask there may be anything
     if picture.shape[-1] == 3:
         return np.asarray(cv2.GaussianBlur(light, (0, 0), BLUR_PX), np.float32)
     alpha = np.clip(picture[..., 3:], 0, 1)

@@ -110,7 +110,9 @@ def _searched(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
 
 
 def _bytes(stored: NDArray[Any]) -> NDArray[np.uint8]:
-    """A picture as bytes, from bytes, 16 bits or floats in 0..1."""
+    """A picture as bytes, from bytes, 16 bits or floats in 0..1; black where a float is NaN."""
     if stored.dtype == np.uint8:
         return stored
-    return (stored >> 8).astype(np.uint8) if stored.dtype == np.uint16 else images.to_uint8(np.nan_to_num(stored))
+    if stored.dtype == np.uint16:
+        return (stored >> 8).astype(np.uint8)
+    return images.to_uint8(np.where(np.isnan(stored), np.float32(0), stored))
