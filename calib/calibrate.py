@@ -108,15 +108,17 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
-    start, chosen = start_from(first.camera, closed, int(keep.sum())), first.session.chosen(keep)
+    start, chosen = start_from(first.camera, closed, int(keep.sum()), first.session.links.count), first.session.chosen(keep)
     options = {"sigma_px": first.sigma_px, "fisheye": first.camera.fisheye}
     fit = outliers.refine_without(chosen, start, first.free, first.known, accuracy, **options)
     return Solution(first, boards, closed, keep, fit)
 
 
-def start_from(camera: Camera, closed: closed_forms.HandEye, views: int) -> State:
-    """Where the refinement of a number of views begins."""
-    return State(projection.vector(camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((views, 6)))
+def start_from(camera: Camera, closed: closed_forms.HandEye, views: int, joints: int = 6) -> State:
+    """Where the refinement of a number of views of an arm with so many joints begins."""
+    return State(
+        projection.vector(camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((views, 6)), np.zeros(joints)
+    )
 
 
 def _check_poses(session: TargetSession) -> None:

@@ -18,11 +18,11 @@ app = console.make_app("capture", "Move a robot and a camera along a trajectory,
 
 @app.command("list")
 def list_command(as_json: console.Json = False) -> None:
-    """List the installed trajectories and rigs, and the scenes of the simulation."""
+    """List the installed trajectories, rigs and arms, and the scenes of the simulation."""
     import configs
     from capture.sim.laboratory.scenes import SCENES
 
-    found = {"trajectories": configs.shipped("trajectories"), "rigs": configs.shipped("rigs"), "scenes": SCENES}
+    found = {kind: configs.shipped(kind) for kind in ("trajectories", "rigs", "arms")} | {"scenes": SCENES}
     width = max(len(name) for entries in found.values() for name in entries)
     lines = []
     for kind, entries in found.items():
@@ -61,7 +61,7 @@ def run(
 
     session = load_trajectory(trajectory, overrides=settings)
     scene = scene_for(rig, scene, session)
-    mount = describe(rig).flange_from_camera.matrix()
+    mount = describe(rig).carrier()
     if not resume:
         refuse_existing(out)
     start = time.monotonic()
@@ -104,6 +104,8 @@ def plan_command(
     """Check that the arm can take every view, and estimate how long that takes. Nothing moves."""
     from collections import Counter
 
+    import numpy as np
+
     from capture.planning import Obstacles, draw, duration, plan
     from capture.rig.opening import describe
     from capture.trajectory import load_trajectory
@@ -113,17 +115,25 @@ def plan_command(
     for _, path in drawings:
         refuse_existing(path)
     session = load_trajectory(trajectory, overrides=settings)
-    mount = describe(rig).flange_from_camera.matrix()
+    mount = describe(rig).carrier()
     planned = plan(session, mount)
     seconds = duration(session, planned)
     for write, path in drawings:
         title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
         write(planned, Obstacles.of(session, mount), path, title=title)
     drawn = "".join(f"; drawn in {path}" for _, path in drawings)
+    turns, most = float(mount.wound(np.stack([view.joints for view in planned])).max()), mount.cable and mount.cable.max_turns
+    wound = f"; the cable is wound up by at most {turns:.2f} of {most:g} turns" if most else ""
     splits = Counter(view.viewpoint.split for view in planned)
     parts = ", ".join(f"{count} {split}" for split, count in splits.items())
-    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{drawn}"
-    found = {"name": session.name, "views": len(planned), "splits": splits, "seconds": round(seconds, 1)}
+    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{wound}{drawn}"
+    found = {
+        "name": session.name,
+        "views": len(planned),
+        "splits": splits,
+        "seconds": round(seconds, 1),
+        "cable_turns": round(turns, 3),
+    }
     console.report({**found, "plot": plot, "page": page}, as_json=as_json, text=text)
 
 

@@ -1,7 +1,7 @@
-"""Kinematics of the UR5e: joint angles [rad] to `base_from_flange` [m] (`datasets.kinematics`) and back."""
+"""Joint angles [rad] and poses [m]: what `datasets.kinematics` has, and what arms of any kind share.
 
-from collections.abc import Callable
-from functools import lru_cache, partial
+Without `links` the functions mean the UR5e. `capture.arms` has the other arms, and inverse kinematics.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,38 +15,7 @@ from datasets.kinematics import link_frames as link_frames
 
 Joints = NDArray[np.float64]
 
-JOINT_LIMIT = 2 * np.pi  # range of each joint to either side [rad]
-MAX_JOINT_SPEED = np.pi  # of every joint [rad/s]
-REACH = 0.85  # from the base axis to the wrist, nominal [m]
-
-
-def inverse(base_from_flange: ArrayLike) -> Joints:
-    """(n, 6) joint angles [rad, -pi..pi] of every branch (up to 8) that reaches the pose with the nominal links; n = 0: none.
-
-    The order is the same whichever solver is installed: shoulder behind the base axis first, then sin q5 > 0, then sin q3 > 0.
-    """
-    target = np.ascontiguousarray(base_from_flange, np.float64)
-    branches = _solver()(target)
-    branches = branches[np.isfinite(branches).all(axis=1)]
-    reached = forward(branches)  # next to a singularity, and out of reach, a solver may return angles that miss the pose
-    distance, angle = pose.difference(reached, target)
-    branches = wrap(branches[(distance < 1e-6) & (angle < 1e-6)])
-    wrist = target[:3, 3] - UR5E.d[5] * target[:3, 2]
-    ahead = np.cos(branches[:, 0]) * wrist[0] + np.sin(branches[:, 0]) * wrist[1] > 0
-    return branches[np.lexsort((branches[:, 2] < 0, branches[:, 4] < 0, ahead))]
-
-
-@lru_cache(1)
-def _solver() -> Callable[[Joints], Joints]:
-    """EAIK where it is installed, else the closed form of our own: (4, 4) pose to (n, 6) angles."""
-    try:
-        from eaik.IK_DH import DhRobot
-    except ImportError:
-        from capture.ur_inverse import branches
-
-        return partial(branches, links=UR5E)
-    arm = DhRobot(UR5E.alpha, UR5E.a, UR5E.d)
-    return lambda target: np.array(arm.IK(target).Q, np.float64).reshape(-1, 6)
+JOINT_LIMIT = 2 * np.pi  # range of each joint of Universal Robots' arms to either side [rad]
 
 
 def pose_from_six(numbers: ArrayLike) -> Joints:
@@ -66,17 +35,23 @@ def wrap(angles: ArrayLike) -> Joints:
     return np.arctan2(np.sin(angles), np.cos(angles))
 
 
-def nearest_turn(joints: ArrayLike, reference: ArrayLike, limit: float = JOINT_LIMIT) -> Joints:
-    """(..., 6) the same configuration, each joint shifted by whole turns to be nearest to `reference` within the limits [rad]."""
+def nearest_turn(
+    joints: ArrayLike, reference: ArrayLike, lower: ArrayLike = -JOINT_LIMIT, upper: ArrayLike = JOINT_LIMIT
+) -> Joints:
+    """(..., n) the same configuration, each joint shifted by whole turns to be nearest to `reference`.
+
+    An angle beyond a limit [rad] is brought back by one turn; where limits are less than a turn apart, it may still be outside.
+    """
     joints, turn = np.asarray(joints, np.float64), 2 * np.pi
     moved = joints + turn * np.round((np.asarray(reference, np.float64) - joints) / turn)
-    return np.where(np.abs(moved) > limit, moved - turn * np.sign(moved), moved)
+    return np.where(moved > upper, moved - turn, np.where(moved < lower, moved + turn, moved))
 
 
-def singularity(joints: ArrayLike, length_m: float = 0.4) -> float:
-    """Distance from a singular configuration: the smallest singular value of the jacobian with lengths in units of `length_m`.
+def singularity(joints: ArrayLike, links: Links = UR5E, length_m: float = 0.4) -> NDArray[np.float64]:
+    """(...) distance of (..., n) angles from a singular configuration.
 
-    0 at a singularity (arm stretched, wrist straight or shoulder above the flange); about 0.3 in a comfortable pose.
+    It is the smallest singular value of the jacobian with lengths in units of `length_m`: 0 at a singularity (arm stretched,
+    wrist straight or shoulder above the flange); about 0.3 in a comfortable pose.
     """
-    scaled = jacobian(joints) / np.array([length_m] * 3 + [1.0] * 3)[:, None]
-    return float(np.linalg.svd(scaled, compute_uv=False)[-1])
+    scaled = jacobian(joints, links) / np.array([length_m] * 3 + [1.0] * 3)[:, None]
+    return np.asarray(np.linalg.svd(scaled, compute_uv=False)[..., -1])

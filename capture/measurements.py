@@ -13,8 +13,8 @@ class RobotState:
     """Where the arm is, at one time stamp of its controller."""
 
     base_from_flange: NDArray[np.float64]  # (4, 4) flange pose [m]; the active tool centre point has been removed
-    joints: NDArray[np.float64]  # (6,) measured angles [rad]
-    joint_speeds: NDArray[np.float64]  # (6,) measured [rad/s]
+    joints: NDArray[np.float64]  # (n,) measured angles [rad]
+    joint_speeds: NDArray[np.float64]  # (n,) measured [rad/s]
     robot_time_s: float  # the controller's time stamp [s]
     host_time_ns: int  # monotonic host clock on arrival [ns]
 

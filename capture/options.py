@@ -13,6 +13,10 @@ Settings = Annotated[
 ]
 Recorded = Annotated[Path, Argument(metavar="RECORDING", help="Folder that 'capture run' has written.")]
 RigName = Annotated[
-    str, Option(metavar="RIG", help="'sim' for the simulated rig, the name of a rig ('capture list'), or a rig file.")
+    str,
+    Option(
+        metavar="RIG",
+        help="'sim' for the simulated rig, a rig by name ('capture list') or file, or 'sim:' and either: its simulation.",
+    ),
 ]
 TimeScale = Annotated[float, Option(min=0.1, max=1000, help="Simulation only: speed of the arm relative to real time.")]

@@ -1,33 +1,45 @@
 """Limits of the arm. A target is checked before anything moves."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from capture.arms.model import ArmModel
 from capture.errors import SafetyError
 from capture.kinematics import JOINT_LIMIT
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest joint speed [rad/s], acceleration [rad/s^2] and angle [rad]."""
+    """Largest joint speed [rad/s] and acceleration [rad/s^2], and the range of each joint, (n,) [rad]."""
 
     speed: float = 1.05
     acceleration: float = 1.4
-    joint: float = JOINT_LIMIT
+    lower: tuple[float, ...] = (-JOINT_LIMIT,) * 6
+    upper: tuple[float, ...] = (JOINT_LIMIT,) * 6
+
+    @classmethod
+    def of(cls, arm: ArmModel, speed: float, acceleration: float) -> Self:
+        """Those of an arm, at most `speed` and `acceleration`: no joint may exceed what the slowest one can do."""
+        slowest, weakest = float(arm.speed.min()), float(arm.acceleration.min())
+        return cls(min(speed, slowest), min(acceleration, weakest), tuple(arm.lower.tolist()), tuple(arm.upper.tolist()))
 
     def check(self, joints: ArrayLike, speed: float, acceleration: float) -> NDArray[np.float64]:
-        """Check a motion to `joints` [rad]; returns them as a (6,) array.
+        """Check a motion to `joints` [rad]; returns them as a (n,) array.
 
         Raises SafetyError: names the limit, its value, and the requested value. Nothing has moved.
         """
         target = np.asarray(joints, np.float64)
-        if target.shape != (6,) or not np.isfinite(target).all():
-            raise SafetyError("target is not six finite joint angles", why=f"got {np.array2string(target, precision=3)}")
-        worst = int(np.abs(target).argmax())
-        if abs(target[worst]) > self.joint:
-            why = f"{np.degrees(target[worst]):.0f} degrees, limit {np.degrees(self.joint):.0f}"
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        if target.shape != lower.shape or not np.isfinite(target).all():
+            what = f"target is not {len(lower)} finite joint angles"
+            raise SafetyError(what, why=f"got {np.array2string(target, precision=3)}")
+        worst = int(np.maximum(target - upper, lower - target).argmax())
+        if not lower[worst] <= target[worst] <= upper[worst]:
+            limit = upper[worst] if target[worst] > upper[worst] else lower[worst]
+            why = f"{np.degrees(target[worst]):.0f} degrees, limit {np.degrees(limit):.0f}"
             raise SafetyError(f"joint {worst + 1} would leave its range", why=why, remedy="plan the view with another branch")
         asked_and_limits = {"speed": (speed, self.speed, "rad/s"), "acceleration": (acceleration, self.acceleration, "rad/s^2")}
         for name, (asked, limit, unit) in asked_and_limits.items():

@@ -5,7 +5,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -13,6 +13,7 @@ from capture.options import Recorded, RigName, Settings
 from datasets.core import console
 
 if TYPE_CHECKING:
+    from capture.arms.carrier import Mount
     from capture.planning import PlannedView
     from capture.trajectory import Trajectory
 
@@ -54,7 +55,7 @@ def report(
 
 
 @contextmanager
-def watched(out: Path, session: "Trajectory", mount: Any, planned: "list[PlannedView]", port: int) -> Iterator[None]:
+def watched(out: Path, session: "Trajectory", mount: "Mount", planned: "list[PlannedView]", port: int) -> Iterator[None]:
     """A page that shows a recording while it is made. Its stop button does what Ctrl-C does."""
     from capture.page.view import watch
     from datasets.page import open_page

@@ -5,19 +5,20 @@ Each group knows the number of its views (`number`) and generates them in an ord
 """
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from capture import kinematics
+from capture.arms.carrier import Mount, carrier_of
 from capture.geometry import Vector
 from datasets import pose
 from datasets.core.schema import Schema
+from datasets.kinematics import MAX_JOINTS
 
 Interval = tuple[float, float]
-SixAngles = tuple[float, float, float, float, float, float]
+Angles = Annotated[list[float], Field(min_length=1, max_length=MAX_JOINTS)]
 
 
 @dataclass(frozen=True)
@@ -26,16 +27,16 @@ class Viewpoint:
 
     base_from_camera: NDArray[np.float64] | None = None  # (4, 4) desired camera pose [m]; None if joint angles are given instead
     rolls: tuple[float, ...] = (0.0,)  # equally good turns about the optical axis [rad]; the planner chooses one
-    joints: NDArray[np.float64] | None = None  # (6,) angles [rad] of a view that is given by these
+    joints: NDArray[np.float64] | None = None  # (n,) angles [rad] of a view that is given by these
     name: str = ""  # names sort in the order of the trajectory
     split: str = ""  # "train", "test" or "calibration"
 
-    def camera_pose(self, flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    def camera_pose(self, mount: Mount) -> NDArray[np.float64]:
         """(4, 4) desired camera pose [m], before any roll; that of given joint angles follows from the nominal mount."""
         if self.base_from_camera is not None:
             return self.base_from_camera
         assert self.joints is not None  # a viewpoint has either
-        return kinematics.forward(self.joints) @ flange_from_camera
+        return carrier_of(mount).base_from_camera(self.joints)
 
 
 def spread(count: int, chosen: int) -> frozenset[int]:
@@ -216,7 +217,7 @@ class JointViews(Schema):
     """A list of joint angles."""
 
     kind: Literal["joints"] = Field(description="pattern of the views")
-    joints_deg: list[SixAngles] = Field(min_length=1, description="six joint angles of each view [degrees]")
+    joints_deg: list[Angles] = Field(min_length=1, description="angles of all joints for each view [degrees]")
 
     @property
     def number(self) -> int:

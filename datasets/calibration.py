@@ -18,6 +18,7 @@ from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError
 from datasets.imaging.region import Region
+from datasets.kinematics import UR5E, Links
 
 FORMAT, VERSION = "koala-calibration", 1
 _POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
@@ -78,28 +79,32 @@ class JointOffsets:
     """True minus reported joint angles. The first and last are zero by convention: other poses absorb them."""
 
     offsets: NDArray[np.float64]
-    """(6,) true angle minus reported angle [rad]."""
+    """(n,) true angle minus reported angle [rad]."""
     std: NDArray[np.float64]
-    """(6,) standard deviations [rad]; 0 where the offset is zero by convention."""
+    """(n,) standard deviations [rad]; 0 where the offset is zero by convention."""
+    links: Links = UR5E
+    """The nominal chain of the arm."""
 
     def corrected(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(..., 4, 4) true flange poses from reported (..., 4, 4) poses [m] and (..., 6) joint angles [rad]."""
-        return kinematics.turned(base_from_flange, joints, self.offsets)
+        """(..., 4, 4) true flange poses from reported (..., 4, 4) poses [m] and (..., n) joint angles [rad]."""
+        return kinematics.turned(base_from_flange, joints, self.offsets, self.links)
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary."""
-        return {"offsets_rad": self.offsets.tolist(), "std_rad": self.std.tolist()}
+        return {"offsets_rad": self.offsets.tolist(), "std_rad": self.std.tolist(), "links": self.links.to_json()}
 
     @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
-        """Offsets from `to_json`'s dictionary."""
+        """Offsets from `to_json`'s dictionary; files of older versions, without links, are of a UR5e."""
         try:
-            offsets, std = (np.asarray(content[key], np.float64).reshape(6) for key in ("offsets_rad", "std_rad"))
-        except (TypeError, KeyError, ValueError) as error:
+            stored = content.get("links")
+            links = UR5E if stored is None else Links.from_json(stored, where=f"{where}, links")
+            offsets, std = (np.asarray(content[key], np.float64).reshape(links.count) for key in ("offsets_rad", "std_rad"))
+        except (TypeError, KeyError, ValueError, AttributeError) as error:
             raise DatasetError("joint offsets are not complete", where=where, why=str(error)) from None
         if not (np.isfinite([offsets, std]).all() and np.abs(offsets).max() < 1):
             raise DatasetError("joint offsets are not credible", where=where, why=f"{offsets.tolist()} rad")
-        return cls(offsets, std)
+        return cls(offsets, std, links)
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ class Calibration:
 
         Args:
             base_from_flange: (..., 4, 4) [m].
-            joints: (..., 6) [rad]; ignored where no offsets were estimated.
+            joints: (..., n) [rad]; ignored where no offsets were estimated.
 
         Raises:
             DatasetError: there is no hand-eye pose.

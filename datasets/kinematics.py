@@ -1,42 +1,77 @@
 """Forward kinematics of a serial arm: joint angles [rad] to `base_from_flange` [m], and its derivative.
 
-Base and flange are those of the teach pendant. The links are Denavit-Hartenberg frames with the manufacturer's parameters
-(Universal Robots, "DH parameters for calculations of kinematics and dynamics", UR5e):
+Base and flange are those of the arm's controller. The links are Denavit-Hartenberg frames, between two fixed transforms:
 
     previous_from_link = rot_z(theta) trans_z(d) trans_x(a) rot_x(alpha)
+    base_from_flange = base @ link 1 @ ... @ link n @ tool
 
-A real arm differs from them by up to centimetres. They are good enough for planning and for small corrections of measured poses,
-which come from the controller.
+Every arm with n rotating joints in a row can be written so. A real arm differs from its maker's parameters by up to centimetres.
+They are good enough for planning and for small corrections of measured poses, which come from the controller.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datasets import pose
+from datasets.core.errors import DatasetError
 
 Array = NDArray[np.float64]
+MAX_JOINTS = 16
 
 
 @dataclass(frozen=True)
 class Links:
-    """Denavit-Hartenberg parameters of the six links: lengths (6,) [m], angles (6,) [rad]."""
+    """Denavit-Hartenberg parameters of n links: lengths (n,) [m], angles (n,) [rad]."""
 
     d: Array
     a: Array
     alpha: Array
     theta: Array
-    """Added to the joint angles; zero for the nominal arm."""
+    """Added to the joint angles; zero for most nominal arms."""
+    base: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) pose of the first joint's frame in the base [m]; the identity for most arms."""
+    tool: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) pose of the flange in the last link's frame [m]; the identity for most arms."""
+
+    @property
+    def count(self) -> int:
+        """Number of joints."""
+        return len(self.d)
 
     def calibrated(self, rng: np.random.Generator, length_m: float, angle_rad: float) -> "Links":
         """An arm as built: every parameter has a normal error of the given standard deviation.
 
-        The second and third joint axes are parallel, so only the sum of their d matters, and it gets one error.
+        Of three parallel joint axes in a row only the sum of the first two d matters, and it gets one error.
         """
-        length, angle = rng.normal(0, length_m, (2, 6)), rng.normal(0, angle_rad, (2, 6))
-        length[0, 1] = 0.0
-        return Links(self.d + length[0], self.a + length[1], self.alpha + angle[0], self.theta + angle[1])
+        length, angle = rng.normal(0, length_m, (2, self.count)), rng.normal(0, angle_rad, (2, self.count))
+        straight = np.abs(self.alpha) < 1e-9
+        length[0, :-1][straight[:-1] & straight[1:]] = 0.0
+        built = self.d + length[0], self.a + length[1], self.alpha + angle[0], self.theta + angle[1]
+        return Links(*built, self.base, self.tool)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary; angles in degrees, as in the files of `configs/arms`."""
+        angles = {"alpha_deg": np.degrees(self.alpha).tolist(), "theta_deg": np.degrees(self.theta).tolist()}
+        return {"d": self.d.tolist(), "a": self.a.tolist(), **angles, "base": self.base.tolist(), "tool": self.tool.tolist()}
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> Self:
+        """Links from `to_json`'s dictionary; raises DatasetError where it is not valid."""
+        try:
+            d, a = (np.array(content[key], np.float64) for key in ("d", "a"))
+            alpha = np.radians(np.array(content["alpha_deg"], np.float64))
+            theta = np.radians(np.array(content.get("theta_deg") or np.zeros(len(d)), np.float64))
+            if not (d.shape == a.shape == alpha.shape == theta.shape and 1 <= d.size <= MAX_JOINTS and d.ndim == 1):
+                raise ValueError(f"d, a, alpha_deg and theta_deg must have the same 1 to {MAX_JOINTS} numbers")
+            if not np.isfinite([d, a, alpha, theta]).all() or np.abs([d, a]).max() > 10:
+                raise ValueError("a number is not finite, or a length exceeds 10 m")
+        except (TypeError, KeyError, ValueError, AttributeError) as error:
+            raise DatasetError("links of the arm are not complete", where=where, why=str(error)) from None
+        fixed = (pose.checked(content.get(key) or np.eye(4), where=f"{where}, {key}") for key in ("base", "tool"))
+        return cls(d, a, alpha, theta, *fixed)
 
 
 UR5E = Links(
@@ -45,13 +80,14 @@ UR5E = Links(
     alpha=np.array([np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0]),
     theta=np.zeros(6),
 )
+"""The UR5e by Universal Robots' "DH parameters for calculations of kinematics and dynamics"; files that name no arm mean it."""
 
 
 def link_frames(joints: ArrayLike, links: Links = UR5E) -> Array:
-    """(..., 7, 4, 4) `base_from_link` of the base itself and of each link; the last is `base_from_flange` [m].
+    """(..., n + 1, 4, 4) `base_from_link` of the first joint and of each link; the last is `base_from_flange` [m].
 
     Args:
-        joints: (..., 6) angles [rad].
+        joints: (..., n) angles [rad].
         links: the arm's parameters.
     """
     theta = np.asarray(joints, np.float64) + links.theta
@@ -63,22 +99,23 @@ def link_frames(joints: ArrayLike, links: Links = UR5E) -> Array:
     step[..., 2, 1], step[..., 2, 2] = np.sin(links.alpha), np.cos(links.alpha)
     step[..., 0, 3], step[..., 1, 3], step[..., 2, 3] = links.a * cos, links.a * sin, links.d
     step[..., 3, 3] = 1.0
-    frames = [np.broadcast_to(np.eye(4), (*theta.shape[:-1], 4, 4))]
-    for index in range(6):
+    frames = [np.broadcast_to(links.base, (*theta.shape[:-1], 4, 4))]
+    for index in range(links.count):
         frames.append(frames[-1] @ step[..., index, :, :])
+    frames[-1] = frames[-1] @ links.tool
     return np.stack(frames, axis=-3)
 
 
 def forward(joints: ArrayLike, links: Links = UR5E) -> Array:
-    """(..., 4, 4) `base_from_flange` [m] of (..., 6) joint angles [rad]."""
+    """(..., 4, 4) `base_from_flange` [m] of (..., n) joint angles [rad]."""
     return link_frames(joints, links)[..., -1, :, :]
 
 
 def jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
-    """(..., 6, 6) Jacobian: flange velocity [m/s, rad/s] per joint speed [rad/s], linear rows first, in base axes."""
+    """(..., 6, n) Jacobian: flange velocity [m/s, rad/s] per joint speed [rad/s], linear rows first, in base axes."""
     frames = link_frames(joints, links)
-    axes, origins = frames[..., :6, :3, 2], frames[..., :6, :3, 3]
-    columns = np.concatenate([np.cross(axes, frames[..., 6:, :3, 3] - origins), axes], axis=-1)
+    axes, origins = frames[..., :-1, :3, 2], frames[..., :-1, :3, 3]
+    columns = np.concatenate([np.cross(axes, frames[..., -1:, :3, 3] - origins), axes], axis=-1)
     return np.swapaxes(columns, -1, -2)
 
 
@@ -96,8 +133,8 @@ def turned(base_from_flange: ArrayLike, joints: ArrayLike, offsets: ArrayLike, l
 
     Args:
         base_from_flange: (..., 4, 4) as reported [m].
-        joints: (..., 6) as reported [rad].
-        offsets: (6,) true angle minus reported angle [rad].
+        joints: (..., n) as reported [rad].
+        offsets: (n,) true angle minus reported angle [rad].
         links: the arm's parameters.
     """
     joints = np.asarray(joints, np.float64)

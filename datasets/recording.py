@@ -22,6 +22,7 @@ from datasets import pose
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging.region import Region
+from datasets.kinematics import UR5E, Links
 from datasets.scene import checked_name
 
 FORMAT, VERSION = "koala-recording", 1
@@ -47,7 +48,7 @@ class Frame:
     base_from_flange: NDArray[np.float64]
     """(4, 4) as the controller reported it after settling [m]."""
     joints: NDArray[np.float64]
-    """(6,) measured joint angles [rad]."""
+    """(n,) measured joint angles [rad]."""
     robot_time_s: float
     """The controller's own time stamp [s]."""
     host_time_ns: int
@@ -63,7 +64,7 @@ class Frame:
     base_from_flange_after: NDArray[np.float64] | None = None
     """(4, 4) as the controller reported it after the exposure [m]; None where only the pose before it was kept."""
     joints_after: NDArray[np.float64] | None = None
-    """(6,) measured joint angles after the exposure [rad]."""
+    """(n,) measured joint angles after the exposure [rad]."""
     robot_time_after_s: float | None = None
     """The controller's time stamp of that [s]."""
 
@@ -72,8 +73,8 @@ class Frame:
         return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
 
     @classmethod
-    def from_json(cls, content: Any, *, where: object) -> Self:
-        """Frame from `to_json`'s dictionary; raises DatasetError where it is not valid."""
+    def from_json(cls, content: Any, *, where: object, joints: int = UR5E.count) -> Self:
+        """Frame of an arm with so many joints from `to_json`'s dictionary; raises DatasetError where it is not valid."""
         try:
             arrays = {"joints": np.asarray(content["joints"], np.float64)}
             arrays["base_from_flange"] = pose.checked(content["base_from_flange"], where=where)
@@ -92,9 +93,9 @@ class Frame:
         except (TypeError, KeyError, ValueError, OverflowError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
         checked_name(frame.name, where=where)
-        for joints in (frame.joints, frame.joints if frame.joints_after is None else frame.joints_after):
-            if joints.shape != (6,) or not np.isfinite(joints).all():
-                raise DatasetError("joint angles are not six finite numbers", where=where)
+        for angles in (frame.joints, frame.joints if frame.joints_after is None else frame.joints_after):
+            if angles.shape != (joints,) or not np.isfinite(angles).all():
+                raise DatasetError(f"joint angles are not {joints} finite numbers", where=where)
         return frame
 
 
@@ -125,14 +126,14 @@ class Recording:
             raise UsageError("is not a recording", where=path, why=why, remedy=remedy)
         manifest = files.read_json(files.inside(path, MANIFEST), kind=FORMAT, version=VERSION)
         lines = _lines(files.inside(path, FRAMES))
-        frames = []
+        frames, joints = [], cls(path, manifest).links.count
         for number, line in enumerate(lines[:-1], 1):  # text after the last newline is an incomplete line
             where = f"{path / FRAMES}, line {number}"
             try:
                 content = json.loads(line)
             except (ValueError, RecursionError) as error:
                 raise DatasetError("frame record is not valid JSON", where=where, why=str(error)) from None
-            frame = Frame.from_json(content, where=where)
+            frame = Frame.from_json(content, where=where, joints=joints)
             files.inside(path, frame.image, where=where)
             frames.append(frame)
         return cls(path, manifest, frames)
@@ -180,6 +181,12 @@ class Recording:
         """What the manifest says of the robot, the camera or another part; empty where it says nothing."""
         content = self.manifest.get(name)
         return content if isinstance(content, dict) else {}
+
+    @property
+    def links(self) -> Links:
+        """The nominal chain of the arm; that of the UR5e where the manifest names no arm."""
+        content = self.part("arm").get("dh")
+        return UR5E if content is None else Links.from_json(content, where=f"{self.path / MANIFEST}, arm")
 
     @property
     def region(self) -> Region | None:

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from capture.planning import plan
-from capture.planning.arm_shape import segments
 from capture.rig.description import RigDescription
 from capture.trajectory import load_trajectory
 from datasets.camera_model import Camera
@@ -70,12 +69,12 @@ def frames() -> Figure:
     """Base, flange, camera and board of the rig with the transforms between them."""
     figure = _figure(9, 6.4)
     axes: Any = figure.add_axes((0.0, -0.06, 1.0, 1.16), projection="3d", computed_zorder=False)
-    session, mount = load_trajectory(SESSION), RigDescription().flange_from_camera.matrix()
+    session, mount = load_trajectory(SESSION), RigDescription().carrier()
     joints, target = plan(session, mount)[VIEW].joints, session.target
     assert session.board is not None and target is not None
     base_from_flange, base_from_board = link_frames(joints)[-1], session.board.matrix()
     base_from_camera = base_from_flange @ mount
-    for start, end in segments(joints, mount):
+    for start, end in mount.segments(joints):
         axes.plot(*np.stack([start, end], 1), color="#c8d2dc", linewidth=11, solid_capstyle="round", zorder=1)
     width, height = (count * target.square_length_m for count in (target.squares_x, target.squares_y))
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height), (0, 0)])

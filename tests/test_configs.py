@@ -25,7 +25,7 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return load_rig
     if folder == "arms":
-        from capture.arm_model import load_arm
+        from capture.arms.model import load_arm
 
         return load_arm
     if folder == "imports":
@@ -91,7 +91,7 @@ def test_a_path_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             "koala_dmo",
             ["no trajectory 'koala_dmo'", "calibration, calibration_demo", "did you mean 'koala_demo'?"],
         ),
-        ("rigs", "sim2", ["no rig 'sim2'", "known: ur5e_basler", "the path of a file"]),
+        ("rigs", "sim2", ["no rig 'sim2'", "known: franka_basler, ur10e_gige, ur5e_basler", "the path of a file"]),
         ("imports", "franka_charco", ["no import description", "did you mean 'franka_charuco'?"]),
     ],
 )

@@ -1,8 +1,8 @@
 """Joint offsets of the arm: true angle minus reported angle. Can they be estimated, and what was found?
 
-An offset moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the offsets of
-`OFFSET_JOINTS` with everything else. The stated accuracy of the joints is their prior; an offset that the views do not
-determine stays at the prior and is reported as such.
+An offset moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the offsets of all
+joints but the first and the last with everything else. The stated accuracy of the joints is their prior; an offset that the
+views do not determine stays at the prior and is reported as such.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.handeye import refine, verify
-from calib.handeye.model import OFFSET_JOINTS, Accuracy, Session
+from calib.handeye.model import Accuracy, Session
 from calib.handeye.refine import Refined
 from calib.sessions.session import TargetSession
 from datasets import kinematics, pose
@@ -31,9 +31,10 @@ def check(session: TargetSession, accuracy: Accuracy) -> None:
     if session.joints is None:
         remedy = "leave --joint-deg away, or record with 'capture run'"
         raise CalibrationError("joint offsets cannot be estimated", why="the session holds no joint angles", remedy=remedy)
-    distance, angle = map(np.median, pose.difference(kinematics.forward(session.joints), session.base_from_flange))
+    distance, angle = map(np.median, pose.difference(kinematics.forward(session.joints, session.links), session.base_from_flange))
     if distance > MAX_BUILT_M or angle > MAX_BUILT_RAD:
-        why = f"by a UR5e's kinematics the flange is {1e3 * distance:.0f} mm and {np.rad2deg(angle):.1f} deg elsewhere"
+        place = f"{1e3 * distance:.0f} mm and {np.rad2deg(angle):.1f} deg elsewhere"
+        why = f"by the kinematics of the arm's model the flange is {place}"
         remedy = "leave --joint-deg away: another arm has other kinematics"
         raise CalibrationError("joint angles are not those of the poses", why=why, remedy=remedy)
 
@@ -42,16 +43,16 @@ def found(session: Session, refined: Refined, covariance: Array) -> JointOffsets
     """The offsets out of a refinement and the (p, p) covariance of its global parameters; None where none were asked for."""
     if not session.turning:
         return None
-    std, first = np.zeros(6), len(session.free)
+    std, first = np.zeros(session.links.count), len(session.free)
     std[session.turning] = np.sqrt(np.diag(covariance)[first : first + len(session.turning)])
-    return JointOffsets(refined.state.offsets, std)
+    return JointOffsets(refined.state.offsets, std, session.links)
 
 
 def facts(session: Session, refined: Refined, offsets: JointOffsets) -> dict[str, Any]:
     """For the calibration file: joints whose offsets the views do not determine, and the held-out error without offsets."""
     stated = session.accuracy.joint_rad
     plain = replace(session, joints=None)
-    start = replace(refined.state, offsets=np.zeros(6), corrections=0 * refined.state.corrections)
+    start = replace(refined.state, offsets=0 * refined.state.offsets, corrections=0 * refined.state.corrections)
     without = verify.held_out(plain, refine.refine(plain, start, sigma_px=refined.sigmas.pixel))
-    not_shown = [joint + 1 for joint in OFFSET_JOINTS if offsets.std[joint] > SHOWN * stated]
+    not_shown = [joint + 1 for joint in session.turning if offsets.std[joint] > SHOWN * stated]
     return {"joints_not_shown": not_shown, **{f"{name}_without_joint_offsets": value for name, value in without.items()}}

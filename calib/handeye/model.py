@@ -30,10 +30,7 @@ from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
-
-OFFSET_JOINTS = [1, 2, 3, 4]
-"""Indices of the joints between the first and the last. An offset of the first joint rotates the whole base, one of the last
-rotates the flange: the two unknown poses absorb them exactly, so they are zero by convention."""
+from datasets.kinematics import UR5E, Links
 
 
 @dataclass(frozen=True)
@@ -78,12 +75,17 @@ class Session:
     accuracy: Accuracy = Accuracy()  # the arm's, as stated
     fisheye: bool = False
     eye_to_hand: bool = False  # whether the camera stands beside the arm and the board is on the flange
-    joints: Array | None = None  # (views, 6) joint angles as reported [rad], where they are known
+    joints: Array | None = None  # (views, n) joint angles as reported [rad], where they are known
+    links: Links = UR5E  # the arm's nominal chain, with n joints
 
     @property
     def turning(self) -> list[int]:
-        """Joints whose offsets are estimated: `OFFSET_JOINTS` if the stated accuracy asks for them, else none."""
-        return OFFSET_JOINTS if self.accuracy.joint_rad > 0 and self.joints is not None else []
+        """Joints whose offsets are estimated: all but the first and the last if the stated accuracy asks for them, else none.
+
+        An offset of the first joint rotates the whole base, one of the last rotates the flange: the two unknown poses absorb
+        them exactly, so they are zero by convention.
+        """
+        return list(range(1, self.links.count - 1)) if self.accuracy.joint_rad > 0 and self.joints is not None else []
 
     @property
     def pose_names(self) -> tuple[str, str]:
@@ -104,7 +106,7 @@ def measured(
     session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
 ) -> Session:
     """All corners of a target session in one list."""
-    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints)
+    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints, session.links)
     return Session(session.base_from_flange, *estimate.flat(session.observations), *options)
 
 
@@ -116,13 +118,13 @@ class State:
     mount_from_camera: Array  # (4, 4); perturbed from the left, translation first
     stand_from_board: Array  # (4, 4); perturbed from the left, translation first
     corrections: Array  # (views, 6): translation [m] and rotation vector [rad] of C[i]
-    offsets: Array = field(default_factory=lambda: np.zeros(6))  # (6,) of the joints: true angle minus reported angle [rad]
+    offsets: Array = field(default_factory=lambda: np.zeros(6))  # (n,) of the joints: true angle minus reported angle [rad]
 
     def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
         """The state after a step of the global parameters and the (views, 6) corrections; `columns` are the free intrinsics."""
         intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
         intrinsics[columns] += step[: len(columns)]
-        offsets[OFFSET_JOINTS[: len(turns)]] += turns
+        offsets[1 : 1 + len(turns)] += turns
         mount, board = perturbed(self.mount_from_camera, step[-12:-6]), perturbed(self.stand_from_board, step[-6:])
         return type(self)(intrinsics, mount, board, self.corrections + view_steps, offsets)
 
@@ -185,7 +187,7 @@ def _reported(session: Session, state: State) -> Array:
     """(views, 4, 4) base_from_flange @ D: the report with joint offsets corrected."""
     if session.joints is None or not state.offsets.any():
         return session.base_from_flange
-    return kinematics.turned(session.base_from_flange, session.joints, state.offsets)
+    return kinematics.turned(session.base_from_flange, session.joints, state.offsets, session.links)
 
 
 def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
@@ -196,7 +198,7 @@ def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
     """
     if session.joints is None or not session.turning:
         return np.zeros((len(session.base_from_flange), 6, 0))
-    motions = kinematics.flange_jacobian(session.joints + state.offsets)[..., session.turning]
+    motions = kinematics.flange_jacobian(session.joints + state.offsets, session.links)[..., session.turning]
     moved = motions[:, :3] + np.cross(motions[:, 3:], state.corrections[:, :3, None], axis=1)
     back = np.swapaxes(rotation, 1, 2)
     return np.concatenate([back @ moved, back @ motions[:, 3:]], axis=1)

@@ -74,7 +74,7 @@ def _camera(report: ReportPage, calibration: Calibration) -> None:
     if offsets is not None:
         found = [Number(float(o), "°", float(s)) for o, s in zip(*np.rad2deg([offsets.offsets, offsets.std]), strict=True)]
         report.heading("joint offsets: true angle minus reported angle")
-        report.numbers((f"joint {i + 1}", found[i], "") for i in range(1, 5))
+        report.numbers((f"joint {i + 1}", found[i], "") for i in range(1, len(found) - 1))
 
 
 def _figures(report: ReportPage, evidence: Evidence) -> None:

@@ -16,8 +16,8 @@ def describe_calibration(calibration: Calibration) -> str:
         lines += _pose_lines(title, value)
     camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
     if offsets is not None:
-        numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:5]
-        lines.append(f"joints 2 to 5       offset by {', '.join(numbers)} deg")
+        numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:-1]
+        lines.append(f"joints 2 to {len(numbers) + 1}       offset by {', '.join(numbers)} deg")
     lines.append(f"camera              {camera.width}x{camera.height}")
     for name, std in calibration.camera_std.items():
         digits = _DIGITS.get(name, 5)

@@ -17,6 +17,7 @@ from datasets.board import Board
 from datasets.core import files
 from datasets.imaging import images
 from datasets.imaging.region import Region
+from datasets.kinematics import UR5E, Links
 from datasets.recording import FRAMES, MANIFEST, Recording
 
 
@@ -32,7 +33,8 @@ class TargetSession:
     unseen: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     eye_to_hand: bool = False  # whether the camera stands beside the arm and the target is on the flange
-    joints: Array | None = None  # (views, 6) joint angles as reported [rad], where the session holds them
+    joints: Array | None = None  # (views, n) joint angles as reported [rad], where the session holds them
+    links: Links = UR5E  # the arm's nominal chain, where it has joint angles
     region: Region | None = None  # of the sensor that every image shows, where the recording states it
     images: dict[str, Path] = field(default_factory=dict)  # by name of the view, where there are any
 
@@ -112,7 +114,8 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     session = observe(board, views, provenance=provenance, seen=seen)
     joints = {frame.name: frame.joints for frame in recording.frames}
     region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
-    return replace(session, region=region, joints=np.stack([joints[o.name] for o in session.observations]))
+    angles = np.stack([joints[o.name] for o in session.observations])
+    return replace(session, region=region, joints=angles, links=recording.links)
 
 
 def describe(board: Board) -> str:

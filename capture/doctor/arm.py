@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from capture.arm_model import identify, load_arm
+from capture.arms.model import identify, load_arm
 from capture.doctor.answers import Answers
 from capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
 from capture.rig.description import RobotDescription

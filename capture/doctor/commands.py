@@ -23,11 +23,11 @@ def doctor(
     """
     from capture.doctor.examine import examine
     from capture.doctor.lines import Verdict, table
-    from capture.rig.opening import controller_of, describe
+    from capture.rig.opening import controller_of, describe, host_of
 
     description = describe(rig)
     with controller_of(rig, description) as controller:
-        host = description.robot.host if controller is None else controller.host
+        host = host_of(description, controller)
         lines = examine(description, host, out, simulated=controller is not None, seconds=seconds)
     found = [
         {"name": line.name, "verdict": line.verdict, "found": line.found, "remedy": line.remedy, "blocks": line.blocks}

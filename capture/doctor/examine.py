@@ -76,7 +76,11 @@ def examine(
 
     gap_s = Deadlines().stale_s * (SIMULATED_PATIENCE if simulated else 1)
     rate = None if simulated else 1.0
-    lines = examine_arm(host, rig, folder=folder, seconds=seconds, needed=needed, longest_gap_s=gap_s, rate=rate, up=up)
+    if rig.arm.family == "ur":
+        lines = examine_arm(host, rig, folder=folder, seconds=seconds, needed=needed, longest_gap_s=gap_s, rate=rate, up=up)
+    else:
+        found = f"Koala has no driver for the {rig.arm.name}"
+        lines = [unknown("controller", found, "simulate it by '--rig sim:NAME'; only arms of Universal Robots are driven")]
     with ExitStack() as stack:
         try:
             nodes, serial = stack.enter_context(opened("" if simulated else rig.camera.serial, emulated=simulated))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.arms.carrier import Mount
 from capture.page.session import CaptureView
 from capture.page.timeline import of_recording
 from capture.recording.focus import sharpness
@@ -22,8 +23,8 @@ CLIPPED = 250  # a pixel counts as clipped from this value of 255
 class LiveView:
     """Adds the frames of a recording to the page of its session as they arrive."""
 
-    def __init__(self, session: CaptureView, path: Path, flange_from_camera: NDArray[np.float64]) -> None:
-        self.session, self.path, self.flange_from_camera = session, path, flange_from_camera
+    def __init__(self, session: CaptureView, path: Path, mount: Mount) -> None:
+        self.session, self.path, self.mount = session, path, mount
         self.seen: set[str] = set()
         self._folder = session.page.gui.add_folder("Newest frame", order=-1)
         with self._folder:
@@ -48,7 +49,7 @@ class LiveView:
         if not (self.path / MANIFEST).is_file():
             return
         recording = Recording.open(self.path)
-        stops = {stop.name: stop for stop in of_recording(recording, self.flange_from_camera).stops}
+        stops = {stop.name: stop for stop in of_recording(recording, self.mount).stops}
         new = [frame for frame in recording.frames if frame.name not in self.seen and frame.name in self.session.stops]
         for frame in new:
             if self.session.page.stopping.is_set():

@@ -131,7 +131,8 @@ def over_time(measured: list[Measured]) -> str:
         axes.set_ylabel(label)
         axes.set_ylim(bottom=0)
     for joint, angles in enumerate(np.rad2deg([one.frame.joints for one in measured]).T):
-        rows[2].plot(seconds, angles, "o-", color=COLOURS[joint], markersize=2.5, linewidth=1, label=f"joint {joint + 1}")
+        style = {"color": COLOURS[joint % len(COLOURS)], "markersize": 2.5, "linewidth": 1}
+        rows[2].plot(seconds, angles, "o-", label=f"joint {joint + 1}", **style)
     rows[2].set(xlabel="time [s]", ylabel="joint angles [°]")
     rows[2].legend(ncols=6, frameon=False, fontsize=8)
     for axes in rows:

@@ -11,10 +11,9 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from capture import kinematics
+from capture.arms.carrier import Mount
 from capture.page.timeline import Stop, Timeline
 from capture.planning import Obstacles
-from capture.planning.arm_shape import PARTS, segments
 from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.camera_model import Camera
@@ -23,7 +22,13 @@ from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import bytes_of
 
-ARM, CAMERA, TABLE, SAFETY = (170, 178, 190), (50, 50, 60), (205, 185, 160), (60, 160, 90)  # colours of what is drawn, sRGB
+ARM, CAMERA, TABLE, SAFETY, SOLID = (
+    (170, 178, 190),
+    (50, 50, 60),
+    (205, 185, 160),
+    (60, 160, 90),
+    (190, 120, 90),
+)  # colours of what is drawn, sRGB
 FRUSTUM_M, THUMBNAIL = 0.05, 96  # length of the pyramids [m], and width of the pictures on them [px]
 HALF_FIELD = 0.35  # tangent of half the field of view of the drawn pyramids: trajectory and recording do not know the lens
 TICK_S = 0.05  # period of the playback
@@ -33,10 +38,10 @@ TABLE_M = 1.6
 class CaptureView:
     """The contents of the page of one session."""
 
-    def __init__(self, page: Page, trajectory: Trajectory, flange_from_camera: NDArray[np.float64], timeline: Timeline) -> None:
+    def __init__(self, page: Page, trajectory: Trajectory, mount: Mount, timeline: Timeline) -> None:
         self.page, self.trajectory, self.timeline = page, trajectory, timeline
         self.stops = {stop.name: stop for stop in timeline.stops}
-        self.obstacles = Obstacles.of(trajectory, flange_from_camera)
+        self.obstacles = Obstacles.of(trajectory, mount)
         self.frusta: dict[str, viser.CameraFrustumHandle] = {}
         self._parts: list[viser.MeshHandle] = []
         self._look()
@@ -63,12 +68,14 @@ class CaptureView:
             shapes.add_box(page, "/object/edges", obstacles.object_corners, colour=shapes.COLOURS["box"])
             middle, size = (low + high) / 2, tuple(high - low)
             page.scene.add_box("/object/volume", shapes.COLOURS["box"], size, position=middle, opacity=0.15)
+        for solid in obstacles.carrier.solids:
+            page.scene.add_mesh_simple(f"/obstacles/{solid.name}", *solid.outline(), color=SOLID, opacity=0.6)
         if obstacles.workspace_corners is not None:
             shapes.add_box(page, "/safety", obstacles.workspace_corners, colour=SAFETY)
         if len(self.timeline.seconds) > 1:
             times = np.linspace(0, self.timeline.end, 12 * len(self.timeline.stops))
             joints = np.stack([self.timeline.at(when) for when in times])
-            track = (kinematics.forward(joints) @ obstacles.flange_from_camera)[:, :3, 3]
+            track = obstacles.carrier.base_from_camera(joints)[:, :3, 3]
             shapes.add_lines(page, "/path", np.stack([track[:-1], track[1:]], axis=1), colour=(150, 150, 150), thickness=1.0)
 
     def _views(self) -> None:
@@ -104,9 +111,9 @@ class CaptureView:
 
     def _arm(self) -> None:
         """Add one capsule along z for each part of the arm; `go` moves it into place."""
-        ends = segments(self.timeline.joints[0], self.obstacles.flange_from_camera)
+        ends = self.obstacles.carrier.segments(self.timeline.joints[0])
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-        for part, length in zip(PARTS, lengths, strict=True):
+        for part, length in zip(self.obstacles.shape.parts, lengths, strict=True):
             vertices, faces = shapes.capsule([[0, 0, 0], [0, 0, length]], part.radius)
             colour = ARM if part.can_hide else CAMERA
             self._parts.append(self.page.scene.add_mesh_simple(f"/arm/{part.name}", vertices, faces, color=colour))
@@ -114,7 +121,7 @@ class CaptureView:
     def go(self, seconds: float) -> None:
         """Show the arm at a time [s], and its state as text."""
         joints = self.timeline.at(seconds)
-        ends = segments(joints, self.obstacles.flange_from_camera)
+        ends = self.obstacles.carrier.segments(joints)
         with self.page.server.atomic():
             for handle, (start, end) in zip(self._parts, ends, strict=True):
                 handle.wxyz, handle.position = pose.quaternion(along_z(end - start)), start

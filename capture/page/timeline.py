@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from capture import kinematics
+from capture.arms.carrier import Mount, carrier_of
 from capture.errors import UnreachableError
 from capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
 from capture.trajectory import Trajectory, recorded_trajectory
@@ -33,7 +33,7 @@ class Timeline:
     """Joint angles over time, linear between the knots."""
 
     seconds: NDArray[np.float64]  # (n,) non-decreasing, from 0; empty if the arm can take no view
-    joints: NDArray[np.float64]  # (n, 6) [rad]
+    joints: NDArray[np.float64]  # (n, joints) [rad]
     stops: tuple[Stop, ...]
     notes: tuple[str, ...] = ()
 
@@ -43,7 +43,7 @@ class Timeline:
         return float(self.seconds[-1]) if len(self.seconds) else 0.0
 
     def at(self, seconds: float) -> NDArray[np.float64]:
-        """(6,) joint angles [rad] at a time [s]."""
+        """(joints,) angles [rad] at a time [s]."""
         return np.array([np.interp(seconds, self.seconds, angle) for angle in self.joints.T])
 
     def next_stop(self, seconds: float) -> Stop | None:
@@ -52,35 +52,36 @@ class Timeline:
         return min(later, key=lambda stop: stop.seconds or 0.0, default=None)
 
 
-def of_trajectory(trajectory: Trajectory, flange_from_camera: NDArray[np.float64]) -> Timeline:
+def of_trajectory(trajectory: Trajectory, mount: Mount) -> Timeline:
     """The plan of a trajectory. Views that the arm cannot take are included with the reason.
 
     Raises PlanningError: no path between two views was found.
     """
     reasons: dict[str, str] = {}
     try:
-        planned = plan(trajectory, flange_from_camera)
+        planned = plan(trajectory, mount)
     except UnreachableError:
-        reasons = blocked(trajectory, flange_from_camera)
+        reasons = blocked(trajectory, mount)
         left = len(trajectory.viewpoints()) - len(reasons)
-        planned = plan(trajectory, flange_from_camera, without=reasons) if left else []
-    timeline = of_planned(trajectory, planned, flange_from_camera)
+        planned = plan(trajectory, mount, without=reasons) if left else []
+    timeline = of_planned(trajectory, planned, mount)
     out_of_reach = [viewpoint for viewpoint in trajectory.viewpoints() if viewpoint.name in reasons]
-    stops = [Stop(v.name, v.split, v.camera_pose(flange_from_camera), None, reasons[v.name]) for v in out_of_reach]
+    stops = [Stop(v.name, v.split, v.camera_pose(mount), None, reasons[v.name]) for v in out_of_reach]
     notes = (timeline.notes[0] + (f"; {len(reasons)} cannot be taken" if reasons else ""),)
     return replace(timeline, stops=(*timeline.stops, *stops), notes=notes)
 
 
-def of_planned(trajectory: Trajectory, planned: list[PlannedView], flange_from_camera: NDArray[np.float64]) -> Timeline:
+def of_planned(trajectory: Trajectory, planned: list[PlannedView], mount: Mount) -> Timeline:
     """An existing plan."""
+    carrier = carrier_of(mount)
     seconds, joints, stops = [], [], []
     for view, times in zip(planned, arrivals(trajectory, planned), strict=True):
         seconds += times
         joints += [corner for corner in view.path for _ in range(2)]
-        base_from_camera = kinematics.forward(view.joints) @ flange_from_camera
+        base_from_camera = carrier.base_from_camera(view.joints)
         stops.append(Stop(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
     notes = (f"{len(planned)} views in about {duration(trajectory, planned):.0f} s",)
-    return Timeline(np.array(seconds), np.array(joints).reshape(-1, 6), tuple(stops), notes)
+    return Timeline(np.array(seconds), np.array(joints).reshape(-1, carrier.arm.count), tuple(stops), notes)
 
 
 def _without_waits(clock: NDArray[np.float64], joints: NDArray[np.float64], trajectory: Trajectory) -> NDArray[np.float64]:
@@ -94,17 +95,18 @@ def _without_waits(clock: NDArray[np.float64], joints: NDArray[np.float64], traj
     return np.concatenate([[0.0], np.cumsum(np.minimum(np.diff(clock), longest))])
 
 
-def of_recording(recording: Recording, flange_from_camera: NDArray[np.float64]) -> Timeline:
+def of_recording(recording: Recording, mount: Mount) -> Timeline:
     """A recording: the joint angles and times that the controller reported. Paths between the views are drawn straight."""
+    carrier = carrier_of(mount)
     frames = sorted(recording.frames, key=lambda frame: frame.robot_time_s)
     if not frames:
-        return Timeline(np.zeros(0), np.zeros((0, 6)), (), ("no views have been taken yet",))
+        return Timeline(np.zeros(0), np.zeros((0, carrier.arm.count)), (), ("no views have been taken yet",))
     trajectory = recorded_trajectory(recording)
     clock = np.array([frame.robot_time_s for frame in frames]) - frames[0].robot_time_s
     seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory)
     stops = []
     for frame, when in zip(frames, seconds, strict=True):
-        base_from_camera, image = frame.base_from_flange @ flange_from_camera, recording.image_path(frame)
+        base_from_camera, image = frame.base_from_flange @ carrier.flange_from_camera, recording.image_path(frame)
         measured = f"exposed for {1e-3 * frame.exposure_us:g} ms, {frame.settle_s:.2f} s after the motion"
         stops.append(Stop(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
     waits = f", without {clock[-1] - seconds[-1]:.0f} s of waiting" if clock[-1] - seconds[-1] > WAIT_S else ""

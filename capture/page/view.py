@@ -8,19 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from capture.arms.carrier import Mount
 from capture.page.live import LiveView
 from capture.page.session import CaptureView
 from capture.page.timeline import of_planned, of_recording, of_trajectory
 from capture.planning import PlannedView
-from capture.rig.description import RigDescription, recorded_rig
+from capture.rig.description import RigDescription, recorded_carrier
 from capture.trajectory import Trajectory, load_trajectory, recorded_trajectory
 from datasets.page import Page
 from datasets.recording import Recording
-
-Array = NDArray[np.float64]
 
 
 def show(page: Page, path: Path, description: RigDescription, *, overrides: list[str] | None = None) -> dict[str, Any]:
@@ -28,7 +24,7 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
 
     Args:
         path: folder of a recording, or file or name of a trajectory.
-        description: rig whose camera mount a trajectory is planned with. A recording has its own.
+        description: rig whose arm and camera a trajectory is planned with. A recording has its own.
         overrides: changes to the trajectory, such as "camera.binning=4".
 
     Raises:
@@ -38,12 +34,12 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
     if Path(path).is_dir():
         recording = Recording.open(path)
         trajectory = recorded_trajectory(recording)
-        mount = recorded_rig(recording).flange_from_camera.matrix()
+        mount = recorded_carrier(recording)
         complete = len(recording.frames) == len(trajectory.viewpoints())
         timeline = of_recording(recording, mount) if complete else of_trajectory(trajectory, mount)
     else:
         complete = True
-        trajectory, mount = load_trajectory(path, overrides=overrides), description.flange_from_camera.matrix()
+        trajectory, mount = load_trajectory(path, overrides=overrides), description.carrier()
         timeline = of_trajectory(trajectory, mount)
     shown = CaptureView(page, trajectory, mount, timeline)
     page.in_background(shown.add_thumbnails if complete else LiveView(shown, Path(path), mount).follow)
@@ -52,9 +48,9 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
 
 
 def watch(
-    page: Page, path: Path, trajectory: Trajectory, mount: Array, planned: list[PlannedView], *, stop: Callable[[], None]
+    page: Page, path: Path, trajectory: Trajectory, mount: Mount, planned: list[PlannedView], *, stop: Callable[[], None]
 ) -> None:
-    """Show a recording on a page while it is made. The stop button calls `stop`; `mount` is the nominal (4, 4) [m]."""
+    """Show a recording on a page while it is made. The stop button calls `stop`; `mount`: the arm and its camera."""
     shown = CaptureView(page, trajectory, mount, of_planned(trajectory, planned, mount))
     live = LiveView(shown, path, mount)
     live.offer_stop(stop)

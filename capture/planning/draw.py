@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.kinematics import forward
-from capture.planning.arm_shape import RADII, segments
 from capture.planning.obstacles import Obstacles
 from capture.planning.plan import PlannedView
+from capture.shapes.solids import Solid
 from datasets.core import files
 
 if TYPE_CHECKING:
@@ -21,22 +20,24 @@ if TYPE_CHECKING:
 COLOURS = {"train": "#1f77b4", "test": "#d62728", "calibration": "#2ca02c"}
 """Colour of the views of each split."""
 FRUSTUM_M = 0.05  # length of the pyramid that represents a camera
+SHARP_RAD, MOST_EDGES = 0.15, 2000
+"""Angle between two triangles from which on their common edge is drawn, and how many edges of a body are drawn."""
 STEPS = 24  # points on the path of the camera from each view to the next
 
 
-def _cameras(planned: list[PlannedView], flange_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cameras(planned: list[PlannedView], obstacles: Obstacles) -> NDArray[np.float64]:
     """(n, 4, 4) camera poses at the planned joint angles [m]."""
-    return np.stack([forward(view.joints) @ flange_from_camera for view in planned])
+    return obstacles.carrier.base_from_camera(np.stack([view.joints for view in planned]))
 
 
 def _paths(planned: list[PlannedView]) -> list[NDArray[np.float64]]:
-    """(STEPS, 6) joint angles from each view to the next, through all corners."""
+    """(STEPS, n) joint angles from each view to the next, through all corners."""
     paths, before = [], planned[0].joints
     for view in planned[1:]:
         corners = np.array([before, *view.path])
         length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1))])
         share = np.linspace(0.0, max(length[-1], 1e-9), STEPS)
-        paths.append(np.stack([np.interp(share, length, corners[:, joint]) for joint in range(6)], axis=-1))
+        paths.append(np.stack([np.interp(share, length, corners[:, joint]) for joint in range(len(before))], axis=-1))
         before = view.joints
     return paths
 
@@ -58,6 +59,16 @@ def _box_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([(places[a], places[b]) for a, b in pairs])
 
 
+def _outline_edges(solid: Solid) -> NDArray[np.float64]:
+    """(n, 2, 3) edges of a body [m]: its sharp ones, and of a body with none all, up to `MOST_EDGES`."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(*solid.outline(), process=False)
+    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > SHARP_RAD]
+    edges = sharp if len(sharp) else mesh.edges_unique
+    return np.asarray(mesh.vertices[edges[:: max(len(edges) // MOST_EDGES, 1)]], np.float64)
+
+
 def plot(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
     """Write a PNG: views and paths from the side and from above, and the joint angles along the session."""
     figure = figure_of(planned, obstacles, title=title)
@@ -76,7 +87,7 @@ def figure_of(planned: list[PlannedView], obstacles: Obstacles, *, title: str) -
     panels[0].set(xlabel="side view: x [m]", ylabel="z [m]")
     panels[1].set(xlabel="top view: x [m]", ylabel="y [m]")
     angles = np.degrees(np.stack([view.joints for view in planned]))
-    panels[2].plot(angles, marker=".", label=[f"joint {joint}" for joint in range(1, 7)])
+    panels[2].plot(angles, marker=".", label=[f"joint {joint}" for joint in range(1, angles.shape[1] + 1)])
     panels[2].set(xlabel="view, in the order of capture", ylabel="joint angle [degrees]")
     panels[2].legend(ncols=2, fontsize="small")
     handles, names = panels[0].get_legend_handles_labels()
@@ -93,18 +104,23 @@ def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes:
         label = "" if index else "path of the camera"
         panel.plot(track[:, across], track[:, up], color="0.8", linewidth=0.8, zorder=1, label=label)
     arm = {"color": "0.4", "alpha": 0.35, "solid_capstyle": "round"}
-    for index, (ends, radius) in enumerate(zip(segments(planned[0].joints, obstacles.flange_from_camera), RADII, strict=True)):
+    parts = zip(obstacles.carrier.segments(planned[0].joints), obstacles.shape.radii, strict=True)
+    for index, (ends, radius) in enumerate(parts):
         label = "" if index else "arm at the first view"
         panel.plot(ends[:, across], ends[:, up], linewidth=60 * radius, label=label, **arm)
     if obstacles.object_corners is not None:
         for index, edge in enumerate(_box_edges(obstacles.object_corners)):
             panel.plot(edge[:, across], edge[:, up], color="goldenrod", linewidth=1, label="" if index else "box of the object")
+    for index, solid in enumerate(obstacles.carrier.solids):
+        edges = _outline_edges(solid)[..., [across, up]]
+        corners = np.concatenate([edges, np.full_like(edges[:, :1], np.nan)], axis=1).reshape(-1, 2)  # a gap after each edge
+        panel.plot(*corners.T, color="rosybrown", linewidth=0.8, label="" if index else "other bodies")
     planes = {"table": (obstacles.table_z, "sienna"), "ceiling": (obstacles.ceiling_z, "slategray")}
     for name, (z, colour) in planes.items() if up == 2 else ():
         if z is not None:
             panel.axhline(z, color=colour, label=name)
     splits = [view.viewpoint.split for view in planned]
-    for index, (split, pose) in enumerate(zip(splits, _cameras(planned, obstacles.flange_from_camera), strict=True)):
+    for index, (split, pose) in enumerate(zip(splits, _cameras(planned, obstacles), strict=True)):
         ends = np.stack([pose[:3, 3], pose[:3, 3] + FRUSTUM_M * pose[:3, 2]])
         label = f"{splits.count(split)} cameras ({split}) and their view directions" if split not in splits[:index] else ""
         colour = COLOURS.get(split, "black")
@@ -115,7 +131,7 @@ def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes:
 
 
 def _camera_track(path: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:
-    return (forward(path) @ obstacles.flange_from_camera)[:, :3, 3]
+    return obstacles.carrier.base_from_camera(path)[:, :3, 3]
 
 
 def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
@@ -127,7 +143,7 @@ def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title:
 
 def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict[str, Any]:
     """What the page draws, lengths in metres rounded to 0.1 mm."""
-    cameras = _cameras(planned, obstacles.flange_from_camera)
+    cameras = _cameras(planned, obstacles)
     start = np.repeat(planned[0].joints[None], STEPS, axis=0)
     views = [
         {
@@ -136,7 +152,7 @@ def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict
             "colour": COLOURS.get(view.viewpoint.split, "#000000"),
             "joints_deg": np.degrees(view.joints).round(1).tolist(),
             "edges": _pyramid(pose).round(4).tolist(),
-            "arm": segments(path, obstacles.flange_from_camera).round(4).tolist(),
+            "arm": obstacles.carrier.segments(path).round(4).tolist(),
             "track": _camera_track(path, obstacles).round(4).tolist(),
             "room_mm": round(1e3 * float(obstacles.margin(path).min()), 1),
         }
@@ -145,10 +161,11 @@ def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict
     box = obstacles.object_corners
     return {
         "title": title,
-        "radii": RADII.tolist(),
+        "radii": obstacles.shape.radii.tolist(),
         "views": views,
         "table_z": obstacles.table_z,
         "ceiling_z": obstacles.ceiling_z,
         "up": obstacles.up,
         "box": [] if box is None else _box_edges(box).round(4).tolist(),
+        "solids": [_outline_edges(solid).round(4).tolist() for solid in obstacles.carrier.solids],
     }

@@ -1,4 +1,4 @@
-"""How far the arm and its camera are from table, ceiling, object, workspace and themselves.
+"""How far the arm and its camera are from table, ceiling, object, other bodies, workspace and themselves.
 
 Lengths in metres, base frame.
 """
@@ -8,24 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from capture.planning.arm_shape import INDEX, PARTS, RADII, segments
-from capture.planning.distances import box_distance, segment_distance, sight_distance
+from capture.arms.carrier import Carrier, Mount, carrier_of
+from capture.arms.parts import Shape
+from capture.shapes.distances import box_distance, segment_distance, sight_distance
 from capture.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
 
-_TABLE = [index for index, part in enumerate(PARTS) if part.checks_table]
-_OBJECT = [index for index, part in enumerate(PARTS) if part.checks_object]
-_SIGHT = [index for index, part in enumerate(PARTS) if part.can_hide]
-_SELF = [(INDEX[part.name], INDEX[other]) for part in reversed(PARTS) for other in part.avoids]
-
-
 @dataclass(frozen=True)
 class Obstacles:
-    """What the arm must keep clear of: (2, 3) corners of object and workspace, z of table and ceiling [m]; None: absent."""
+    """What the arm must keep clear of: (2, 3) corners of object and workspace, z of table and ceiling [m]; None: absent.
 
-    flange_from_camera: Array
+    Bodies that stand around the arm belong to the `mount`.
+    """
+
+    mount: Mount
     clearance_m: float
     table_z: float | None = None
     object_corners: Array | None = None
@@ -33,12 +31,15 @@ class Obstacles:
     ceiling_z: float | None = None
     up: int = 1  # 1 where the base's z axis points up, -1 where the arm hangs
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mount", carrier_of(self.mount))
+
     @classmethod
-    def of(cls, trajectory: Trajectory, flange_from_camera: Array) -> "Obstacles":
-        """Those of a trajectory, with the nominal camera mount."""
+    def of(cls, trajectory: Trajectory, mount: Mount) -> "Obstacles":
+        """Those of a trajectory, for an arm and its camera."""
         safety, volume = trajectory.safety, trajectory.object
         return cls(
-            np.asarray(flange_from_camera, np.float64),
+            mount,
             safety.clearance_m,
             table_z=safety.table_z,
             object_corners=None if volume is None else volume.corners,
@@ -47,56 +48,84 @@ class Obstacles:
             up=trajectory.upwards,
         )
 
+    @property
+    def carrier(self) -> Carrier:
+        """The arm and its camera."""
+        return carrier_of(self.mount)
+
+    @property
+    def flange_from_camera(self) -> Array:
+        """(4, 4) nominal mount of the camera [m]."""
+        return self.carrier.flange_from_camera
+
+    @property
+    def shape(self) -> Shape:
+        """Its parts."""
+        return self.carrier.shape
+
     def margins(self, joints: ArrayLike) -> dict[str, Array]:
-        """Distances minus the clearance [m] for (n, 6) joint angles: (n,) by the name of the pair. Negative: too close."""
-        ends = segments(joints, self.flange_from_camera)
+        """Distances minus the clearance [m] for (m, n) joint angles: (m,) by the name of the pair. Negative: too close."""
+        shape, ends = self.shape, self.carrier.segments(joints)
+        on_table = [index for index, part in enumerate(shape.parts) if part.checks_table]
+        free = [index for index, part in enumerate(shape.parts) if part.checks_object]
         room: dict[str, Array] = {}
         for name, z, away in (("table", self.table_z, self.up), ("ceiling", self.ceiling_z, -self.up)):
             if z is not None:
-                height = (away * (ends[..., _TABLE, :, :][..., 2] - z)).min(-1) - RADII[_TABLE]
-                room |= _by_part(height, _TABLE, f" to {name}")
+                height = (away * (ends[..., on_table, :, :][..., 2] - z)).min(-1) - shape.radii[on_table]
+                room |= _by_part(shape, height, on_table, f" to {name}")
         if self.object_corners is not None:
-            room |= _by_part(box_distance(ends[..., _OBJECT, :, :], self.object_corners) - RADII[_OBJECT], _OBJECT, " to object")
-        first, second = np.array(_SELF).T
-        gap = segment_distance(ends[..., first, :, :], ends[..., second, :, :]) - RADII[first] - RADII[second]
-        room |= {f"{PARTS[a].name} to {PARTS[b].name}": gap[..., place] for place, (a, b) in enumerate(_SELF)}
+            room |= _by_part(
+                shape, box_distance(ends[..., free, :, :], self.object_corners) - shape.radii[free], free, " to object"
+            )
+        for solid in self.carrier.solids:
+            room |= _by_part(shape, solid.distance(ends[..., free, :, :]) - shape.radii[free], free, f" to {solid.name}")
+        first, second = np.array(shape.pairs).T
+        gap = segment_distance(ends[..., first, :, :], ends[..., second, :, :]) - shape.radii[first] - shape.radii[second]
+        names = [part.name for part in shape.parts]
+        room |= {f"{names[a]} to {names[b]}": gap[..., place] for place, (a, b) in enumerate(shape.pairs)}
         if self.workspace_corners is not None:
-            camera = ends[..., INDEX["camera"], :, :].mean(-2)
+            camera = ends[..., shape.index["bracket"], 1, :]
             low, high = self.workspace_corners
             room["camera to the edge of the workspace"] = np.minimum(camera - low, high - camera).min(-1)
         return {name: value - self.clearance_m for name, value in room.items()}
 
     def margin(self, joints: ArrayLike) -> Array:
-        """(n,) smallest of the `margins` [m] for (n, 6) joint angles."""
+        """(m,) smallest of the `margins` [m] for (m, n) joint angles."""
         return np.min(list(self.margins(joints).values()), axis=0)
 
+    def free(self, joints: ArrayLike) -> NDArray[np.bool_]:
+        """(m,) whether (m, n) joint angles keep clear of everything and within the limits of joints and cable."""
+        return (self.margin(joints) >= 0) & self.carrier.permitted(joints)
+
     def sights(self, joints: ArrayLike) -> dict[str, Array]:
-        """Distances between the arm and the camera's sight of the object [m] for (n, 6) joint angles: (n,) by part.
+        """Distances between the arm and the camera's sight of the object [m] for (m, n) joint angles: (m,) by part.
 
         Negative where the part may hide some of the object's box from the camera. Empty without an object.
         """
         if self.object_corners is None:
             return {}
-        ends = segments(joints, self.flange_from_camera)
-        eye = np.broadcast_to(ends[..., INDEX["bracket"], None, 1, :], (*ends.shape[:-3], len(_SIGHT), 3))
-        return _by_part(sight_distance(ends[..., _SIGHT, :, :], eye, self.object_corners) - RADII[_SIGHT], _SIGHT)
+        shape, ends = self.shape, self.carrier.segments(joints)
+        hiding = [index for index, part in enumerate(shape.parts) if part.can_hide]
+        eye = np.broadcast_to(ends[..., shape.index["bracket"], None, 1, :], (*ends.shape[:-3], len(hiding), 3))
+        distance = sight_distance(ends[..., hiding, :, :], eye, self.object_corners)
+        return _by_part(shape, distance - shape.radii[hiding], hiding)
 
     def sight(self, joints: ArrayLike) -> Array:
-        """(n,) smallest of the `sights` [m]; infinite without an object."""
+        """(m,) smallest of the `sights` [m]; infinite without an object."""
         return np.min([np.full(len(np.asarray(joints)), np.inf), *self.sights(joints).values()], axis=0)
 
     def hiding(self, joints: ArrayLike) -> str:
-        """The part that hides the object most, at (6,) joint angles."""
+        """The part that hides the object most, at (n,) joint angles."""
         return _smallest(self.sights(np.asarray(joints)[None]))[0]
 
     def nearest(self, joints: ArrayLike) -> tuple[str, float]:
-        """The closest pair and its margin [m], at (6,) joint angles."""
+        """The closest pair and its margin [m], at (n,) joint angles."""
         return _smallest(self.margins(np.asarray(joints)[None]))
 
 
-def _by_part(values: Array, indices: list[int], suffix: str = "") -> dict[str, Array]:
+def _by_part(shape: Shape, values: Array, indices: list[int], suffix: str = "") -> dict[str, Array]:
     """(..., parts) values of the parts with the given indices, as (...) values by label."""
-    return {PARTS[index].name + suffix: values[..., place] for place, index in enumerate(indices)}
+    return {shape.parts[index].name + suffix: values[..., place] for place, index in enumerate(indices)}
 
 
 def _smallest(values: dict[str, Array]) -> tuple[str, float]:

@@ -8,7 +8,6 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.kinematics import JOINT_LIMIT
 from capture.planning.obstacles import Obstacles
 
 Joints = NDArray[np.float64]
@@ -18,22 +17,22 @@ STRIDE = 0.4  # length of one branch of a tree, in the fastest joint [rad]
 
 
 def between(start: Joints, goal: Joints) -> Joints:
-    """(n, 6) configurations from `start` to `goal`, both included, at most STEP apart."""
+    """(m, n) configurations from `start` to `goal`, both included, at most STEP apart."""
     count = int(np.ceil(np.abs(goal - start).max() / STEP)) + 1
     return np.linspace(start, goal, max(count, 2))
 
 
 def is_free(start: Joints, goal: Joints, obstacles: Obstacles) -> bool:
     """Whether the straight path is free. The start is not checked: an arm that stands too close may leave."""
-    return bool((obstacles.margin(between(start, goal)[1:]) >= 0).all())
+    return bool(obstacles.free(between(start, goal)[1:]).all())
 
 
 def are_free(starts: Joints, goals: Joints, obstacles: Obstacles) -> NDArray[np.bool_]:
-    """(n,) `is_free` of many paths at once, with (n, 6) starts and goals."""
+    """(m,) `is_free` of many paths at once, with (m, n) starts and goals."""
     paths = [between(start, goal)[1:] for start, goal in zip(starts, goals, strict=True)]
-    margin = obstacles.margin(np.concatenate(paths))
+    free = obstacles.free(np.concatenate(paths))
     edges = np.cumsum([0] + [len(path) for path in paths])
-    return np.array([margin[a:b].min() >= 0 for a, b in itertools.pairwise(edges)])
+    return np.array([free[a:b].all() for a, b in itertools.pairwise(edges)])
 
 
 def find_path(start: Joints, goal: Joints, obstacles: Obstacles, *, seed: int = 0, tries: int = 2000) -> list[Joints] | None:
@@ -44,8 +43,8 @@ def find_path(start: Joints, goal: Joints, obstacles: Obstacles, *, seed: int = 
     if is_free(start, goal, obstacles):
         return [goal]
     rng = np.random.default_rng(seed)
-    low = np.maximum(np.minimum(start, goal) - 1.5, -JOINT_LIMIT)
-    high = np.minimum(np.maximum(start, goal) + 1.5, JOINT_LIMIT)
+    low = np.maximum(np.minimum(start, goal) - 1.5, obstacles.carrier.arm.lower)
+    high = np.maximum(np.minimum(np.maximum(start, goal) + 1.5, obstacles.carrier.arm.upper), low)
     near, far = _Tree(start), _Tree(goal)
     for _ in range(tries):
         reached = near.grow(rng.uniform(low, high), obstacles)

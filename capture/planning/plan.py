@@ -4,8 +4,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from capture.arms.carrier import Mount, carrier_of
 from capture.errors import PlanningError, UnreachableError
 from capture.planning.obstacles import Obstacles
 from capture.planning.order import short_order
@@ -23,26 +23,26 @@ class PlannedView:
     """A view, the joint angles that take it, and the path to them."""
 
     viewpoint: Viewpoint  # with the camera pose of the chosen roll
-    joints: Joints  # (6,) [rad] by the nominal kinematics and the nominal camera mount
+    joints: Joints  # (n,) [rad] by the nominal kinematics and the nominal camera mount
     path: list[Joints]
     """Joint angles to pass through from the previous view, the last being `joints`; only `joints` for the first view."""
 
 
-def plan(trajectory: Trajectory, flange_from_camera: NDArray[np.float64], *, without: Collection[str] = ()) -> list[PlannedView]:
+def plan(trajectory: Trajectory, mount: Mount, *, without: Collection[str] = ()) -> list[PlannedView]:
     """Joint angles for every view of a trajectory, in the order of capture, with collision-free paths between them.
 
     The order is that of the trajectory, or with `motion.order` "shortest" another one if it saves time. The result depends
     only on the arguments, so that a session can be repeated and resumed.
 
     Args:
-        flange_from_camera: (4, 4) nominal camera mount [m].
+        mount: the arm and its camera; or a (4, 4) nominal camera mount [m] on the default arm.
         without: names of views to leave out.
 
     Raises:
         UnreachableError: names the views that cannot be taken, and why.
         PlanningError: no path between two views was found.
     """
-    obstacles = Obstacles.of(trajectory, flange_from_camera)
+    obstacles = Obstacles.of(trajectory, carrier_of(mount))
     solved = [solve(viewpoint, obstacles) for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
     failures = [f"{one.viewpoint.name}: {one.reason}" for one in solved if one.reason]
     if failures:
@@ -55,7 +55,7 @@ def plan(trajectory: Trajectory, flange_from_camera: NDArray[np.float64], *, wit
         )
     chosen, cost = shortest([one.joints for one in solved], obstacles)
     if trajectory.motion.order == "shortest":
-        order = short_order(np.stack([one.viewpoint.camera_pose(flange_from_camera) for one in solved]))
+        order = short_order(np.stack([one.viewpoint.camera_pose(obstacles.carrier) for one in solved]))
         reordered = [solved[index] for index in order]
         other, other_cost = shortest([one.joints for one in reordered], obstacles)
         if other_cost < cost:
@@ -67,7 +67,7 @@ def _with_paths(solved: list[Solutions], chosen: list[int], obstacles: Obstacles
     """The chosen configuration of each view, and the path from the previous one."""
     planned: list[PlannedView] = []
     for one, index in zip(solved, chosen, strict=True):
-        joints, view = one.joints[index], one.taken_by(index, obstacles.flange_from_camera)
+        joints, view = one.joints[index], one.taken_by(index, obstacles.carrier)
         path = connect(planned[-1].joints, joints, obstacles, where=f"view {view.name}") if planned else [joints]
         planned.append(PlannedView(view, joints, path))
     return planned
@@ -81,14 +81,15 @@ def connect(start: Joints, goal: Joints, obstacles: Obstacles, *, where: str = "
     path = find_path(np.asarray(start, np.float64), np.asarray(goal, np.float64), obstacles)
     if path is None:
         pair, room = obstacles.nearest(start)
-        state = f"the arm is already too close: {pair}, {room * 1000:.0f} mm" if room < 0 else "2000 tries"
+        beyond = next(filter(None, (obstacles.carrier.forbidden(joints) for joints in (start, goal))), "")
+        state = f"the arm is already too close: {pair}, {room * 1000:.0f} mm" if room < 0 else beyond or "2000 tries"
         remedy = "move the arm to an open pose by hand, or lower safety.clearance_m"
         raise PlanningError("no path around the obstacles was found", where=where, why=state, remedy=remedy)
     return path
 
 
-def blocked(trajectory: Trajectory, flange_from_camera: NDArray[np.float64]) -> dict[str, str]:
+def blocked(trajectory: Trajectory, mount: Mount) -> dict[str, str]:
     """The views of a trajectory that the arm cannot take, with the reasons; empty if it can take all."""
-    obstacles = Obstacles.of(trajectory, flange_from_camera)
+    obstacles = Obstacles.of(trajectory, carrier_of(mount))
     solved = [solve(viewpoint, obstacles) for viewpoint in trajectory.viewpoints()]
     return {one.viewpoint.name: one.reason for one in solved if one.reason}

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from capture.planning.obstacles import Obstacles
 from capture.planning.paths import are_free
-from capture.planning.solutions import HOME
 
 Joints = NDArray[np.float64]
 
@@ -17,7 +16,7 @@ COST_DIGITS = 9
 
 
 def shortest(layers: list[Joints], obstacles: Obstacles) -> tuple[list[int], float]:
-    """The sequence with the least travel: an index into each layer of (n, 6) configurations, and its cost [rad].
+    """The sequence with the least travel: an index into each layer of (m, n) configurations, and its cost [rad].
 
     Only the paths of the best sequence so far are checked for collisions. A blocked one is charged a detour and the search
     is repeated, until every path of the best sequence has been checked.
@@ -25,7 +24,7 @@ def shortest(layers: list[Joints], obstacles: Obstacles) -> tuple[list[int], flo
     costs = [_travel(a[:, None] - b[None]) for a, b in itertools.pairwise(layers)]
     known = [np.zeros(cost.shape, bool) for cost in costs]
     while True:
-        chosen = _cheapest(layers, costs)
+        chosen = _cheapest(layers, costs, obstacles.carrier.arm.home)
         unknown = [i for i in range(len(costs)) if not known[i][chosen[i], chosen[i + 1]]]
         if not unknown:
             return chosen, float(sum(cost[a, b] for cost, (a, b) in zip(costs, itertools.pairwise(chosen), strict=True)))
@@ -38,13 +37,13 @@ def shortest(layers: list[Joints], obstacles: Obstacles) -> tuple[list[int], flo
 
 
 def _travel(difference: Joints) -> NDArray[np.float64]:
-    """Cost of (..., 6) joint motions: the fastest joint decides, the others count a little."""
+    """Cost of (..., n) joint motions: the fastest joint decides, the others count a little."""
     return np.abs(difference).max(-1) + 0.05 * np.abs(difference).sum(-1)
 
 
-def _cheapest(layers: list[Joints], costs: list[NDArray[np.float64]]) -> list[int]:
+def _cheapest(layers: list[Joints], costs: list[NDArray[np.float64]], home: Joints) -> list[int]:
     """Index into each layer of the cheapest sequence, by dynamic programming."""
-    total, back = np.round(np.abs(layers[0] - HOME).max(-1), COST_DIGITS), []
+    total, back = np.round(np.abs(layers[0] - home).max(-1), COST_DIGITS), []
     for cost in costs:
         through = np.round(total[:, None] + cost, COST_DIGITS)
         back.append(through.argmin(axis=0))

@@ -21,7 +21,7 @@ from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
 from capture.robots.settling import Settling
 from capture.robots.timing import Deadlines
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 from capture.sim.camera import SimulatedCamera
 from capture.sim.controller.process import SimulatedController
 from capture.sim.truth import RigTruth
@@ -47,7 +47,7 @@ class SettlePoint:
 def state_rate(seconds: float = 2.0, *, frequency: float = 500.0) -> float:
     """Rate of distinct states that the driver receives from a moving arm [Hz]."""
     with SimulatedController.start(time_scale=1.0) as controller:
-        with UR5e(controller.host, deadlines=PATIENT, frequency=frequency, settling=Settling(time_s=0.0)) as robot:
+        with UniversalRobot(controller.host, deadlines=PATIENT, frequency=frequency, settling=Settling(time_s=0.0)) as robot:
             start = robot.state().joints
             speed, acceleration = 0.5, 1.4
             turn = speed * (seconds - speed / acceleration)
@@ -60,12 +60,12 @@ def loop_overhead(count: int = 12, *, advance: Advance = lambda name: None) -> N
     """(count - 1,) time between frames beyond motion, swing, settling and exposure, at the sensor's full resolution [s]."""
     trajectory = load_trajectory("koala", overrides=["motion.settle_time_s=0.2"])
     description = RigDescription()
-    planned = plan(trajectory, description.flange_from_camera.matrix())[:count]
+    planned = plan(trajectory, description.carrier())[:count]
     motion = trajectory.motion
     settling = Settling(motion.settle_spread, motion.settle_time_s, 20.0)
     with TemporaryDirectory(prefix="koala-bench-") as folder, SimulatedController.start(time_scale=1.0) as controller:
         with Basler(trajectory.camera, emulated=True) as camera:
-            with UR5e(controller.host, deadlines=PATIENT, settling=settling) as robot:
+            with UniversalRobot(controller.host, deadlines=PATIENT, settling=settling) as robot:
                 rig = Rig(robot, camera, description, "bench")
                 frames = record(trajectory, rig, Path(folder) / "recording", planned=planned, advance=advance).frames
                 motions = controller.ask("motions", settle_spread=motion.settle_spread)["motions"]
@@ -94,12 +94,12 @@ def settle_curve(
     trajectory = load_trajectory("calibration_demo", overrides=small)
     description = RigDescription()
     mount = description.flange_from_camera.matrix()
-    target, motion = plan(trajectory, mount)[0].joints, trajectory.motion
+    target, motion = plan(trajectory, description.carrier())[0].joints, trajectory.motion
     starts = [target + 0.25 * np.where(np.arange(6) % 2, 1, -1) * (-1) ** turn for turn in range(repeats)]
     points = []
     with SimulatedController.start(time_scale=1.0) as controller:
         camera = SimulatedCamera(trajectory, "charuco_board", RigTruth.draw(mount, 0), controller, 0)
-        with camera, UR5e(controller.host, deadlines=PATIENT) as robot:
+        with camera, UniversalRobot(controller.host, deadlines=PATIENT) as robot:
 
             def look(start: NDArray[np.float64], delay_s: float) -> tuple[float, float, NDArray[np.float64]]:
                 for joints, wait_s in ((start, 0.0), (target, delay_s)):

@@ -32,6 +32,7 @@ def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         **rig.extra,
         "trajectory": trajectory.model_dump(mode="json"),
         "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
+        "arm": rig.carrier.arm.model_dump(mode="json"),
         "camera": {**rig.camera.description(), "lens": rig.description.camera.lens},
         "robot": rig.robot.description(),
         "nominal_flange_from_camera": rig.flange_from_camera.tolist(),

@@ -46,7 +46,7 @@ def record(
         KoalaError: the disk has no room for the views; nothing has moved.
         CaptureError: an error of the rig or the plan, or a full disk; the arm stands still, and `out` can be resumed.
     """
-    planned = plan(trajectory, rig.flange_from_camera) if planned is None else planned
+    planned = plan(trajectory, rig.carrier) if planned is None else planned
     out = Path(out)
     try:
         return _record(trajectory, rig, _open(trajectory, rig, out, resume, planned), planned, advance)
@@ -58,7 +58,7 @@ def record(
 
 
 def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: list[PlannedView], advance: Advance) -> Recording:
-    obstacles = Obstacles.of(trajectory, rig.flange_from_camera)
+    obstacles = Obstacles.of(trajectory, rig.carrier)
     taken = {frame.name for frame in recording.frames}
     numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
     motion = trajectory.motion

@@ -9,7 +9,7 @@ import numpy as np
 
 from capture.errors import CaptureError
 from capture.planning import Obstacles, connect
-from capture.rig.description import recorded_rig
+from capture.rig.description import recorded_carrier
 from capture.rig.protocols import Robot
 from capture.trajectory import recorded_trajectory
 from datasets import pose
@@ -52,7 +52,7 @@ def replay(
     if not recording.frames:
         raise CaptureError("the recording has no frames", where=recording.path, remedy="record something first")
     trajectory = recorded_trajectory(recording)
-    obstacles = Obstacles.of(trajectory, recorded_rig(recording).flange_from_camera.matrix())
+    obstacles = Obstacles.of(trajectory, recorded_carrier(recording))
     true_poses = _true_poses(recording) if truth is not None else {}
     motion, deviations = trajectory.motion, []
     for frame in recording.frames:

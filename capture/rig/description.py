@@ -6,7 +6,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from capture.arms.carrier import BODY, Cable, CameraCapsule, Carrier
+from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
 from capture.geometry import PoseDescription
+from capture.shapes.solids import AnySolid, MeshSolid
+from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
 
@@ -35,7 +39,7 @@ class InstallationDescription(Schema):
 class RobotDescription(Schema):
     """The arm and its limits."""
 
-    model: Literal["ur5e"] = Field(default="ur5e", description="model of the arm")
+    model: str = Field(default=DEFAULT, min_length=1, description="model of the arm: a name of 'capture list', or an arm file")
     host: str = Field(default="192.168.0.10", min_length=1, description="address of the controller on the network")
     client: Literal["auto", "ur_rtde", "koala"] = Field(
         default="auto",
@@ -43,6 +47,7 @@ class RobotDescription(Schema):
     )
     max_joint_speed: float = Field(default=1.05, gt=0, le=np.pi, description="limit of every joint [rad/s]")
     max_joint_acceleration: float = Field(default=1.4, gt=0, le=10, description="limit of every joint [rad/s^2]")
+    cable: Cable | None = Field(default=None, description="how far the camera's cable may be wound up; null: no limit")
     installation: InstallationDescription = Field(
         default_factory=InstallationDescription, description="settings of the pendant that 'capture doctor' compares"
     )
@@ -55,6 +60,9 @@ class CameraDescription(Schema):
     serial: str = Field(default="", description="serial number; empty: the only connected camera")
     firmware: str = Field(default="", description="firmware version; empty: not compared")
     lens: str = Field(default="", description="focal length, aperture and focus, in your words; empty: not compared")
+    body: list[CameraCapsule] = Field(
+        default=list(BODY), description="shape of camera, lens and plug in the camera's frame, for collision checks"
+    )
 
 
 class SimulationDescription(Schema):
@@ -75,7 +83,33 @@ class RigDescription(Schema):
         description="nominal camera pose on the flange, from a drawing or a ruler. 1 cm and 5 degrees are enough: "
         "calib finds the true pose",
     )
+    obstacles: list[AnySolid] = Field(default=[], description="what else stands around the arm")
     simulation: SimulationDescription | None = Field(default=None, description="only for a simulated rig; null: a real rig")
+
+    @property
+    def arm(self) -> ArmModel:
+        """The model of the arm; raises UsageError where there is no such file, or something in it is wrong."""
+        return load_arm(self.robot.model)
+
+    def carrier(self, arm: ArmModel | None = None) -> Carrier:
+        """The arm with its camera and what stands around it; raises UsageError where they do not fit together.
+
+        Args:
+            arm: takes the place of the arm that the rig file names.
+        """
+        arm, cable = self.arm if arm is None else arm, self.robot.cable
+        if cable is not None:
+            if not all(1 <= joint <= arm.count for joint in cable.joints):
+                why = f"joints {cable.joints}, but the {arm.name} has joints 1 to {arm.count}"
+                raise UsageError("robot.cable.joints names a joint that does not exist", why=why)
+            if cable.rest_deg and len(cable.rest_deg) != max(len(cable.joints), 1):
+                why = f"{len(cable.rest_deg)} angles for {max(len(cable.joints), 1)} joints"
+                raise UsageError("robot.cable.rest_deg needs an angle for each joint of the cable", why=why)
+        names = [solid.name for solid in self.obstacles]
+        if len(set(names)) < len(names):
+            raise UsageError("two obstacles have the same name", why=", ".join(sorted(names)), remedy="rename one of them")
+        body = tuple(self.camera.body)
+        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(self.obstacles), cable)
 
 
 def recorded_rig(recording: Recording) -> RigDescription:
@@ -84,6 +118,24 @@ def recorded_rig(recording: Recording) -> RigDescription:
     return validate(content, RigDescription, where=f"{recording.path / MANIFEST}, rig")
 
 
+def recorded_carrier(recording: Recording) -> Carrier:
+    """The arm of a recording with its camera."""
+    return recorded_rig(recording).carrier(recorded_arm(recording))
+
+
 def load_rig(path: Path | str) -> RigDescription:
-    """Read a rig file; raises UsageError where something in it is wrong."""
-    return load_yaml(path, RigDescription)
+    """Read a rig file; raises UsageError where something in it is wrong. Paths in it are relative to its folder."""
+    rig, folder = load_yaml(path, RigDescription), Path(path).resolve().parent
+    placed = [
+        solid.model_copy(update={"file": str(folder / solid.file)}) if isinstance(solid, MeshSolid) else solid
+        for solid in rig.obstacles
+    ]
+    robot, model = rig.robot, Path(rig.robot.model)
+    if model.suffix and not model.is_absolute() and (folder / model).is_file():
+        robot = robot.model_copy(update={"model": str(folder / model)})
+    rig = rig.model_copy(update={"obstacles": placed, "robot": robot})
+    try:
+        rig.carrier()
+    except UsageError as error:
+        raise UsageError(error.what, where=error.where or path, why=error.why, remedy=error.remedy) from None
+    return rig

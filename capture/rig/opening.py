@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import configs
+from capture.arms.carrier import Carrier
 from capture.rig.description import RigDescription, load_rig
 from capture.rig.protocols import Camera, GroundTruth, Robot
 from capture.trajectory import Trajectory
@@ -17,8 +18,11 @@ from datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
     from capture.sim.controller.handle import ControllerHandle
+    from capture.sim.kinematic_arm import KinematicArm
 
-SIMULATED = "sim"  # name of the simulated rig
+    Simulation = ControllerHandle | KinematicArm  # both know where the flange truly is
+
+SIMULATED = "sim"  # name of the simulated rig; "sim:NAME" is the simulation of another rig
 Examination = Callable[[RigDescription, str, bool], None]
 """Gets the rig, the address of its controller, and whether it is simulated."""
 
@@ -30,9 +34,14 @@ class Rig:
     robot: Robot
     camera: Camera
     description: RigDescription
-    name: str  # "sim", or the name or path of the rig file
+    name: str  # "sim", "sim:NAME", or the name or path of the rig file
     ground_truth: GroundTruth | None = None  # only in a simulation
     extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
+
+    @property
+    def carrier(self) -> Carrier:
+        """The arm with its camera and what stands around it."""
+        return self.description.carrier()
 
     @property
     def flange_from_camera(self) -> NDArray[np.float64]:
@@ -41,14 +50,39 @@ class Rig:
 
 
 def describe(name: str) -> RigDescription:
-    """The description of a rig: "sim", a shipped rig by name, or a rig file. Raises UsageError where it is missing or wrong."""
+    """The description of a rig: "sim", a shipped rig by name, or a rig file, the last two also after "sim:".
+
+    Raises UsageError where it is missing or wrong.
+    """
     if name == SIMULATED:
         return RigDescription()
+    if is_started(name):
+        return describe(name.removeprefix(f"{SIMULATED}:")).model_copy(update={"simulation": None})
     path = configs.find("rigs", name, others=(SIMULATED,))
     if not path.exists():
         remedy = f"--rig takes {SIMULATED}, a name that 'capture list' shows, or a rig file"
         raise UsageError("no such file", where=name, remedy=remedy)
     return load_rig(path)
+
+
+def is_started(name: str) -> bool:
+    """Whether the rig is a simulated one that is started by the command."""
+    return name == SIMULATED or name.startswith(f"{SIMULATED}:")
+
+
+def controller_model(description: RigDescription) -> str:
+    """The model of the arm for a simulated controller; raises UsageError where no such controller drives it."""
+    if description.arm.family != "ur":
+        what = f"the {description.arm.name} has no simulated controller"
+        raise UsageError(what, remedy="'capture run --rig sim:NAME' moves it without one")
+    return description.robot.model
+
+
+def host_of(description: RigDescription, simulation: "Simulation | None") -> str:
+    """The address of the arm's controller; for an arm that is simulated without one, its name."""
+    if simulation is None:
+        return description.robot.host
+    return getattr(simulation, "host", description.arm.name)
 
 
 @contextmanager
@@ -65,7 +99,7 @@ def open_rig(
     """Connect arm and camera; leaving the context closes both.
 
     Args:
-        name: "sim", or the name or path of a rig file.
+        name: "sim", "sim:NAME", or the name or path of a rig file.
         scene: what the simulated camera looks at.
         seed: of everything random in a simulation that is started here. A running simulation has its own seed.
         time_scale: speed of a simulated arm that is started here, relative to real time.
@@ -75,7 +109,7 @@ def open_rig(
     description = describe(name)
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
-        examine(description, description.robot.host if controller is None else controller.host, controller is not None)
+        examine(description, host_of(description, controller), controller is not None)
         if controller is None:
             from capture.cameras.basler import Basler
 
@@ -96,7 +130,7 @@ def open_rig(
 @contextmanager
 def open_arm(
     name: str, trajectory: Trajectory, *, seed: int, links_seed: int, time_scale: float
-) -> Iterator[tuple[Robot, "ControllerHandle | None"]]:
+) -> Iterator[tuple[Robot, "Simulation | None"]]:
     """Connect only the arm. The second value is the simulated controller, or None for a real arm.
 
     Arguments as in `open_rig`. A simulated arm that is started here has the links of `links_seed` and the positioning errors
@@ -118,13 +152,21 @@ def controller_of(
     seed: int = 0,
     time_scale: float = 1.0,
     links_seed: int | None = None,
-) -> "Iterator[ControllerHandle | None]":
-    """The simulated controller of a rig, started here or already running; None for a real rig."""
-    if name == SIMULATED:
+) -> "Iterator[Simulation | None]":
+    """The simulated controller of a rig, started here or already running; None for a real rig.
+
+    An arm of another maker than Universal Robots is simulated without a controller.
+    """
+    options: dict[str, Any] = {"seed": seed, "time_scale": time_scale, "links_seed": links_seed, "hangs": hangs}
+    if is_started(name) and description.arm.family == "ur":
         from capture.sim.controller.process import SimulatedController
 
-        with SimulatedController.as_built(seed=seed, time_scale=time_scale, links_seed=links_seed, hangs=hangs) as started:
+        with SimulatedController.as_built(**options, model=description.robot.model) as started:
             yield started
+    elif is_started(name):
+        from capture.sim.kinematic_arm import KinematicArm
+
+        yield KinematicArm(description.arm, **options)
     elif description.simulation is not None:
         from capture.sim.controller.handle import ControllerHandle
 
@@ -134,33 +176,47 @@ def controller_of(
         yield None
 
 
-def _arm(
-    description: RigDescription, trajectory: Trajectory, controller: "ControllerHandle | None", take_over: bool = False
-) -> Robot:
+def _arm(description: RigDescription, trajectory: Trajectory, controller: "Simulation | None", take_over: bool = False) -> Robot:
     from capture.robots.settling import Settling
     from capture.robots.timing import Deadlines
-    from capture.robots.ur import UR5e
+    from capture.robots.ur import UniversalRobot
     from capture.safety import Limits
+    from capture.sim.kinematic_arm import KinematicArm
 
-    motion, robot = trajectory.motion, description.robot
-    limits = Limits(speed=robot.max_joint_speed, acceleration=robot.max_joint_acceleration)
+    motion, robot, arm = trajectory.motion, description.robot, description.arm
+    limits = Limits.of(arm, robot.max_joint_speed, robot.max_joint_acceleration)
     settling = Settling(motion.settle_spread, motion.settle_time_s, motion.settle_timeout_s)
+    if isinstance(controller, KinematicArm):
+        controller.limits, controller.settling = limits, settling
+        return controller
+    if arm.family != "ur":
+        remedy = "'--rig sim:NAME' simulates it; only arms of Universal Robots are driven"
+        raise UsageError(f"Koala has no driver for the {arm.name}", where="robot.model", remedy=remedy)
     if controller is None:
-        return UR5e(robot.host, limits=limits, settling=settling, client=robot.client, take_over=take_over)
+        return UniversalRobot(robot.host, limits=limits, settling=settling, client=robot.client, take_over=take_over)
     patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
     options: dict[str, Any] = {"limits": limits, "settling": settling, "client": robot.client, "take_over": take_over}
-    return UR5e(controller.host, deadlines=patient, frequency=125.0, **options)
+    return UniversalRobot(controller.host, deadlines=patient, frequency=125.0, **options)
 
 
-def write_simulated_rig(path: Path, controller: "ControllerHandle", scene: str, seed: int) -> None:
-    """Write the rig file of a running simulated controller; raises UsageError where the file exists."""
+def write_simulated_rig(
+    path: Path, controller: "ControllerHandle", scene: str, seed: int, rig: RigDescription | None = None
+) -> None:
+    """Write the rig file of a running simulated controller; raises UsageError where the file exists.
+
+    Args:
+        rig: the rig that is simulated; None: the default one.
+    """
     import yaml
 
     from datasets.core import files
 
     files.refuse_existing(path)
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
-    content = {"robot": {"host": controller.host}, "simulation": simulation}
+    rig = rig or RigDescription()
+    own = {"host": controller.host, **rig.robot.model_dump(mode="json", include={"model"}, exclude_defaults=True)}
+    rest = rig.model_dump(mode="json", include={"camera", "flange_from_camera", "obstacles"}, exclude_defaults=True)
+    content = {"robot": own, **rest, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))
 
 
@@ -169,8 +225,8 @@ def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
 
     Raises UsageError: there is no such scene, the trajectory does not fit it, or the rig is real.
     """
-    simulation = None if rig == SIMULATED else describe(rig).simulation
-    if rig != SIMULATED and simulation is None:
+    simulation = None if is_started(rig) else describe(rig).simulation
+    if not is_started(rig) and simulation is None:
         if scene:
             raise UsageError("--scene is only for simulated rigs", where=rig, remedy="leave it out, or use --rig sim")
         return ""

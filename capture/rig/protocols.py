@@ -21,7 +21,7 @@ class Robot(Protocol):
     def __exit__(self, *exception: object) -> None: ...
 
     def move_to(self, joints: NDArray[np.float64], *, speed: float, acceleration: float) -> None:
-        """Move to (6,) joint angles [rad] with at most `speed` [rad/s] and `acceleration` [rad/s^2]; return when settled.
+        """Move to (n,) joint angles [rad] with at most `speed` [rad/s] and `acceleration` [rad/s^2]; return when settled.
 
         Raises a CaptureError that says what happened. The arm is always stopped then.
         """

@@ -1,4 +1,4 @@
-"""A UR5e. The client of its controller lives in a child process because the vendor's can hang or crash.
+"""An arm of Universal Robots. The client of its controller lives in a child process because the vendor's can hang or crash.
 
 The parent keeps every deadline, watches the stream of states, and has a dashboard connection of its own to stop the arm.
 """
@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arm_model import identify
+from capture.arms.model import identify
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
 from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
@@ -34,8 +34,8 @@ START_REMEDIES = {
 }
 
 
-class UR5e:
-    """One UR5e: moves to joint angles, reports where the flange is.
+class UniversalRobot:
+    """One arm of Universal Robots: moves to joint angles, reports where the flange is.
 
     Poses are `base_from_flange` in metres in the base of the teach pendant. The controller reports the tool centre
     point; its active offset is read on entering, removed here and kept in `description`.

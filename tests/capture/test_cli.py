@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from capture.arms.model import load_arm
 from capture.errors import RigConnectionError
 from capture.kinematics import forward
 from capture.rig.description import load_rig
 from capture.sim.controller.handle import ControllerHandle
-from capture.sim.controller.process import HANGING_HOME
 from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import Recording
@@ -97,7 +97,7 @@ def test_sim_starts_as_a_hanging_arm(tmp_path):
         with closing(ControllerHandle(host, simulation.side_port)) as controller:
             place = controller.true_base_from_flange()
         process.kill()
-    np.testing.assert_allclose(place[:3, 3], forward(HANGING_HOME)[:3, 3], atol=5e-3)  # links as built
+    np.testing.assert_allclose(place[:3, 3], forward(load_arm("ur5e").hanging_home)[:3, 3], atol=5e-3)  # links as built
 
 
 def test_ctrl_c_keeps_the_frames_and_says_how_to_resume(tmp_path):

@@ -14,8 +14,8 @@ def test_a_sound_target_passes():
 @pytest.mark.parametrize(
     ("joints", "speed", "acceleration", "expected"),
     [
-        ([0, 0, 0, 0, 0], 1, 1, "six finite"),
-        ([0, 0, np.nan, 0, 0, 0], 1, 1, "six finite"),
+        ([0, 0, 0, 0, 0], 1, 1, "6 finite"),
+        ([0, 0, np.nan, 0, 0, 0], 1, 1, "6 finite"),
         ([0, 0, 7, 0, 0, 0], 1, 1, "joint 3 .*401 degrees, limit 360"),
         ([0] * 6, 1.2, 1, "speed .*1.2 rad/s, limit 1.05"),
         ([0] * 6, np.nan, 1, "speed"),

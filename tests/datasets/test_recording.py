@@ -80,7 +80,7 @@ def test_damage_in_the_middle_names_the_line(recording: Recording) -> None:
     ("change", "words"),
     [
         ({"base_from_flange": np.full((4, 4), np.nan).tolist()}, "not finite"),
-        ({"joints": [1, 2]}, "six finite"),
+        ({"joints": [1, 2]}, "6 finite"),
         ({"image": "../../x.png"}, "leaves the folder"),
         ({"colour": 1}, "not complete"),
         ({"name": 7}, "name is 7"),

@@ -16,7 +16,7 @@ import pytest
 from capture.errors import CaptureError
 from capture.kinematics import forward
 from capture.robots.timing import Deadlines
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 from capture.sim.controller.process import SimulatedController
 from datasets.recording import Recording
 
@@ -210,7 +210,7 @@ def test_a_controller_that_hangs_is_left_stopped_by_its_watchdog(client: str) ->
     far = np.array([2.0, -1.2, 0.8, -1.5, -1.0, 0.2])
     deadlines = Deadlines(stale_s=1.0, watchdog_hz=1.0)
     with SimulatedController.start(time_scale=1.0) as controller:
-        robot = UR5e(controller.host, deadlines=deadlines, client=client)
+        robot = UniversalRobot(controller.host, deadlines=deadlines, client=client)
         with pytest.raises(CaptureError, match="does not answer either"), robot:
             threading.Timer(0.7, controller.ask, ["hang"], {"seconds": 30}).start()
             robot.move_to(far, speed=0.4, acceleration=1.4)

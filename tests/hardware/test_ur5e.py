@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from capture.errors import MotionError, SafetyError
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 
 pytestmark = pytest.mark.hardware
 STEP = np.radians(2.0)
@@ -23,7 +23,7 @@ def robot(request):
     host = os.environ.get("KOALA_UR5E_HOST")
     if not host:
         pytest.skip("no arm: KOALA_UR5E_HOST, the address of its controller, is not set")
-    with UR5e(host, client=request.param) as found:
+    with UniversalRobot(host, client=request.param) as found:
         yield found
 
 

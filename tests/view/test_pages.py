@@ -93,12 +93,11 @@ safety: {workspace: {centre: [0.45, 0, 0.4], size: [1.0, 1.2, 0.8]}}
 def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, browse: Callable[[str], Any]) -> None:
     from capture.page.session import SAFETY, CaptureView
     from capture.page.timeline import of_trajectory
-    from capture.planning.arm_shape import INDEX, segments
     from capture.rig.description import RigDescription
     from capture.trajectory import load_trajectory
 
     (tmp_path / "t.yaml").write_text(TRAJECTORY)
-    trajectory, mount = load_trajectory(tmp_path / "t.yaml"), RigDescription().flange_from_camera.matrix()
+    trajectory, mount = load_trajectory(tmp_path / "t.yaml"), RigDescription().carrier()
     timeline = of_trajectory(trajectory, mount)
     blocked = [stop for stop in timeline.stops if stop.reason]
     assert blocked and len(blocked) < 8
@@ -109,7 +108,7 @@ def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, bro
         window.page.get_by_text(blocked[0].reason).first.wait_for(timeout=1e3 * window.PATIENCE_S)
         shown.slider.value = timeline.end
         window.until(lambda picture: (np.abs(picture.astype(int) - before) > 40).mean() > 0.005, "the arm elsewhere")
-        expected = segments(timeline.at(timeline.end), mount)[INDEX["camera"], 0]
+        expected = mount.segments(timeline.at(timeline.end))[mount.shape.index["camera"], 0]
         handle = page.scene.get_handle_by_name("/arm/camera")
         assert handle is not None and np.allclose(handle.position, expected, atol=1e-5)
         assert window.errors == []

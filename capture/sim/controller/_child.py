@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from capture.kinematics import UR5E
+from capture.arms.model import load_arm
 from capture.sim.controller import primary, side_channel
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.installation import Installation
@@ -51,11 +51,12 @@ async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
 
 async def _run(options: dict[str, Any]) -> None:
     seed = int(options["seed"])
-    length_m, angle_rad, links = options["length_error_m"], options["angle_error_rad"], UR5E
+    model = load_arm(options["model"])
+    length_m, angle_rad, links = options["length_error_m"], options["angle_error_rad"], model.links
     if length_m or angle_rad:
-        links = UR5E.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
+        links = links.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
     deviations = options["repeatability_m"], options["repeatability_rad"]
-    arm = Arm(seed, np.array(options["home"]), *deviations, links, options["noise_rad"])
+    arm = Arm(seed, np.array(options["home"]), *deviations, links, options["noise_rad"], model)
     server = ControllerServer(arm, options["time_scale"], Installation(up=tuple(options["up"])))
     host, side_port = await _listen(server, options["host"])
     loop = asyncio.get_running_loop()

@@ -10,7 +10,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.kinematics import JOINT_LIMIT, UR5E, Links, forward
+from capture.arms.model import DEFAULT, ArmModel, load_arm
+from capture.kinematics import Links, forward
 from capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
 from capture.sim.controller.tempo import Tempo
 from datasets import pose
@@ -45,15 +46,16 @@ class Safety(IntEnum):
 
 
 class Arm:
-    """One UR5e with errors of its own.
+    """One arm with errors of its own.
 
     Args:
         seed: of everything random.
-        home: (6,) angles at the start [rad].
+        home: (n,) angles at the start [rad].
         repeatability_m: standard deviation per axis of where the flange really stops [m].
         repeatability_rad: the same of its orientation [rad].
-        links: the true links, which the controller is calibrated to; they differ from the nominal ones.
+        links: the true links, which the controller is calibrated to; they differ from the nominal ones. None: they do not.
         noise_rad: standard deviation of the angles that the encoders measure [rad].
+        model: its nominal links and its limits; None: a UR5e.
     """
 
     def __init__(
@@ -62,17 +64,19 @@ class Arm:
         home: Joints,
         repeatability_m: float,
         repeatability_rad: float,
-        links: Links = UR5E,
+        links: Links | None = None,
         noise_rad: float = 0.0,
+        model: ArmModel | None = None,
     ) -> None:
-        self.seed, self.links, self.noise_rad = seed, links, noise_rad
+        self.model = load_arm(DEFAULT) if model is None else model
+        self.seed, self.links, self.noise_rad = seed, self.model.links if links is None else links, noise_rad
         self._noise = np.random.default_rng([seed, 11])
         self.deviation = repeatability_m, repeatability_rad
         self.flange_from_tcp = np.eye(4)
         self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
-        self.profile: Profile = Stop(np.asarray(home, np.float64), np.zeros(6), 1.0)
+        self.profile: Profile = Stop(np.asarray(home, np.float64), np.zeros(len(home)), 1.0)
         self.speed_fraction = 1.0
-        self.joint_limits = np.array([[-JOINT_LIMIT], [JOINT_LIMIT]]) * np.ones(6)
+        self.joint_limits = np.stack([self.model.lower, self.model.upper])
         self.reach_m = np.inf
         self._tempo = Tempo(0.0, 0.0, 1.0, 1.0)
         self.motions: deque[tuple[float, Profile]] = deque(maxlen=1000)
@@ -96,27 +100,27 @@ class Arm:
         return bool(self.phase(now) < self.profile.duration)
 
     def target(self, now: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) commanded angles, speeds and accelerations."""
+        """(n,) commanded angles, speeds and accelerations."""
         angles, speeds, accelerations = self.profile.at(self.phase(now))
         rate = self._tempo.rate(now)
         return angles, speeds * rate, accelerations * rate**2
 
     def measured(self, now: float) -> tuple[Joints, Joints]:
-        """(6,) angles and speeds that the encoders measure: `actual` and their noise, another one at every call."""
+        """(n,) angles and speeds that the encoders measure: `actual` and their noise, another one at every call."""
         angles, speeds = self.actual(now)
         if self.noise_rad == 0:
             return angles, speeds
-        noise = self.noise_rad * self._noise.normal(size=(2, 6))
+        noise = self.noise_rad * self._noise.normal(size=(2, len(angles)))
         return angles + noise[0], speeds + SPEED_NOISE_PER_S * noise[1]
 
     def actual(self, now: float) -> tuple[Joints, Joints]:
-        """(6,) angles and speeds of the joints: the target plus the oscillation after a stop."""
+        """(n,) angles and speeds of the joints: the target plus the oscillation after a stop."""
         angles, speeds, _ = self.target(now)
         swing, swing_speed = self._swing(now, RINGING_HZ, RINGING_DECAY_S, RINGING_PER_ACCELERATION)
         return angles - swing, speeds - swing_speed
 
     def _swing(self, now: float, frequency_hz: float, decay_s: float, amplitude: float) -> tuple[Joints | float, Joints | float]:
-        """(6,) damped oscillation after the end of a motion [rad], and its speed [rad/s]; 0 in motion and long after it."""
+        """(n,) damped oscillation after the end of a motion [rad], and its speed [rad/s]; 0 in motion and long after it."""
         if self._unfinished(now) or self.profile.duration == 0:
             return 0.0, 0.0
         rate = self._tempo.rate(now)
@@ -189,13 +193,13 @@ class Arm:
 
     def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
         """Start a movej; a moving arm slows down to rest first."""
-        if not np.isfinite(goal).all() or np.abs(goal).max() > JOINT_LIMIT:
+        if not np.isfinite(goal).all() or not self.model.inside(goal):
             self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
             return
         angles, speeds, _ = self.target(now)
         acceleration = max(acceleration, 1e-3)
         stop = Stop(angles, speeds, acceleration)
-        move = Move(stop.at(np.inf)[0], goal, min(max(speed, 1e-3), np.pi), acceleration)
+        move = Move(stop.at(np.inf)[0], goal, min(max(speed, 1e-3), float(self.model.speed.min())), acceleration)
         self.begin(Chain(stop, move) if self.moving(now) else move, now)
 
     def stop(self, deceleration: float, now: float) -> None:

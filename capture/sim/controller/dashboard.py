@@ -19,7 +19,7 @@ def reply(controller: "ControllerServer", line: str) -> str:
     answers = {
         "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*installed.version),
         "get serial number": installed.serial,
-        "get robot model": "UR5",
+        "get robot model": arm.model.name.removesuffix("e"),
         "is in remote control": str(installed.remote).lower(),
         "running": f"Program running: {str(running).lower()}",
         "robotmode": f"Robotmode: {arm.mode.name}",

@@ -4,7 +4,7 @@ import asyncio
 import struct
 from typing import TYPE_CHECKING
 
-from capture.kinematics import UR5E, six_from_pose
+from capture.kinematics import six_from_pose
 from capture.robots import primary
 from capture.robots.primary import package
 
@@ -25,7 +25,7 @@ def version_message(version: tuple[int, ...]) -> bytes:
 
 def state_message(server: "ControllerServer") -> bytes:
     """Tool pose and offset, the calibrated links, and the checksum of the safety settings."""
-    arm, links = server.arm, server.arm.links if server.installed.calibrated else UR5E
+    arm, links = server.arm, server.arm.links if server.installed.calibrated else server.arm.model.links
     pose = [*server.tcp_pose(arm.actual(server.now)[0]), *six_from_pose(arm.flange_from_tcp)]
     numbers = [float(one) for part in (links.theta, links.a, links.d, links.alpha) for one in part]
     parts = (

@@ -1,6 +1,6 @@
-"""A simulated UR5e controller for real clients: a process of its own on a loopback address.
+"""A simulated controller of Universal Robots for real clients: a process of its own on a loopback address.
 
-with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UR5e(simulated.host) as robot:
+with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UniversalRobot(simulated.host) as robot:
     robot.move_to(joints, speed=1.0, acceleration=1.4)
     simulated.true_base_from_flange()
 """
@@ -16,14 +16,13 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.arms.model import DEFAULT, load_arm
 from capture.errors import SimulationError
 from capture.sim.controller.handle import ControllerHandle
 from datasets.core.errors import UsageError
 
 START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)  # joint angles at the start: stretched upwards [rad]
-HANGING_HOME = (0.0, -np.pi, 0.0, -np.pi / 2, 0.0, 0.0)
-"""The same for a hanging arm: stretched along the ceiling, out of the way [rad]."""
 BUILT_MM, BUILT_DEG = 0.5, 0.05
 """Standard deviations of the links of an arm as built from the nominal ones; they move the flange by millimetres."""
 ENCODER_NOISE_RAD = 4e-6  # of an arm as built: its flange seems to move by 5 um, a sixth of the repeatability
@@ -51,6 +50,7 @@ class SimulatedController(ControllerHandle):
         hangs: bool = False,
         home: NDArray[np.float64] | tuple[float, ...] = HOME,
         host: str = "",
+        model: str = DEFAULT,
     ) -> Self:
         """Start the process and wait until its ports accept.
 
@@ -64,6 +64,7 @@ class SimulatedController(ControllerHandle):
             hangs: whether the base's z axis points to the ground.
             home: (6,) joint angles at the start [rad].
             host: loopback address; empty: a free one.
+            model: which arm it is, by the name or the file of `capture.arms`.
 
         Raises:
             UsageError: `host` is no loopback address; nothing simulated listens to other computers.
@@ -73,6 +74,7 @@ class SimulatedController(ControllerHandle):
             raise UsageError("is no loopback address", where=host, remedy="give one of 127.0.0.1 to 127.255.255.254")
         options = {
             "host": host,
+            "model": str(model),
             "seed": int(seed),
             "links_seed": int(seed if links_seed is None else links_seed),
             "time_scale": float(time_scale),
@@ -93,12 +95,21 @@ class SimulatedController(ControllerHandle):
 
     @classmethod
     def as_built(
-        cls, *, seed: int, time_scale: float, links_seed: int | None = None, hangs: bool = False, host: str = ""
+        cls,
+        *,
+        seed: int,
+        time_scale: float,
+        links_seed: int | None = None,
+        hangs: bool = False,
+        host: str = "",
+        model: str = DEFAULT,
     ) -> Self:
         """`start` an arm with the links and the encoders of a real one; out of the way if it hangs."""
-        errors = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG, "noise_rad": ENCODER_NOISE_RAD}
-        home = HANGING_HOME if hangs else HOME
-        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, host=host, home=home, hangs=hangs, **errors)
+        errors: dict[str, Any] = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG, "noise_rad": ENCODER_NOISE_RAD}
+        arm = load_arm(model)
+        home = arm.hanging_home if hangs else arm.home
+        place: dict[str, Any] = {"host": host, "home": home, "hangs": hangs, "model": model}
+        return cls.start(seed=seed, time_scale=time_scale, links_seed=links_seed, **place, **errors)
 
     def __enter__(self) -> Self:
         return self

@@ -21,7 +21,7 @@ class Profile(Protocol):
         ...
 
     def at(self, time: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds and accelerations at `time`, held at the ends."""
+        """(n,) angles, speeds and accelerations at `time`, held at the ends."""
         ...
 
 
@@ -53,13 +53,13 @@ class Move:
         return trapezoid_times(float(np.abs(self.goal - self.start).max()), self.speed, self.acceleration)
 
     def at(self, time: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds and accelerations at `time`."""
+        """(n,) angles, speeds and accelerations at `time`."""
         way = self.goal - self.start
         distance = float(np.abs(way).max())
         ramp, cruise = self._times
         left = 2 * ramp + cruise - time
         if distance == 0 or left <= 0 or time <= 0:
-            return self.start if distance and time <= 0 else self.goal, np.zeros(6), np.zeros(6)
+            return self.start if distance and time <= 0 else self.goal, np.zeros_like(self.start), np.zeros_like(self.start)
         if time < ramp:
             travelled, speed, acceleration = self.acceleration * time**2 / 2, self.acceleration * time, self.acceleration
         elif time <= ramp + cruise:
@@ -86,11 +86,11 @@ class Stop:
         return float(np.abs(self.speeds).max()) / self.deceleration
 
     def at(self, time: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds and accelerations at `time`."""
+        """(n,) angles, speeds and accelerations at `time`."""
         duration = self.duration
         time = min(max(time, 0.0), duration)
         if duration == 0 or time >= duration:
-            return self.start + self.speeds * duration / 2, np.zeros(6), np.zeros(6)
+            return self.start + self.speeds * duration / 2, np.zeros_like(self.start), np.zeros_like(self.start)
         slowing = -self.speeds / duration
         return self.start + self.speeds * time + slowing * time**2 / 2, self.speeds + slowing * time, slowing
 
@@ -108,5 +108,5 @@ class Chain:
         return self.first.duration + self.second.duration
 
     def at(self, time: float) -> tuple[Joints, Joints, Joints]:
-        """(6,) angles, speeds and accelerations at `time`."""
+        """(n,) angles, speeds and accelerations at `time`."""
         return self.first.at(time) if time < self.first.duration else self.second.at(time - self.first.duration)

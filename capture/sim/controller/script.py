@@ -203,7 +203,7 @@ def _has_inverse(program: ControlProgram) -> bool:
 def _inverse(program: ControlProgram, near: Joints) -> Joints:
     """Joint angles nearest to `near` that bring the tool point to the pose in the first argument with the true links."""
     base_from_flange = pose_from_six(program.arguments(0, 6)) @ pose.inverse(program.arm.flange_from_tcp)
-    branches = kinematics.inverse(base_from_flange)
+    branches = program.arm.model.inverse(base_from_flange)
     if not len(branches):
         raise ProgramError("the inverse kinematics of a pose has no solution")
     branches = kinematics.nearest_turn(branches, near)

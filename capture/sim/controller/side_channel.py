@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from capture.arm_model import load_arm
+from capture.arms.model import load_arm
 from capture.kinematics import JOINT_LIMIT, pose_from_six
 from capture.sim.controller.arm import RobotMode, Safety
 from capture.sim.controller.installation import Installation

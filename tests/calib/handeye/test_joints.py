@@ -14,7 +14,7 @@ from calib.page import summary
 from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, viewpoints
 from calib.targets.detection import Observation
-from capture.kinematics import inverse
+from capture.arms.model import load_arm
 from datasets import kinematics, pose
 from datasets.board import Board
 from datasets.calibration import Calibration
@@ -33,7 +33,7 @@ def reached(seed, views):
     found = []
     while len(found) < views:
         camera = viewpoints(rng, RIG, 1, pattern)[0]
-        branches = inverse(camera @ pose.inverse(RIG.flange_from_camera))
+        branches = load_arm("ur5e").inverse(camera @ pose.inverse(RIG.flange_from_camera))
         if len(branches):
             found.append(branches[rng.integers(len(branches))])
     return np.array(found)

@@ -14,7 +14,7 @@ from capture.rig.description import RigDescription
 from capture.rig.opening import write_simulated_rig
 from capture.robots.dashboard import Dashboard
 from capture.robots.timing import Deadlines
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 from capture.sim.controller.process import SimulatedController
 
 SESSION = """\
@@ -74,20 +74,20 @@ def test_a_session_for_a_hanging_arm_is_refused_on_a_standing_one(simulated, tmp
 def test_a_program_that_runs_is_reported_and_left_alone_unless_taken_over(simulated, program, tmp_path):
     simulated.ask("install", program=program)
     with pytest.raises(NotReady, match=f"left alone.*{program} palletizing.*--take-over"):
-        with UR5e(simulated.host, deadlines=BUSY, client="koala"):
+        with UniversalRobot(simulated.host, deadlines=BUSY, client="koala"):
             pass
     with pytest.raises(NotReady, match=f"program: {program} palletizing"):
         examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
     assert state(simulated.host) == f"{program} palletizing.urp"
     examination(tmp_path / "rec", 1, True, True)(RigDescription(), simulated.host, True)
-    with UR5e(simulated.host, deadlines=BUSY, client="koala", take_over=True) as robot:
+    with UniversalRobot(simulated.host, deadlines=BUSY, client="koala", take_over=True) as robot:
         assert "palletizing" not in state(simulated.host)
         assert robot.description()["model"] == "UR5e"
 
 
 def test_the_model_that_is_recorded_is_the_one_that_stands_there(simulated):
     simulated.ask("install", model="ur10e")
-    with UR5e(simulated.host, deadlines=BUSY, client="koala") as robot:
+    with UniversalRobot(simulated.host, deadlines=BUSY, client="koala") as robot:
         assert robot.description()["model"] == "UR10e"
 
 

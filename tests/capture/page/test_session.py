@@ -8,13 +8,12 @@ import pytest
 
 from capture.page.session import CaptureView, along_z
 from capture.page.timeline import Timeline, of_trajectory
-from capture.planning.arm_shape import INDEX, PARTS, segments
 from capture.rig.description import RigDescription
 from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.page import open_page
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +45,9 @@ def test_no_direction_turns_nothing() -> None:
 def test_the_arm_is_drawn_where_its_capsules_are(shown: CaptureView, session: tuple[Trajectory, Timeline]) -> None:
     middle = session[1].end / 2
     shown.go(middle)
-    ends = segments(session[1].at(middle), MOUNT)
-    for part, handle in zip(PARTS, shown._parts, strict=True):
-        start, end = ends[INDEX[part.name]]
+    ends = MOUNT.segments(session[1].at(middle))
+    for part, handle in zip(MOUNT.shape.parts, shown._parts, strict=True):
+        start, end = ends[MOUNT.shape.index[part.name]]
         np.testing.assert_allclose(handle.position, start, atol=1e-9)
         turned = pose.from_quaternion(tuple(handle.wxyz), (0, 0, 0))[:3, 2]
         np.testing.assert_allclose(turned, (end - start) / np.linalg.norm(end - start), atol=1e-6)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from capture.arms.carrier import carrier_of
 from capture.kinematics import forward
-from capture.planning.arm_shape import INDEX, PARTS, segments
-from capture.planning.distances import box_distance, segment_distance, sight_distance
 from capture.planning.obstacles import Obstacles
+from capture.shapes.distances import box_distance, segment_distance, sight_distance
 from capture.trajectory import load_trajectory
 from datasets import pose
 
@@ -52,8 +52,8 @@ def test_parallel_and_pointlike_segments():
 
 def test_segments_end_at_flange_and_camera():
     joints = np.array([0.3, -1.2, 1.5, -0.4, -1.5, 0.2])
-    ends = segments(joints, MOUNT)
-    bracket = ends[INDEX["bracket"]]
+    carrier = carrier_of(MOUNT)
+    bracket = carrier.segments(joints)[carrier.shape.index["bracket"]]
     np.testing.assert_allclose(bracket, [forward(joints)[:3, 3], (forward(joints) @ MOUNT)[:3, 3]])
 
 
@@ -99,7 +99,7 @@ def test_workspace_holds_the_camera():
 def test_every_pair_that_could_meet_is_checked_and_named():
     obstacles = Obstacles(MOUNT, 0.02, table_z=0.0, object_corners=BOX, workspace_corners=BOX, ceiling_z=2.0)
     names = list(obstacles.margins(UPRIGHT[None]))
-    assert len(names) == len(set(names)) == 8 + 8 + 9 + 20 + 1  # table, ceiling, object, the arm itself, workspace
+    assert len(names) == len(set(names)) == 10 + 10 + 11 + 38 + 1  # table, ceiling, object, the arm itself, workspace
     assert "base to table" not in names and "shoulder to table" not in names, "they always touch or nearly so"
     assert {"forearm to base", "camera to upper arm", "shoulder to object", "camera to ceiling"} < set(names)
     assert "camera to bracket" not in names and "forearm to elbow" not in names
@@ -116,7 +116,7 @@ def test_a_larger_clearance_leaves_less_room_everywhere():
 def test_sight_does_not_depend_on_the_clearance_and_names_each_part_of_the_arm():
     joints = np.random.default_rng(4).uniform(-2, 2, (5, 6))
     near, far = (Obstacles(MOUNT, clearance, object_corners=BOX).sights(joints) for clearance in (0.0, 0.05))
-    assert list(near) == [part.name for part in PARTS[:8]]  # the camera is in front of its bracket
+    assert list(near) == [part.name for part in carrier_of(MOUNT).arm.parts]  # the camera is in front of its bracket
     for name, room in near.items():
         np.testing.assert_array_equal(far[name], room)
 

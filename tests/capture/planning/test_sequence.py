@@ -4,12 +4,13 @@ import itertools
 
 import numpy as np
 
+from capture.arms.model import load_arm
 from capture.planning.obstacles import Obstacles
 from capture.planning.paths import is_free
 from capture.planning.sequence import DETOUR, shortest
-from capture.planning.solutions import HOME
 from datasets import pose
 
+HOME = load_arm("ur5e").home
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
 NOTHING = Obstacles(MOUNT, -1.0)  # a negative clearance: nothing is ever too close
 

@@ -6,7 +6,7 @@ import pytest
 from capture import kinematics
 from capture.kinematics import JOINT_LIMIT, forward
 from capture.planning.obstacles import Obstacles
-from capture.planning.solutions import HOME, MIN_SINGULARITY, solve
+from capture.planning.solutions import MIN_SINGULARITY, solve
 from capture.viewpoints import Viewpoint
 from datasets import pose
 
@@ -39,7 +39,7 @@ def test_turned_joints_are_offered_only_within_their_limits() -> None:
     found = solve(view((0.15, 0.1, 0.5)), FREE)
     base, last = found.joints[:, 0], found.joints[:, 5]
     assert np.ptp(base) > np.pi and np.ptp(last) > np.pi, "the premise: some are a whole turn apart"
-    once = {tuple(np.round(kinematics.nearest_turn(joints, HOME), 6)) for joints in found.joints}
+    once = {tuple(np.round(kinematics.nearest_turn(joints, FREE.carrier.arm.home), 6)) for joints in found.joints}
     assert len(once) < len(found.joints) == len({tuple(np.round(joints, 6)) for joints in found.joints})
 
 

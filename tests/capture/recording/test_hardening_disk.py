@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from capture import kinematics
+from capture.arms.model import load_arm
 from capture.errors import CaptureError
 from capture.planning import PlannedView, plan
-from capture.planning.solutions import HOME
 from capture.recording import recorder
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
@@ -27,7 +27,7 @@ class Noisy:
     """A robot and a camera in one, whose pictures cannot be compressed."""
 
     def __init__(self) -> None:
-        self.joints, self.moves, self.random = HOME.copy(), 0, np.random.default_rng(0)
+        self.joints, self.moves, self.random = load_arm("ur5e").home.copy(), 0, np.random.default_rng(0)
 
     def __enter__(self) -> Self:
         return self

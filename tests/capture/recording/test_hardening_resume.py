@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from capture import kinematics
+from capture.arms.model import load_arm
 from capture.planning import PlannedView, plan
-from capture.planning.solutions import HOME
 from capture.recording.recorder import record
 from capture.rig.description import CameraDescription, RigDescription
 from capture.rig.opening import Rig
@@ -28,7 +28,7 @@ class Still:
     """A robot and a camera in one that does nothing but answer."""
 
     def __init__(self, description: dict[str, Any]) -> None:
-        self._description, self.joints, self.taken = description, HOME.copy(), 0
+        self._description, self.joints, self.taken = description, load_arm("ur5e").home.copy(), 0
 
     def __enter__(self) -> Self:
         return self

@@ -43,7 +43,10 @@ def test_a_rig_is_found_by_name_or_path(running_rig: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("ur5e_baslr", ["there is no rig 'ur5e_baslr'", "known: sim, ur5e_basler", "did you mean 'ur5e_basler'?"]),
+        (
+            "ur5e_baslr",
+            ["there is no rig 'ur5e_baslr'", "known: sim, franka_basler, ur10e_gige, ur5e_basler", "did you mean 'ur5e_basler'?"],
+        ),
         ("simm", ["did you mean 'sim'?"]),
         ("nowhere.yaml", ["nowhere.yaml: no such file", "'capture list'"]),
         ("rigs/mine", ["rigs/mine: no such file"]),

@@ -6,15 +6,15 @@ import pytest
 
 from capture.robots.settling import Settling
 from capture.robots.timing import Deadlines
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 
 BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
 """Tests run beside others on two cores: a pause of half a second is no fault there."""
 
 
 @pytest.fixture
-def connect(client: str) -> Callable[..., UR5e]:
+def connect(client: str) -> Callable[..., UniversalRobot]:
     """Makes an arm that talks to the simulated controller through the client under test; not connected yet."""
-    return lambda simulated, **options: UR5e(
+    return lambda simulated, **options: UniversalRobot(
         simulated.host, settling=Settling(timeout_s=20.0), deadlines=BUSY, client=client, **options
     )

@@ -8,7 +8,7 @@ import pytest
 from capture.errors import RigConnectionError
 from capture.robots import client, koala_client
 from capture.robots.client import StartError, StartFailure, open_client
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 from capture.sim.controller.process import SimulatedController
 
 
@@ -50,8 +50,8 @@ def test_the_driver_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{':'.join(filter(None, sys.path))}")
     with SimulatedController.start() as simulated:
         with pytest.raises(RigConnectionError, match=r"ur-rtde is not installed.*koala-capture\[robot\].*robot\.client: koala"):
-            UR5e(simulated.host, client="ur_rtde").__enter__()
-        with UR5e(simulated.host) as robot:
+            UniversalRobot(simulated.host, client="ur_rtde").__enter__()
+        with UniversalRobot(simulated.host) as robot:
             assert robot.description()["client"] == client.versioned("koala", "koala-capture")
 
 
@@ -62,5 +62,5 @@ def test_a_client_is_named_with_its_version_where_that_is_known():
 
 def test_an_unknown_client_is_refused():
     with pytest.raises(ValueError, match="'other' is not a valid ClientChoice"):
-        UR5e("127.0.0.1", client="other")
+        UniversalRobot("127.0.0.1", client="other")
     assert [choice.value for choice in client.ClientChoice] == ["auto", "ur_rtde", "koala"]

@@ -17,7 +17,7 @@ from capture.kinematics import forward
 from capture.robots.client import versioned
 from capture.robots.koala_client import KoalaClient
 from capture.robots.settling import Settling
-from capture.robots.ur import UR5e
+from capture.robots.ur import UniversalRobot
 from capture.sim.controller.process import ENCODER_NOISE_RAD, SimulatedController
 from datasets import pose
 
@@ -203,8 +203,8 @@ def test_an_arm_that_never_rests_names_its_spread_and_the_key(connect, simulated
 def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     code = """if True:
         import sys
-        from capture.robots.ur import UR5e
-        with UR5e(sys.argv[1], client=sys.argv[2]) as robot:
+        from capture.robots.ur import UniversalRobot
+        with UniversalRobot(sys.argv[1], client=sys.argv[2]) as robot:
             print("ready", flush=True)
             robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.5, acceleration=1.4)
     """
@@ -253,7 +253,7 @@ def test_entering_a_stopped_robot_says_so_and_leaves_nothing_open(connect, simul
 
 
 def test_an_unreachable_controller_is_one_clear_line():
-    with pytest.raises(RigConnectionError, match=r"cannot be reached .*robot\.host"), UR5e("127.9.9.9"):
+    with pytest.raises(RigConnectionError, match=r"cannot be reached .*robot\.host"), UniversalRobot("127.9.9.9"):
         pytest.fail("entered a robot that is not there")
 
 

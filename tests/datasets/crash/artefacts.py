@@ -56,9 +56,9 @@ class Rigged:
     """An arm and a camera in one; its pictures follow from where it stands."""
 
     def __init__(self) -> None:
-        from capture.planning.solutions import HOME
+        from capture.arms.model import load_arm
 
-        self.joints = HOME.copy()
+        self.joints = load_arm("ur5e").home.copy()
 
     def __enter__(self) -> Self:
         return self

@@ -15,7 +15,7 @@ def box_distance(ends: Array, corners: Array) -> Array:
         point = ends[..., 0, :] + t[..., None] * (ends[..., 1, :] - ends[..., 0, :])
         return np.linalg.norm(np.maximum(np.maximum(corners[0] - point, point - corners[1]), 0.0), axis=-1)
 
-    return _least(distance, ends.shape[:-2])
+    return least(distance, ends.shape[:-2])
 
 
 def sight_distance(ends: Array, eye: Array, corners: Array) -> Array:
@@ -25,10 +25,10 @@ def sight_distance(ends: Array, eye: Array, corners: Array) -> Array:
     is convex in that share.
     """
     reach = np.stack([corner - eye for corner in corners])
-    return _least(lambda share: box_distance(ends, eye + share[..., None] * reach), ends.shape[:-2])
+    return least(lambda share: box_distance(ends, eye + share[..., None] * reach), ends.shape[:-2])
 
 
-def _least(distance: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
+def least(distance: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
     """Minima of convex functions over 0 to 1: 14 steps of a ternary search leave 0.4 % of the interval."""
     low, high = np.zeros(shape), np.ones(shape)
     for _ in range(14):

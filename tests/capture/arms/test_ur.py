@@ -5,7 +5,9 @@ import sys
 import numpy as np
 import pytest
 
-from capture import kinematics, ur_inverse
+from capture import kinematics
+from capture.arms import ur
+from capture.arms.model import load_arm
 from capture.planning import plan
 from capture.rig.description import RigDescription
 from capture.trajectory import load_trajectory
@@ -19,7 +21,7 @@ def rng():
 
 @pytest.fixture
 def use(monkeypatch):
-    """Makes `kinematics.inverse` use a solver; skips where it is not installed."""
+    """Makes a UR5e use a solver; skips where it is not installed."""
 
     def choose(name):
         monkeypatch.undo()
@@ -27,15 +29,16 @@ def use(monkeypatch):
             pytest.importorskip("eaik.IK_DH", reason="EAIK is not installed: it has no wheel for this Python and platform")
         else:
             monkeypatch.setitem(sys.modules, "eaik.IK_DH", None)  # importing it fails, as where it is missing
-        kinematics._solver.cache_clear()
+        load_arm.cache_clear()
 
     yield choose
-    kinematics._solver.cache_clear()
+    load_arm.cache_clear()
 
 
 def _inverse_of(use, name, targets):
     use(name)
-    return [kinematics.inverse(target) for target in targets]
+    arm = load_arm("ur5e")
+    return [arm.inverse(target) for target in targets]
 
 
 @pytest.mark.parametrize("name", ["eaik", "own"])
@@ -50,9 +53,9 @@ def test_branches_arrive_and_include_the_one_we_came_from(use, rng, name):
 
 def test_the_solver_is_chosen_by_what_is_installed(use):
     use("own")
-    assert getattr(kinematics._solver(), "func", None) is ur_inverse.branches
+    assert load_arm("ur5e").solver == "ur" and load_arm("panda").solver == "numerical"
     use("eaik")
-    assert "lambda" in kinematics._solver().__qualname__
+    assert load_arm("ur5e").solver == load_arm("panda").solver == "eaik"
 
 
 def test_both_solvers_find_the_same_branches_in_the_same_order(use, rng):
@@ -115,7 +118,7 @@ def test_the_choice_between_equal_plans_does_not_depend_on_the_solver(use, tmp_p
 
 @pytest.mark.parametrize("position", [[1.2, 0, 0.3], [0, 0, 0.5], [0.05, 0.05, 0.4]])
 def test_out_of_reach_and_inside_the_column_have_no_branch(position):
-    assert ur_inverse.branches(pose.rigid(np.eye(3), position), kinematics.UR5E).shape == (0, 6)
+    assert ur.branches(pose.rigid(np.eye(3), position), kinematics.UR5E).shape == (0, 6)
 
 
 def test_another_arm_of_the_family(rng):
@@ -128,6 +131,6 @@ def test_another_arm_of_the_family(rng):
     )
     for joints in rng.uniform(-np.pi, np.pi, (50, 6)):
         target = kinematics.forward(joints, ur10e)
-        branches = ur_inverse.branches(target, ur10e)
+        branches = ur.branches(target, ur10e)
         np.testing.assert_allclose(kinematics.forward(branches, ur10e), np.broadcast_to(target, (len(branches), 4, 4)), atol=1e-9)
         assert np.abs(kinematics.wrap(branches - joints)).max(axis=1).min() < 1e-7

@@ -1,0 +1,1 @@
+"""Arms by file: their chain, limits and shape, inverse kinematics, and what they carry."""
