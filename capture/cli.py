@@ -2,13 +2,14 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Option
 
-from capture import viewing
+from capture import looking, viewing
 from capture.doctor.commands import doctor
 from capture.options import RigName, Settings, TimeScale, TrajectoryName
+from capture.radiometry import commands as radiometry_commands
 from capture.recording import commands as recording_commands
 from capture.rig import commands as rig_commands
 from datasets.core import console
@@ -39,6 +40,10 @@ def run(
     scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'. Default: one that fits the trajectory.")] = "",
     seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
     time_scale: TimeScale = 20.0,
+    radiometry: Annotated[
+        Path | None,
+        Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: the rig file's."),
+    ] = None,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
     take_over: Annotated[
         bool, Option("--take-over", help="End a program that runs on the robot; else it is left alone.")
@@ -67,15 +72,13 @@ def run(
     start = time.monotonic()
     planned = plan(session, mount)
     taken = 0
+    options: dict[str, Any] = {"radiometry": radiometry, "take_over": take_over}
+    options["examine"] = examination(out, session.upwards, session.camera.pixel_format == "rgb8", take_over)
     try:
         with ExitStack() as stack:
             if view:
                 stack.enter_context(viewing.watched(out, session, mount, planned, port))
             shown = stack.enter_context(console.progress("capture", len(planned), "views"))
-            options = {
-                "examine": examination(out, session.upwards, session.camera.pixel_format == "rgb8", take_over),
-                "take_over": take_over,
-            }
             with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale, **options) as opened:
 
                 def advance(name: str) -> None:
@@ -144,6 +147,9 @@ app.command()(recording_commands.replay)
 app.command()(rig_commands.sim)
 app.command()(doctor)
 app.command()(recording_commands.bench)
+app.command()(looking.look)
+app.command()(radiometry_commands.flat)
+app.command("bench-colour")(radiometry_commands.bench_colour)
 
 
 def main() -> None:

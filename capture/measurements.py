@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Pixels = NDArray[np.uint8 | np.uint16]  # a picture, (height, width, 3)
+Pixels = NDArray[np.uint8 | np.uint16]  # a picture, (height, width, 3), or 1 channel from a grey sensor
 
 
 @dataclass(frozen=True)
@@ -28,3 +28,4 @@ class Image:
     gain_db: float  # as read back from the camera
     device_ticks: int  # the camera's own time stamp at exposure
     host_time_ns: int  # monotonic host clock when the exposure was triggered [ns]
+    raw: NDArray[np.uint16] | None = None  # (height, width) values of 12 bits, in raw formats of 12 bits

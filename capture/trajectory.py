@@ -39,14 +39,25 @@ class CameraSettings(Schema):
 
     exposure_us: float = Field(default=10_000.0, gt=0, description="exposure time [us]")
     gain_db: float = Field(default=0.0, ge=0, description="gain [dB]")
-    pixel_format: Literal["rgb8", "bayer8", "bayer12"] = Field(
-        default="rgb8", description="colours, or a raw Bayer mosaic, demosaiced here; stored as sRGB of 8 bits, bayer12 of 16"
+    pixel_format: Literal["rgb8", "bayer8", "bayer12", "mono8", "mono12"] = Field(
+        default="rgb8",
+        description="colours, a raw Bayer mosaic, demosaiced here, or grey; stored as sRGB of 8 bits. "
+        "bayer12 and mono12: of 16 bits, and the raw values beside it",
     )
+    brackets: int = Field(
+        default=1, ge=1, le=8, description="exposures of each view, the longest of exposure_us; merged when the scene is built"
+    )
+    bracket_factor: float = Field(default=8.0, gt=1, le=100, description="how much shorter each exposure is than the one before")
     binning: int = Field(default=1, ge=1, le=16, description="sensor pixels per image pixel, along both axes")
     width: int = Field(default=1920, ge=16, description="image width after binning [px]")
     height: int = Field(default=1080, ge=16, description="image height after binning [px]")
     offset_x: int | None = Field(default=None, ge=0, description="left edge of the region after binning [px]; default: centred")
     offset_y: int | None = Field(default=None, ge=0, description="upper edge of the region after binning [px]; default: centred")
+
+    @property
+    def exposures_us(self) -> list[float]:
+        """Exposure times of a view, longest first [us]."""
+        return [self.exposure_us / self.bracket_factor**step for step in range(self.brackets)]
 
 
 class Motion(Schema):

@@ -15,6 +15,7 @@ from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.core.progress import Step, ignore
+from datasets.develop import developing
 from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.imaging import images
@@ -29,13 +30,27 @@ NEAR_SHARE = 0.25
 closer than the object."""
 
 
-def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tuple[int, ...] = (), done: Step = ignore) -> Scene:
+def build(
+    recording_path: Path,
+    calibration_path: Path,
+    out: Path,
+    *,
+    sizes: tuple[int, ...] = (),
+    radiometry: Path | None = None,
+    white: float | None = None,
+    done: Step = ignore,
+) -> Scene:
     """Write the Koala scene of a recording to `out`, all or nothing. `done` is called after each frame.
 
-    For each N of `sizes`, `images_N` holds the images at 1/N of their size.
+    Args:
+        sizes: for each N, `images_N` holds the images at 1/N of their size.
+        radiometry: file of 'capture flat' to use in place of the recording's own.
+        white: of brackets, the light that is read as white, 1 for that of the longest exposure; None: so that 0.1 % of the
+            pixels of the brightest view exceed it.
 
     Raises:
-        UsageError: a calibration session, a calibration without a hand-eye pose, or an `out` that holds something.
+        UsageError: a calibration session, a calibration without a hand-eye pose, an `out` that holds something, or a measured
+            response of another camera.
         DatasetError: an image is missing, damaged, altered or of another size than the calibrated camera's.
     """
     files.refuse_existing(out)
@@ -50,29 +65,43 @@ def build(recording_path: Path, calibration_path: Path, out: Path, *, sizes: tup
         remedy = "record a trajectory with an object"
         raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
     camera, notes = camera_for(recording, calibration)
-    views, maps = [], truth_maps(recording.path)
-    for frame in frames:
-        view = _view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints))
-        views.append(replace(view, truth={channel: found[frame.name] for channel, found in maps.items() if frame.name in found}))
-        done()
-    box, evidence = object_box(recording, tuple(views))
+    views, maps, response = [], truth_maps(recording.path), recording.response(radiometry)
+    with developing(recording, response, out) as developed:
+        for frame in frames:
+            view = _view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints))
+            truth = {channel: found[frame.name] for channel, found in maps.items() if frame.name in found}
+            views.append(developed.picture(replace(view, truth=truth), frame))
+            done()
+        views, notes = [developed.finished(view, white) for view in views], notes + developed.notes
+        scene = _scene(recording, calibration, calibration_path, tuple(views), tuple(notes), Path(out).resolve().name)
+        koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
+    return koala.load(Path(out)) if developed.is_needed else scene
+
+
+def _scene(
+    recording: Recording,
+    calibration: Calibration,
+    calibration_path: Path,
+    views: tuple[View, ...],
+    notes: tuple[str, ...],
+    name: str,
+) -> Scene:
+    """The scene of finished views, its bounds measured."""
+    box, evidence = object_box(recording, views)
     provenance = {
         "format": koala.FORMAT,
         "recording": str(recording.path.absolute()),
         "calibration": str(Path(calibration_path).absolute()),
         "calibration_sha256": files.sha256(calibration_path),
         "manifest_sha256": files.sha256(recording.path / MANIFEST),
-        "frames_sha256": {f.name: f.sha256 for f in frames},
-        "flange_from_camera": calibration.flange_from_camera.to_json(),
+        "frames_sha256": {f.name: f.sha256 for f in recording.frames if f.split in SPLITS},
+        "radiometry": recording.part("radiometry") or None,
+        "flange_from_camera": calibration.flange_from_camera and calibration.flange_from_camera.to_json(),
         "software": {"koala-capture": version("koala-capture")},
     }
     near = NEAR_SHARE * bounds.depth_range(views, box)[0]
-    name, found = Path(out).resolve().name, tuple(views)
-    scene = Scene(name, found, near, np.inf, box, "scene", True, notes=tuple(notes), provenance=provenance, bounds_from=evidence)
-    if evidence != CAMERAS_ALONE:  # else `load_scene(..., measure=True)` measures everything
-        scene = with_measured_near(scene)
-    koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
-    return scene
+    scene = Scene(name, views, near, np.inf, box, "scene", True, notes=notes, provenance=provenance, bounds_from=evidence)
+    return scene if evidence == CAMERAS_ALONE else with_measured_near(scene)  # `load_scene(..., measure=True)` measures all
 
 
 def with_measured_near(scene: Scene) -> Scene:

@@ -35,6 +35,15 @@ def build(
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
     out: OutFolder,
     sizes: Sizes = "",
+    radiometry: Annotated[
+        Path | None, typer.Option(metavar="FLAT.npz", help="File of 'capture flat', in place of the recording's own.")
+    ] = None,
+    white: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01, max=1e4, help="Of brackets: light that becomes white, 1 for the longest exposure's. Default: measured."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make a posed scene from a recording and a calibration."""
@@ -43,7 +52,8 @@ def build(
     from datasets.recording import Recording
 
     with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
-        scene = build_scene(recording, calibration, out, sizes=_numbers(sizes), done=shown.advance)
+        options: dict[str, Any] = {"sizes": _numbers(sizes), "radiometry": radiometry, "white": white}
+        scene = build_scene(recording, calibration, out, **options, done=shown.advance)
     console.report({"scene": str(out), **summary(scene)}, as_json=as_json, text=f"{_text(summary(scene))}\nwritten to {out}")
 
 

@@ -3,6 +3,8 @@
     RECORDING/manifest.json    configuration and equipment: trajectory, rig, camera state, seed, versions
     RECORDING/frames.jsonl     one line per exposure, appended and flushed to the disk after its image
     RECORDING/images/*.png     lossless images
+    RECORDING/raw/*.png        of cameras with 12 bits: their raw values
+    RECORDING/radiometry.npz   where it was measured: the response of the sensor, see `datasets.radiometry.response`
     RECORDING/truth/           of a simulation only; read by evaluation and nothing else
 
 A frame counts once its line is complete; an image without a line is recorded again on resume.
@@ -11,7 +13,7 @@ A frame counts once its line is complete; an image without a line is recorded ag
 import json
 import os
 from collections.abc import Collection
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -23,6 +25,7 @@ from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging.region import Region
 from datasets.kinematics import UR5E, Links
+from datasets.radiometry.response import Response
 from datasets.scene import checked_name
 
 FORMAT, VERSION = "koala-recording", 1
@@ -31,6 +34,27 @@ MAX_BYTES = 2**28
 LARGEST = 2**64
 """Limit of every number in a frame; clocks and counters have at most 64 bits."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
+RADIOMETRY = "radiometry.npz"
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One picture of a frame as the sensor read it."""
+
+    file: str
+    """Path relative to the recording: below `raw/` raw values, elsewhere developed ones."""
+    exposure_us: float
+    """Exposure time as read back from the camera [us]."""
+    sha256: str
+    """Of the file."""
+
+    @classmethod
+    def from_json(cls, content: Any) -> Self:
+        """Exposure from its dictionary; raises ValueError, KeyError or TypeError where it is not valid."""
+        found = cls(content["file"], float(content["exposure_us"]), content["sha256"])
+        if not (isinstance(found.file, str) and isinstance(found.sha256, str) and 0 < found.exposure_us < LARGEST):
+            raise ValueError(f"exposure is {content!r:.80}")
+        return found
 
 
 @dataclass(frozen=True)
@@ -67,10 +91,13 @@ class Frame:
     """(n,) measured joint angles after the exposure [rad]."""
     robot_time_after_s: float | None = None
     """The controller's time stamp of that [s]."""
+    exposures: tuple[Exposure, ...] = ()
+    """What the sensor read, longest exposure first. Empty: the image is all there is."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary of the fields, arrays as lists."""
-        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+        content = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+        return {**content, "exposures": [vars(one) for one in self.exposures]}
 
     @classmethod
     def from_json(cls, content: Any, *, where: object, joints: int = UR5E.count) -> Self:
@@ -83,13 +110,14 @@ class Frame:
                 arrays["base_from_flange_after"] = pose.checked(content["base_from_flange_after"], where=where)
                 if not abs(content["robot_time_after_s"]) < LARGEST:
                     raise ValueError(f"robot_time_after_s is {content['robot_time_after_s']!r:.80}")
+            taken = {"exposures": tuple(Exposure.from_json(one) for one in content.get("exposures", ()))}
             for one in fields(cls):
-                if one.default is None:
+                if one.default is not MISSING:
                     continue
                 kind, given = cast(Any, one.type), content[one.name]
                 if kind in (str, int, float) and (kind(given) != given or (kind is not str and not abs(given) < LARGEST)):
                     raise ValueError(f"{one.name} is {given!r:.80}")
-            frame = cls(**{**content, **arrays})
+            frame = cls(**{**content, **arrays, **taken})
         except (TypeError, KeyError, ValueError, OverflowError) as error:
             raise DatasetError("frame record is not complete", where=where, why=str(error)) from None
         checked_name(frame.name, where=where)
@@ -134,7 +162,8 @@ class Recording:
             except (ValueError, RecursionError) as error:
                 raise DatasetError("frame record is not valid JSON", where=where, why=str(error)) from None
             frame = Frame.from_json(content, where=where, joints=joints)
-            files.inside(path, frame.image, where=where)
+            for name in (frame.image, *(exposure.file for exposure in frame.exposures)):
+                files.inside(path, name, where=where)
             frames.append(frame)
         return cls(path, manifest, frames)
 
@@ -166,7 +195,8 @@ class Recording:
             files.write_text(self.path / FRAMES, "".join(f"{line}\n" for line, frame in lines if frame.name not in names))
         self.frames[:] = [frame for frame in self.frames if frame.name not in names]
         for frame in removed:
-            self.image_path(frame).unlink(missing_ok=True)
+            for name in (frame.image, *(exposure.file for exposure in frame.exposures)):
+                (self.path / name).unlink(missing_ok=True)
         return [frame.name for frame in removed]
 
     @property
@@ -181,6 +211,22 @@ class Recording:
         """What the manifest says of the robot, the camera or another part; empty where it says nothing."""
         content = self.manifest.get(name)
         return content if isinstance(content, dict) else {}
+
+    def response(self, given: Path | None = None) -> Response | None:
+        """The response of the sensor: that of a file, else the recording's own; None where there is none.
+
+        Raises UsageError: it belongs to another camera, region or gain. DatasetError: it is not the one of the recording.
+        """
+        stated = self.part("radiometry").get("sha256")
+        path = given or self.path / RADIOMETRY
+        if given is None and stated is None:
+            return None
+        if given is None and files.sha256(path) != stated:
+            why = "its SHA-256 differs from the manifest's"
+            raise DatasetError("is not the response that was recorded", where=path, why=why, remedy="restore it")
+        found = Response.load(path)
+        found.require(self.part("camera"), where=path)
+        return found
 
     @property
     def links(self) -> Links:

@@ -19,6 +19,8 @@ from datasets.imaging import images, reduced
 SPLITS = ("train", "val", "test")
 CHANNELS = ("normals", "depth", "alpha", "diffuse", "specular")
 """What there can be ground truth of."""
+LIGHT = ("diffuse", "specular")
+"""Those of them that are linear light."""
 LONGEST_NAME = 200
 """Longest name of a view [bytes]; as a file it gets a prefix and a suffix."""
 STATED = "stated"
@@ -65,11 +67,17 @@ class View:
     """World units per step of a depth file of integers; files of floats hold world units."""
     mask_inverted: bool = False
     """True where black is the object in the file of the mask."""
+    deviation: Path | None = None
+    """Standard deviation of the image's linear light, where the image is merged from several exposures."""
+    white: float | None = None
+    """Linear light of an EXR image that is read as white: darker light is divided by it, brighter light clipped. None: 1, and
+    brighter light is read as more than 1."""
 
     def read(self) -> NDArray[np.float32]:
         """(height, width, 3 or 4) sRGB in 0..1, alpha straight; a mask becomes the alpha.
 
-        Grey becomes three equal channels. EXR holds linear light and is converted to sRGB, which may exceed 1.
+        Grey becomes three equal channels. EXR holds linear light and is converted to sRGB, which may exceed 1 unless the view
+        states its white.
 
         Raises:
             DatasetError: the file is missing, damaged, or of another size than the camera.
@@ -79,7 +87,8 @@ class View:
         if picture.shape[-1] < 3:
             picture = np.concatenate([picture[..., :1]] * 3 + [picture[..., 1:]], axis=-1)
         if self.image.suffix.lower() == ".exr":
-            picture = np.concatenate([images.srgb_from_linear(picture[..., :3]), picture[..., 3:]], axis=-1)
+            light = picture[..., :3] if self.white is None else np.minimum(picture[..., :3] / self.white, 1)
+            picture = np.concatenate([images.srgb_from_linear(light), picture[..., 3:]], axis=-1)
         if self.mask is not None:
             picture = np.concatenate([picture[..., :3], self.read_mask()], axis=-1)
         return picture
@@ -103,6 +112,19 @@ class View:
         if not np.isfinite(picture).all():
             raise DatasetError("image holds values that are not finite", where=self.image, remedy="write it again")
         return picture if picture.shape[:2] == (height, width) else images.resize(picture, width, height)
+
+    def read_deviation(self) -> NDArray[np.float32]:
+        """(height, width, channels) standard deviation of the image's linear light.
+
+        Raises:
+            UsageError: it is not known.
+            DatasetError: the file is missing, damaged, or of another size than the camera.
+        """
+        if self.deviation is None:
+            raise UsageError("noise of the image is not known", where=f"view {self.name}", why="it has a single exposure")
+        values = images.read(self.deviation)
+        self._check_size(values, self.deviation)
+        return values
 
     def read_image(self) -> NDArray[np.float32]:
         """The image alone, mask or not, with as many channels as its file has. Raises as `read` does."""
@@ -147,7 +169,7 @@ class View:
         """(height, width, channels) of one truth map in physical values.
 
         "normals" are unit vectors in the world, zero where there is none (8-bit files hold (n + 1) / 2); "depth" is along
-        z in world units; "alpha" is 0..1; "diffuse" and "specular" are linear light.
+        z in world units; "alpha" is 0..1; "diffuse" and "specular" are linear light, 1 is the white of `read`.
 
         Raises:
             UsageError: the view has no such truth.
@@ -161,6 +183,8 @@ class View:
         self._check_size(values, path)
         if channel == "depth":
             return self._depth(values[..., :1], path)
+        if channel in LIGHT and self.white is not None:
+            return values / np.float32(self.white)
         if channel != "normals":
             return values
         normals = values[..., :3] if path.suffix.lower() in images.FLOAT_SUFFIXES else 2 * values[..., :3] - 1

@@ -91,7 +91,11 @@ def test_a_path_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             "koala_dmo",
             ["no trajectory 'koala_dmo'", "calibration, calibration_demo", "did you mean 'koala_demo'?"],
         ),
-        ("rigs", "sim2", ["no rig 'sim2'", "known: franka_basler, ur10e_gige, ur5e_basler", "the path of a file"]),
+        (
+            "rigs",
+            "arm2",
+            ["no rig 'arm2'", "known: franka_basler, sim_flawed, ur10e_gige, ur5e_basler", "the path of a file"],
+        ),
         ("imports", "franka_charco", ["no import description", "did you mean 'franka_charuco'?"]),
     ],
 )

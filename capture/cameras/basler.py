@@ -89,6 +89,10 @@ class Basler:
         remedy = "check cable and bandwidth, then resume with --resume"
         raise self._fault(f"camera gave {TRIES} damaged images in a row", reasons[-1], remedy)
 
+    def set_exposure(self, exposure_us: float) -> None:
+        """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera rejects it."""
+        self._set(self._exposure_name, exposure_us, tolerance=0.01 * exposure_us + 1)
+
     def feed(self, picture: str) -> None:
         """Emulation only: show a picture file in the next exposures."""
         self._camera.StopGrabbing()
@@ -161,7 +165,7 @@ class Basler:
             self._set(name, value)
         self._set("OffsetX", _centred(wanted.offset_x, self._sensor_edge("Width"), wanted.width, camera.OffsetX.Inc))
         self._set("OffsetY", _centred(wanted.offset_y, self._sensor_edge("Height"), wanted.height, camera.OffsetY.Inc))
-        self._set(self._exposure_name, wanted.exposure_us, tolerance=0.01 * wanted.exposure_us + 1)
+        self.set_exposure(wanted.exposure_us)
         self._set("Gain", wanted.gain_db, tolerance=0.05)
         for name, value in (("Selector", "FrameStart"), ("Mode", "On"), ("Source", "Software")):
             self._set(f"Trigger{name}", value)
@@ -207,8 +211,10 @@ class Basler:
         try:
             if not result.GrabSucceeded():
                 return None, result.GetErrorDescription() or f"error {result.GetErrorCode()}"
-            pixels = colours(result.Array, camera.PixelFormat.Value)
-            return Image(pixels, float(self._exposure.Value), self._gain_db(), int(result.TimeStamp), host_time_ns), ""
+            data, name = result.Array, camera.PixelFormat.Value
+            raw = data.copy() if name.endswith("12") else None
+            taken = (float(self._exposure.Value), self._gain_db(), int(result.TimeStamp), host_time_ns)
+            return Image(colours(data, name), *taken, raw), ""
         finally:
             result.Release()
 

@@ -1,4 +1,4 @@
-"""From the pixel formats of a camera to sRGB colours: the GenICam names of the formats, and demosaicing."""
+"""From the pixel formats of a camera to sRGB pictures: the GenICam names of the formats, and demosaicing."""
 
 from collections.abc import Collection
 
@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from capture.errors import CaptureError
 from capture.measurements import Pixels
 from datasets.imaging.images import srgb_from_linear
+from datasets.radiometry.mosaic import interpolated, pattern_of
 
 RGB8 = ("RGB8", "RGB8Packed")  # eight-bit colour in USB cameras, and in GigE cameras and the emulation
 PATTERNS = ("RG", "GB", "BG", "GR")  # colours of the first two pixels of the mosaic's first row
 CANDIDATES = {"rgb8": RGB8} | {f"bayer{bits}": tuple(f"Bayer{pattern}{bits}" for pattern in PATTERNS) for bits in (8, 12)}
+CANDIDATES |= {"mono8": ("Mono8",), "mono12": ("Mono12",)}
 """GenICam names for each value of `camera.pixel_format`. A colour sensor offers only one of the patterns."""
 
 
@@ -29,19 +31,15 @@ def choose_format(wanted: str, offered: Collection[str], *, where: str) -> str:
 
 
 def colours(raw: Pixels, name: str) -> Pixels:
-    """(height, width, 3) sRGB picture from the data of a camera in the format `name`.
+    """(height, width, 3 or 1) sRGB picture from the data of a camera in the format `name`.
 
     Colour formats are returned without a copy. A raw mosaic (height, width) is linear: it is demosaiced with the edge-aware
-    method of OpenCV, then encoded as sRGB. 8 bits stay 8 bits, 12 bits become 16.
+    method of OpenCV, then encoded as sRGB. Grey values are linear as well. 8 bits stay 8 bits, 12 bits become 16.
     """
-    if not name.startswith("Bayer"):
+    pattern = pattern_of(name)
+    if not pattern and not name.startswith("Mono"):
         return np.ascontiguousarray(raw)
-    import cv2
-
-    # OpenCV names a pattern after the second and third pixel of the second row: the opposite corner of ours
-    opposite = {"RG": "BG", "GB": "GR", "BG": "RG", "GR": "GB"}[name[5:7]]
-    code = getattr(cv2, f"COLOR_Bayer{opposite}2RGB_EA")
-    linear = np.asarray(cv2.demosaicing(np.ascontiguousarray(raw), code), raw.dtype)
+    linear = interpolated(raw, pattern) if pattern else raw[..., None]
     if name.endswith("12"):
         return _encode(4095, 65535)[np.minimum(linear, 4095)].astype(np.uint16)
     return _encode(255, 255)[linear].astype(np.uint8)

@@ -61,7 +61,7 @@ def check(path: Path, *, done: Callable[[int, int], None] = lambda count, total:
     sharp: dict[str, float] = {}
     for count, frame in enumerate(recording.frames, 1):
         pixels, found = _picture(recording, frame)
-        findings += found
+        findings += found + _exposures(recording, frame)
         if pixels is not None:
             findings += _exposure(frame.name, pixels)
             sharp[frame.name] = sharpness(pixels)
@@ -142,6 +142,20 @@ def _picture(recording: Recording, frame: Frame) -> tuple[Any, list[Finding]]:
         sizes = f"{light.shape[1]}x{light.shape[0]}, not {region.width}x{region.height}"
         return None, [Finding("its image has another size", frame.name, sizes)]
     return np.rint(light * 65535).astype(np.uint16), []
+
+
+def _exposures(recording: Recording, frame: Frame) -> list[Finding]:
+    """What is wrong with the files of the sensor's values."""
+    findings = []
+    for one in frame.exposures:
+        path = recording.path / one.file
+        if one.file != frame.image and not path.is_file():
+            findings.append(Finding("a file of its exposures is missing", frame.name, one.file))
+        elif one.file != frame.image and files.sha256(path) != one.sha256:
+            findings.append(
+                Finding("a file of its exposures has changed", frame.name, f"{one.file}: its hash is not the recorded one")
+            )
+    return findings
 
 
 def exposure(pixels: NDArray[Any]) -> tuple[float, float]:

@@ -67,7 +67,12 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
 
 
 def _anywhere(rig: RigDescription) -> RigDescription:
-    """The rig without address, client and expected settings of its controller, and without the lens: a device by itself."""
+    """The rig without address, client and expected settings of its controller, and without the lens, a device by itself.
+
+    The measured response is left out too: the recording keeps its own."""
     plain: dict[str, Any] = {"host": "anywhere", "client": "auto", "installation": InstallationDescription()}
-    robot, camera = rig.robot.model_copy(update=plain), rig.camera.model_copy(update={"lens": "", "firmware": ""})
+    robot, camera = (
+        rig.robot.model_copy(update=plain),
+        rig.camera.model_copy(update={"lens": "", "firmware": "", "radiometry": ""}),
+    )
     return rig.model_copy(update={"robot": robot, "camera": camera, "simulation": None})

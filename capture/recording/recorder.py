@@ -1,9 +1,11 @@
 """Moves a rig along a trajectory and writes a recording frame by frame, so that it can be stopped and resumed anywhere."""
 
 import errno
+import hashlib
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +15,15 @@ from capture.planning import Obstacles, PlannedView, connect, plan
 from capture.recording.manifest import manifest_of, require_same_session
 from capture.recording.writer import Advance, Writer
 from capture.rig.opening import Rig
-from capture.trajectory import Motion, Trajectory
+from capture.trajectory import CameraSettings, Motion, Trajectory
+from datasets.core import arrays, files
 from datasets.core.errors import UsageError
 from datasets.core.space import require_room
-from datasets.recording import IMAGES, MANIFEST, TRUTH, Frame, Recording
+from datasets.radiometry.response import Response
+from datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
 
+BYTES = {"rgb8": (3, 3), "bayer8": (3, 3), "bayer12": (6, 2), "mono8": (1, 1), "mono12": (2, 2)}
+"""Bytes of a pixel: of the developed picture, and of each exposure beside it."""
 FRAME_BYTES = 16_384  # room for the line of a frame, and for what a file takes beyond its pixels
 TRUTH_BYTES = 4 * 11  # room per pixel for the maps of a simulated test view: normals, depth, opacity, two parts of the light
 
@@ -75,22 +81,23 @@ def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: lis
                 rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
             arrived_ns = time.monotonic_ns()
             previous = name
-            frame, pixels = _expose(recording, rig, numbers[name], view, arrived_ns, motion)
-            writer.put(frame, pixels)
+            frame, taken = _expose(recording, rig, numbers[name], view, arrived_ns, trajectory)
+            writer.put(frame, taken)
     return recording
 
 
 def _expose(
-    recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, motion: Motion
-) -> tuple[Frame, Pixels]:
-    """Take the picture of one view, with the pose before and after it. The hash of the frame is still missing."""
-    name, split, truth = view.viewpoint.name, view.viewpoint.split, rig.ground_truth
+    recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
+) -> tuple[Frame, list[Image]]:
+    """Take the pictures of one view, with the pose before and after them. The hashes of the frame are still missing."""
+    name, split, truth, motion = view.viewpoint.name, view.viewpoint.split, rig.ground_truth, trajectory.motion
     if truth is not None:
         truth.prepare(index)
     state = rig.robot.state()
     image = rig.camera.grab()
     if motion.settle_difference is not None:
         image, state = _still(rig, image, motion, name)
+    taken = [image, *_shorter(rig, trajectory.camera)]
     after = rig.robot.state(newer_than_ns=time.monotonic_ns())
     settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
     if truth is not None:
@@ -98,7 +105,18 @@ def _expose(
     arm = (state.base_from_flange, state.joints, state.robot_time_s)
     exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
     then = (after.base_from_flange, after.joints, after.robot_time_s)
-    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then), image.pixels
+    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then), taken
+
+
+def _shorter(rig: Rig, camera: CameraSettings) -> list[Image]:
+    """The shorter exposures of a bracket, longest first; none without one."""
+    taken = []
+    for exposure_us in camera.exposures_us[1:]:
+        rig.camera.set_exposure(exposure_us)
+        taken.append(rig.camera.grab())
+    if taken:
+        rig.camera.set_exposure(camera.exposure_us)
+    return taken
 
 
 def _still(rig: Rig, image: Image, motion: Motion, name: str) -> tuple[Image, RobotState]:
@@ -140,13 +158,26 @@ def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool, planned: li
     taken = {frame.name for frame in old.frames} if old else set()
     missing = [view.viewpoint.split for view in planned if view.viewpoint.name not in taken]
     require_room(out, _size(trajectory, missing, truth=rig.ground_truth is not None), "the pictures")
-    return old or Recording.create(out, manifest_of(trajectory, rig))
+    return old or _created(out, manifest_of(trajectory, rig), rig)
+
+
+def _created(out: Path, manifest: dict[str, Any], rig: Rig) -> Recording:
+    """A new recording with a copy of the measured response of the rig's camera. Raises UsageError: it is another camera's."""
+    source = rig.description.camera.radiometry
+    if not source:
+        return Recording.create(out, manifest)
+    Response.load(Path(source)).require(manifest["camera"], where=source)
+    data = files.read_regular(Path(source), arrays.MAX_BYTES)
+    recording = Recording.create(out, {**manifest, "radiometry": {"file": source, "sha256": hashlib.sha256(data).hexdigest()}})
+    files.write_bytes(out / RADIOMETRY, data)
+    return recording
 
 
 def _size(trajectory: Trajectory, splits: list[str], *, truth: bool) -> int:
     """Largest number of bytes that pictures take, and with `truth` the maps of test views."""
     camera = trajectory.camera
-    picture = camera.width * camera.height * (6 if camera.pixel_format == "bayer12" else 3) + FRAME_BYTES
+    developed, read = BYTES[camera.pixel_format]
+    picture = camera.width * camera.height * (developed + read * camera.brackets) + FRAME_BYTES
     maps = camera.width * camera.height * TRUTH_BYTES * truth
     return len(splits) * picture + splits.count("test") * maps
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-from capture.measurements import Pixels
+from capture.measurements import Image
 from datasets.core import files
 from datasets.imaging import images
-from datasets.recording import Frame, Recording
+from datasets.radiometry.stored import RAW_FOLDER, packed
+from datasets.recording import Exposure, Frame, Recording
 
 Advance = Callable[[str], None]
 WAITING = 2  # frames that may be queued for the disk; if it is slower than the arm, the arm waits
@@ -25,7 +26,7 @@ class Writer:
 
     def __init__(self, recording: Recording, advance: Advance) -> None:
         self.recording, self.advance = recording, advance
-        self._queue: queue.Queue[tuple[Frame, Pixels] | None] = queue.Queue(WAITING)
+        self._queue: queue.Queue[tuple[Frame, list[Image]] | None] = queue.Queue(WAITING)
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="frame writer", daemon=True)
 
@@ -39,11 +40,11 @@ class Writer:
         if kind is None and self._failure is not None:
             raise self._failure
 
-    def put(self, frame: Frame, pixels: Pixels) -> None:
-        """Hand over a frame, whose hash is filled in here, and its picture; blocks while the queue is full."""
+    def put(self, frame: Frame, taken: list[Image]) -> None:
+        """Hand over a frame, without hashes, and its exposures, longest first; blocks while the queue is full."""
         if self._failure is not None:
             raise self._failure
-        self._queue.put((frame, pixels))
+        self._queue.put((frame, taken))
 
     def _work(self) -> None:
         while (item := self._queue.get()) is not None:
@@ -54,8 +55,20 @@ class Writer:
             except Exception as error:  # raised in the thread that calls `put`
                 self._failure = error
 
-    def _write(self, frame: Frame, pixels: Pixels) -> None:
+    def _write(self, frame: Frame, taken: list[Image]) -> None:
         path = self.recording.path / frame.image
-        images.write(path, pixels)
-        self.recording.append(replace(frame, sha256=files.sha256(path)))
+        images.write(path, taken[0].pixels)
+        exposures = tuple(self._exposure(frame, number, image) for number, image in enumerate(taken))
+        needed = len(taken) > 1 or taken[0].raw is not None  # else the image is all there is
+        self.recording.append(replace(frame, sha256=files.sha256(path), exposures=exposures if needed else ()))
         self.advance(frame.name)
+
+    def _exposure(self, frame: Frame, number: int, image: Image) -> Exposure:
+        """Write what the sensor read; the developed picture of the first exposure is the image, which is there already."""
+        suffix = f"_{number}" if number else ""
+        name = frame.image if image.raw is None else f"{RAW_FOLDER}/{frame.name}.png"
+        name = name.replace(".png", f"{suffix}.png")
+        path = self.recording.path / name
+        if name != frame.image:
+            images.write(path, image.pixels if image.raw is None else packed(image.raw))
+        return Exposure(name, image.exposure_us, files.sha256(path))

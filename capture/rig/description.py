@@ -10,6 +10,7 @@ from capture.arms.carrier import BODY, Cable, CameraCapsule, Carrier
 from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
 from capture.geometry import PoseDescription
 from capture.shapes.solids import AnySolid, MeshSolid
+from capture.sim.laboratory.flaws import Flaws
 from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
@@ -59,6 +60,10 @@ class CameraDescription(Schema):
     model: Literal["basler"] = Field(default="basler", description="kind of camera")
     serial: str = Field(default="", description="serial number; empty: the only connected camera")
     firmware: str = Field(default="", description="firmware version; empty: not compared")
+    radiometry: str = Field(
+        default="",
+        description="file that 'capture flat' has written, relative to the rig file; recordings keep a copy of it; empty: none",
+    )
     lens: str = Field(default="", description="focal length, aperture and focus, in your words; empty: not compared")
     body: list[CameraCapsule] = Field(
         default=list(BODY), description="shape of camera, lens and plug in the camera's frame, for collision checks"
@@ -66,11 +71,18 @@ class CameraDescription(Schema):
 
 
 class SimulationDescription(Schema):
-    """A running simulated controller, as `capture sim` writes it. A real rig has none."""
+    """A simulated rig. A real rig has none."""
 
-    side_port: int = Field(ge=1, le=65535, description="port of the side channel, which reports the true pose of the arm")
+    side_port: int | None = Field(
+        default=None,
+        ge=1,
+        le=65535,
+        description="port of the side channel of a running simulated controller, as 'capture sim' writes it; "
+        "null: each command starts its own controller",
+    )
     scene: str = Field(default="gold_head", description="scene in front of the camera")
-    seed: int = Field(default=0, ge=0, description="random seed")
+    seed: int = Field(default=0, ge=0, description="random seed of a running controller; else --seed counts")
+    flaws: Flaws = Field(default_factory=Flaws, description="flaws of sensor, lens and lamps")
 
 
 class RigDescription(Schema):
@@ -130,10 +142,12 @@ def load_rig(path: Path | str) -> RigDescription:
         solid.model_copy(update={"file": str(folder / solid.file)}) if isinstance(solid, MeshSolid) else solid
         for solid in rig.obstacles
     ]
-    robot, model = rig.robot, Path(rig.robot.model)
+    robot, model, camera = rig.robot, Path(rig.robot.model), rig.camera
     if model.suffix and not model.is_absolute() and (folder / model).is_file():
         robot = robot.model_copy(update={"model": str(folder / model)})
-    rig = rig.model_copy(update={"obstacles": placed, "robot": robot})
+    if camera.radiometry:
+        camera = camera.model_copy(update={"radiometry": str(folder / camera.radiometry)})
+    rig = rig.model_copy(update={"obstacles": placed, "robot": robot, "camera": camera})
     try:
         rig.carrier()
     except UsageError as error:

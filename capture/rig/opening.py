@@ -14,11 +14,13 @@ from capture.arms.carrier import Carrier
 from capture.rig.description import RigDescription, load_rig
 from capture.rig.protocols import Camera, GroundTruth, Robot
 from capture.trajectory import Trajectory
+from datasets import pose
 from datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
     from capture.sim.controller.handle import ControllerHandle
     from capture.sim.kinematic_arm import KinematicArm
+    from capture.sim.laboratory.flaws import Flaws
 
     Simulation = ControllerHandle | KinematicArm  # both know where the flange truly is
 
@@ -56,8 +58,10 @@ def describe(name: str) -> RigDescription:
     """
     if name == SIMULATED:
         return RigDescription()
-    if is_started(name):
-        return describe(name.removeprefix(f"{SIMULATED}:")).model_copy(update={"simulation": None})
+    if name.startswith(f"{SIMULATED}:"):
+        found = describe(name.removeprefix(f"{SIMULATED}:"))
+        alone = None if found.simulation is None else found.simulation.model_copy(update={"side_port": None})
+        return found.model_copy(update={"simulation": alone})
     path = configs.find("rigs", name, others=(SIMULATED,))
     if not path.exists():
         remedy = f"--rig takes {SIMULATED}, a name that 'capture list' shows, or a rig file"
@@ -65,9 +69,23 @@ def describe(name: str) -> RigDescription:
     return load_rig(path)
 
 
-def is_started(name: str) -> bool:
-    """Whether the rig is a simulated one that is started by the command."""
-    return name == SIMULATED or name.startswith(f"{SIMULATED}:")
+def is_simulated(name: str, description: RigDescription) -> bool:
+    """Whether a rig is a simulated one."""
+    return is_started(name, description) or description.simulation is not None
+
+
+def is_started(name: str, description: RigDescription) -> bool:
+    """Whether the rig is a simulated one whose controller is started by the command."""
+    if name == SIMULATED or name.startswith(f"{SIMULATED}:"):
+        return True
+    return description.simulation is not None and description.simulation.side_port is None
+
+
+def flaws_of(description: RigDescription) -> "Flaws":
+    """Flaws of a rig's simulated camera; none where the description has no simulation."""
+    from capture.sim.laboratory.flaws import Flaws
+
+    return Flaws() if description.simulation is None else description.simulation.flaws
 
 
 def controller_model(description: RigDescription) -> str:
@@ -95,6 +113,7 @@ def open_rig(
     time_scale: float,
     examine: Examination = lambda description, host, simulated: None,
     take_over: bool = False,
+    radiometry: Path | None = None,
 ) -> Iterator[Rig]:
     """Connect arm and camera; leaving the context closes both.
 
@@ -105,8 +124,12 @@ def open_rig(
         time_scale: speed of a simulated arm that is started here, relative to real time.
         examine: called before anything is connected; may refuse by raising.
         take_over: end a program that runs on the controller; else the arm is left to it.
+        radiometry: measured response of the camera, in place of the one that the rig file names.
     """
     description = describe(name)
+    if radiometry is not None:
+        camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
+        description = description.model_copy(update={"camera": camera})
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
         examine(description, host_of(description, controller), controller is not None)
@@ -120,11 +143,37 @@ def open_rig(
         from capture.sim.camera import SimulatedCamera
         from capture.sim.truth import RigTruth
 
-        seed = seed if description.simulation is None else description.simulation.seed
+        simulation = description.simulation
+        seed = simulation.seed if simulation is not None and simulation.side_port is not None else seed
         truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
-        with SimulatedCamera(trajectory, scene, truth, controller, seed) as simulated:
+        with SimulatedCamera(trajectory, scene, truth, controller, seed, flaws_of(description)) as simulated:
             with _arm(description, trajectory, controller, take_over) as robot:
                 yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed})
+
+
+@contextmanager
+def open_camera(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Iterator[Camera]:
+    """Connect only the camera; the arm is left alone.
+
+    Args:
+        scene: what a simulated camera looks at.
+        seed: of everything random in a simulation.
+        view: number of the view of the trajectory from which a simulated camera looks.
+    """
+    description = describe(name)
+    if not is_simulated(name, description):
+        from capture.cameras.basler import Basler
+
+        with Basler(trajectory.camera, serial=description.camera.serial) as camera:
+            yield camera
+        return
+    from capture.sim.camera import SimulatedCamera, StillArm
+    from capture.sim.truth import RigTruth
+
+    mount = description.flange_from_camera.matrix()
+    arm = StillArm(trajectory.viewpoints()[view].camera_pose(mount) @ pose.inverse(mount))
+    with SimulatedCamera(trajectory, scene, RigTruth.draw(mount, seed), arm, seed, flaws_of(description)) as simulated:
+        yield simulated
 
 
 @contextmanager
@@ -158,19 +207,21 @@ def controller_of(
     An arm of another maker than Universal Robots is simulated without a controller.
     """
     options: dict[str, Any] = {"seed": seed, "time_scale": time_scale, "links_seed": links_seed, "hangs": hangs}
-    if is_started(name) and description.arm.family == "ur":
+    started_here = is_started(name, description)
+    side_port = None if description.simulation is None else description.simulation.side_port
+    if started_here and description.arm.family == "ur":
         from capture.sim.controller.process import SimulatedController
 
         with SimulatedController.as_built(**options, model=description.robot.model) as started:
             yield started
-    elif is_started(name):
+    elif started_here:
         from capture.sim.kinematic_arm import KinematicArm
 
         yield KinematicArm(description.arm, **options)
-    elif description.simulation is not None:
+    elif side_port is not None:
         from capture.sim.controller.handle import ControllerHandle
 
-        with closing(ControllerHandle(description.robot.host, description.simulation.side_port)) as running:
+        with closing(ControllerHandle(description.robot.host, side_port)) as running:
             yield running
     else:
         yield None
@@ -225,8 +276,9 @@ def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
 
     Raises UsageError: there is no such scene, the trajectory does not fit it, or the rig is real.
     """
-    simulation = None if is_started(rig) else describe(rig).simulation
-    if not is_started(rig) and simulation is None:
+    description = describe(rig)
+    simulation = description.simulation
+    if not is_simulated(rig, description):
         if scene:
             raise UsageError("--scene is only for simulated rigs", where=rig, remedy="leave it out, or use --rig sim")
         return ""

@@ -42,7 +42,7 @@ class Robot(Protocol):
 
 
 class Camera(Protocol):
-    """A camera with constant exposure and gain that takes a picture on request."""
+    """A camera with constant gain that takes a picture on request."""
 
     def __enter__(self) -> Self: ...
     def __exit__(self, *exception: object) -> None: ...
@@ -50,6 +50,9 @@ class Camera(Protocol):
     def grab(self) -> Image:
         """Trigger one exposure and wait for it. Raises a CaptureError after its own deadline."""
         ...
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """Change the exposure time of the next pictures [us]. Raises a CaptureError where the camera rejects it."""
 
     def description(self) -> dict[str, Any]:
         """What the manifest stores about the camera: model, serial, full state as read back."""

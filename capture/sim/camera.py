@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from capture.cameras.basler import Basler
 from capture.errors import SimulationError
 from capture.measurements import Image
+from capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
 from capture.sim.laboratory.lens import Lens, Sensor
 from capture.sim.laboratory.views import make_view
 from capture.sim.truth import RigTruth
@@ -29,7 +30,13 @@ SHARP_PX = 0.05  # smaller motion during an exposure is not rendered [px]
 NEAR_M = 0.3  # distance of the closest things, which move fastest through the picture [m]
 SUFFIXES = {"normals": ".exr", "depth": ".exr", "alpha": ".png", "diffuse": ".exr", "specular": ".exr"}
 LIGHT = ("diffuse", "specular")
-RAW_BITS = {"rgb8": 0, "bayer8": 8, "bayer12": 12}  # bits of a raw value, by `camera.pixel_format`; 0: the camera sends colours
+RAW_BITS = {"rgb8": 0, "bayer8": 8, "bayer12": 12, "mono8": 8, "mono12": 12}
+"""Bits of a raw value, by `camera.pixel_format`; 0: the camera sends colours."""
+GREY = np.array([[0.2126], [0.7152], [0.0722]], np.float32)
+"""What a grey sensor makes of red, green and blue light: luminance (ITU-R BT.709)."""
+
+
+PERFECT = Flaws()
 
 
 class TrueArm(Protocol):
@@ -38,6 +45,17 @@ class TrueArm(Protocol):
     def exposed(self, exposure_s: float, count: int) -> NDArray[np.float64]:
         """(count, 4, 4) true flange poses during an exposure that starts now [m]."""
         ...
+
+
+class StillArm:
+    """An arm that stands still at one flange pose."""
+
+    def __init__(self, base_from_flange: NDArray[np.float64]) -> None:
+        self.base_from_flange = base_from_flange
+
+    def exposed(self, exposure_s: float, count: int) -> NDArray[np.float64]:
+        """See `TrueArm`."""
+        return np.stack([self.base_from_flange] * count)
 
 
 def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -65,15 +83,21 @@ class SimulatedCamera:
         scene: a name from `capture.sim.laboratory.scenes.SCENES`.
         truth: the true camera and mount.
         arm: gives the true flange poses.
-        seed: of textures and noise. Noise also depends on the frame number, but not on earlier pictures.
+        seed: of textures, flaws and noise. Noise also depends on the frame number, but not on earlier pictures.
+        flaws: of sensor, lens and lamps.
     """
 
-    def __init__(self, trajectory: Trajectory, scene: str, truth: RigTruth, arm: TrueArm, seed: int) -> None:
+    def __init__(
+        self, trajectory: Trajectory, scene: str, truth: RigTruth, arm: TrueArm, seed: int, flaws: Flaws = PERFECT
+    ) -> None:
         self.view = make_view(scene, trajectory, seed)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed
         self._arm, self._frame = arm, 0
         self._base_from_camera: NDArray[np.float64] | None = None
         self._driver = Basler(trajectory.camera, emulated=True)
+        self._exposure_us, self.flaws = trajectory.camera.exposure_us, flaws
+        self._maps: SensorMaps | None = None
+        self._seen: tuple[tuple[int, bytes], NDArray[np.float32]] | None = None
         self._lens: Lens | None = None
 
     def __enter__(self) -> Self:
@@ -84,6 +108,9 @@ class SimulatedCamera:
             self._folder.cleanup()
             raise
         self._lens = Lens(self._driver.region.camera(self.truth.sensor_camera))
+        if self.flaws != PERFECT:
+            sensor = self.truth.sensor_camera
+            self._maps = SensorMaps.of(self.flaws, self._driver.region, (sensor.width, sensor.height), self.seed)
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -97,17 +124,21 @@ class SimulatedCamera:
     def grab(self) -> Image:
         """See `capture.rig.protocols.Camera`. `device_ticks` are nanoseconds of the host clock, as for a USB camera."""
         settings, moment = self.trajectory.camera, time.monotonic_ns()
-        poses = self._arm.exposed(settings.exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
+        exposure_us = self._exposure_us
+        poses = self._arm.exposed(exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
         poses = poses[blur_moments(self.lens.camera, poses)]
         self._base_from_camera = poses[len(poses) // 2]
-        light = self.view.radiance(self.lens, poses, self._seed)
-        pixels = Sensor().expose(
-            light,
-            exposure_us=settings.exposure_us,
+        light = self._light(poses)
+        if self.flaws.flicker:
+            light = light * np.float32(lamp_light(self.flaws, moment * 1e-9, exposure_us * 1e-6))
+        pixels = self.sensor.expose(
+            light @ GREY if self.is_grey else light,
+            exposure_us=exposure_us,
             gain_db=settings.gain_db,
             binning=settings.binning,
-            rng=np.random.default_rng([self.seed, self._frame, 3]),
+            rng=np.random.default_rng([self.seed, self._frame, 3, *self._again]),
             raw_bits=RAW_BITS[settings.pixel_format],
+            maps=self._maps,
         )
         picture = Path(self._folder.name) / f"{self._frame}.png"
         images.write(picture, pixels)
@@ -117,6 +148,33 @@ class SimulatedCamera:
         if settings.pixel_format == "rgb8" and not np.array_equal(image.pixels, pixels):
             raise SimulationError("the emulated camera changed the picture", why="pixels differ from what it was fed")
         return replace(image, host_time_ns=moment, device_ticks=moment)
+
+    def _light(self, poses: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Light on the pixels; that of the previous picture where nothing has moved since, as in a bracket of exposures."""
+        seen = (self._seed, poses.tobytes())
+        if self._seen is None or self._seen[0] != seen:
+            self._seen = (seen, self.view.radiance(self.lens, poses, self._seed))
+        return self._seen[1]
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """See `capture.rig.protocols.Camera`."""
+        self._driver.set_exposure(exposure_us)
+        self._exposure_us = exposure_us
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor, without the flaws of single pixels."""
+        return Sensor(black_level=self.flaws.black_level)
+
+    @property
+    def is_grey(self) -> bool:
+        """Whether the sensor sees no colours."""
+        return self.trajectory.camera.pixel_format.startswith("mono")
+
+    @property
+    def _again(self) -> list[int]:
+        """What else the noise depends on: nothing in the first exposure of the trajectory's length, see `set_exposure`."""
+        return [] if self._exposure_us == self.trajectory.camera.exposure_us else [round(self._exposure_us)]
 
     def description(self) -> dict[str, Any]:
         """See `capture.rig.protocols.Camera`."""
@@ -131,7 +189,8 @@ class SimulatedCamera:
         if split == "test":
             white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)
             for channel, values in self.view.truth(self.lens, self.base_from_camera, self._seed).items():
-                values = values / white if channel in LIGHT else values
+                if channel in LIGHT:
+                    values = (values @ GREY if self.is_grey else values) / white
                 images.write(folder / channel / f"{name}{SUFFIXES[channel]}", values)
         poses = folder / "poses.json"
         content = files.read_json(poses) if poses.exists() else self._session(folder)
@@ -152,6 +211,7 @@ class SimulatedCamera:
             "sensor_camera": self.truth.sensor_camera.to_json(),
             "flange_from_camera": self.truth.flange_from_camera.tolist(),
             "base_from_board": board.matrix().tolist() if board is not None else None,
+            "flaws": self.flaws.model_dump(mode="json"),
             "base_from_camera": {},
         }
 

@@ -135,7 +135,7 @@ def downscaled(scene: Scene, factor: int, folder: Path, *, done: Step = ignore) 
         for key in view.truth:
             truth[key] = _exr(folder, key, view)
             images.write(truth[key], _smaller_truth(key, view.read_truth(key), small))
-        views.append(replace(view, camera=small, image=image, mask=mask, truth=truth))
+        views.append(replace(view, camera=small, image=image, mask=mask, truth=truth, deviation=None))
         done()
     ratios = {
         old.name: np.array([new.camera.width / old.camera.width, new.camera.height / old.camera.height])
@@ -198,7 +198,7 @@ def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: 
             truth["depth"] = _exr(folder, "depth", view)
             images.write(truth["depth"], view.read_truth("depth")[top : top + height, left : left + width])
         image = cut(view.image, _path(folder, "images", view, view.image))
-        views.append(replace(view, camera=camera, image=image, mask=mask, truth=truth))
+        views.append(replace(view, camera=camera, image=image, mask=mask, truth=truth, deviation=None))
         done()
     return _with_views(scene, views, lambda name, pixels: pixels - [left, top])
 

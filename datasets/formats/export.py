@@ -65,9 +65,9 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
         mask = _kept(view.mask, folder, at) if same else _written(folder, f"{at}.png", _straightened(view.mask, pinhole))
     truth = {key: _truth(view, key, folder, pinhole, same) for key in view.truth}
     if same:
-        return Placed(replace(view, image=image, mask=mask, truth=truth), 0.0, False)
+        return Placed(replace(view, image=image, mask=mask, truth=truth, deviation=None), 0.0, False)
     matrix = view.world_from_camera @ pinhole.source_from_camera
-    placed = replace(view, camera=pinhole.camera, world_from_camera=matrix, image=image, mask=mask, truth=truth)
+    placed = replace(view, camera=pinhole.camera, world_from_camera=matrix, image=image, mask=mask, truth=truth, deviation=None)
     return Placed(placed, pinhole.turned_deg, True)
 
 

@@ -4,6 +4,7 @@ SCENE/cameras.json   version, bounds, background, and for each view its camera, 
 SCENE/images/        as captured, never re-encoded (a hard link where the disk allows)
 SCENE/images_N/      the same at 1/N of the size, on request
 SCENE/masks/         where there are masks, with masks_N
+SCENE/deviations/    standard deviations of images that are merged from several exposures
 SCENE/points.npz     where surface points are known: points and the pixels of the views that saw them
 SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation only
 """
@@ -90,6 +91,8 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
         "split": view.split,
         "image": keep(view.image, "images"),
         "mask": keep(view.mask, "masks") if view.mask else None,
+        "deviation": keep(view.deviation, "deviations") if view.deviation else None,
+        "white": view.white,
         "truth": {key: keep(source, f"truth/{key}") for key, source in view.truth.items()},
         "depth_unit": view.depth_unit,
         "camera": view.camera.to_json(),
@@ -130,7 +133,7 @@ def _resized(view: View, folder: Path, home: str) -> View:
     if view.mask is not None:
         scaled = files.inside(folder, f"{home.replace('images', 'masks')}/{view.mask.name}", where=where)
         mask = scaled if scaled.is_file() else view.mask
-    return replace(view, image=picture, mask=mask, camera=assemble.fitted(view.camera, picture, where=where))
+    return replace(view, image=picture, mask=mask, deviation=None, camera=assemble.fitted(view.camera, picture, where=where))
 
 
 def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
@@ -138,6 +141,9 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         name, split = checked_name(entry["name"], where=where), entry["split"]
         where = f"{where} ({name})"
         image, mask, unit = entry["image"], entry.get("mask"), sidecar.unit_of(entry, 1e-3)
+        deviation, white = entry.get("deviation"), entry.get("white")
+        if white is not None and not 0 < float(white) < np.inf:
+            raise ValueError(f"white is {white!r}")
         truth = sidecar.truth_of(entry.get("truth", {}), folder, where=where)
         camera = Camera.from_json(entry["camera"], where=f"{where}, camera")
         matrix = pose.checked(entry["world_from_camera"], where=f"{where}, world_from_camera")
@@ -145,5 +151,6 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         raise DatasetError("view is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if split not in SPLITS:
         raise DatasetError(f"no split called {split!r}", where=where, remedy=f"valid: {', '.join(SPLITS)}")
-    mask = files.inside(folder, mask, where=where) if mask else None
-    return View(name, camera, matrix, split, files.inside(folder, image, where=where), mask, truth, unit)
+    mask, deviation = (files.inside(folder, one, where=where) if one else None for one in (mask, deviation))
+    picture = files.inside(folder, image, where=where)
+    return View(name, camera, matrix, split, picture, mask, truth, unit, deviation=deviation, white=white and float(white))

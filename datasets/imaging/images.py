@@ -107,8 +107,9 @@ def metadata(path: Path) -> dict[str, str | int | float]:
 def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | float] | None = None) -> None:
     """Write (height, width) or (height, width, channels) atomically; the suffix selects the format.
 
-    uint8 and uint16 are stored unchanged. Floats are stored as float32 in EXR and TIFF; elsewhere they are taken as 0..1 and
-    rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` is stored as far as the format allows.
+    uint8 and uint16 are stored unchanged. Floats are stored as float32 in EXR and TIFF, float16 as half floats in EXR;
+    elsewhere they are taken as 0..1 and rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` is stored
+    as far as the format allows.
 
     Raises:
         DatasetError: the format cannot hold the array.
@@ -123,9 +124,11 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
         raise DatasetError("array is not an image", where=path, why=f"shape {np.shape(array)}")
     if pixels.dtype not in (np.uint8, np.uint16):
         as_float = path.suffix.lower() in FLOAT_SUFFIXES
-        pixels = pixels.astype(np.float32) if as_float else to_uint8(pixels)
+        half = pixels.dtype == np.float16 and path.suffix.lower() == ".exr"
+        pixels = pixels.astype(np.float16 if half else np.float32) if as_float else to_uint8(pixels)
     height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(width, height, channels, pixels.dtype.name if pixels.dtype != np.float32 else "float")
+    kinds = {np.dtype(np.float32): "float", np.dtype(np.float16): "half"}
+    spec = oiio.ImageSpec(width, height, channels, kinds.get(pixels.dtype, pixels.dtype.name))
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("compression", "zip" if path.suffix.lower() in FLOAT_SUFFIXES else "jpeg:95")
     for name, value in (metadata or {}).items():

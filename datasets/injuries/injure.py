@@ -62,7 +62,7 @@ def _repainted(scene: Scene, folder: Path, indices: list[int], paint: Callable[[
         view = scene.views[index]
         path = folder / f"{view.name.replace('/', '_')}.png"
         images.write(path, paint(view.read(), index).clip(0, 1))
-        changed[index] = replace(view, image=path, mask=None)
+        changed[index] = replace(view, image=path, mask=None, deviation=None)
     return _replaced(scene, changed)
 
 

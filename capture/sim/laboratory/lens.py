@@ -13,6 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.sim.laboratory.flaws import SensorMaps
 from datasets.camera_model import Camera
 from datasets.imaging.images import srgb_from_linear, to_uint8
 
@@ -93,20 +94,33 @@ class Sensor:
     read_noise: float = 6.0  # standard deviation of the read noise of one sensor pixel [electrons]
     saturation: float = 1.5  # radiance that fills the well in `reference_us` at 0 dB
     reference_us: float = 10000.0
+    black_level: float = 0.0  # value without light [share of the largest value]
 
     def expose(
-        self, radiance: Picture, *, exposure_us: float, gain_db: float, binning: int, rng: np.random.Generator, raw_bits: int = 0
+        self,
+        radiance: Picture,
+        *,
+        exposure_us: float,
+        gain_db: float,
+        binning: int,
+        rng: np.random.Generator,
+        raw_bits: int = 0,
+        maps: SensorMaps | None = None,
     ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """(height, width, 3) sRGB bytes of linear light; with `raw_bits` linear values in the upper bits of 16.
+        """(height, width, channels) sRGB bytes of linear light; with `raw_bits` linear values in the upper bits of 16.
 
-        Binning averages sensor pixels, which reduces the noise by the factor `binning`.
+        Binning averages sensor pixels, which reduces the noise by the factor `binning`. `maps` are flaws of the pixels.
         """
         sites = binning**2
         share = radiance / self.saturation * (exposure_us / self.reference_us)
+        if maps is not None:
+            share = share * (maps.response if share.shape[-1] == 3 else maps.response[..., 1:2]) + maps.glow * (
+                exposure_us / self.reference_us
+            )
         electrons = np.minimum(np.maximum(share, 0), 1.0) * self.full_well * sites
         noisy = rng.poisson(electrons) + rng.normal(0.0, self.read_noise * binning, electrons.shape)
         amplified = noisy / (self.full_well * sites) * 10 ** (gain_db / 20)
-        shares = np.clip(amplified, 0.0, 1.0)
+        shares = np.clip(self.black_level + (1 - self.black_level) * amplified, 0.0, 1.0)
         if not raw_bits:
             return to_uint8(srgb_from_linear(shares))
         return (np.rint(shares * (2**raw_bits - 1)).astype(np.uint16) << (16 - raw_bits)).astype(np.uint16)

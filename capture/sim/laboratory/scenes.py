@@ -20,7 +20,10 @@ SCENES = {
     "lidar_guts": "the inside of a lidar: machined metal, circuit boards, a lens",
     "crystal_capture": "clear crystals on a stone",
     "charuco_board": "the calibration board",
+    "grey_card": "an evenly lit grey card that fills the picture",
+    "lens_cap": "darkness",
 }
+CARDS = {"grey_card": 0.9, "lens_cap": 0.0}  # light that comes from all of the picture; 1.5 fills a pixel in 10 ms
 TABLE_SIZE = 1.8
 
 
@@ -93,7 +96,7 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
         return objects.lidar_guts(rng)
     if name == "crystal_capture":
         return objects.crystal_capture(rng)
-    known = ", ".join(other for other in SCENES if other != "charuco_board")
+    known = ", ".join(other for other in SCENES if other != "charuco_board" and other not in CARDS)
     raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {known}")
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from capture.errors import SimulationError
 from capture.sim.laboratory.board import BoardPicture
 from capture.sim.laboratory.lens import Lens, strips
-from capture.sim.laboratory.scenes import Stage, check_name, stage
+from capture.sim.laboratory.scenes import CARDS, Stage, check_name, stage
 from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.camera_model import Camera
@@ -141,6 +141,24 @@ class BoardView:
         """None: there is no object."""
 
 
+@dataclass
+class CardView:
+    """A card that fills the picture, everywhere with the same grey light."""
+
+    light: float
+
+    def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return np.full((lens.camera.height, lens.camera.width, 3), self.light, np.float32)
+
+    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
+        """No maps."""
+        return {}
+
+    def mesh(self) -> None:
+        """None: there is no object."""
+
+
 def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:
     """Mean of `count` pictures; a single one is returned bit for bit."""
     total = sum(pictures, np.float32(0))
@@ -149,7 +167,8 @@ def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.flo
 
 def check_scene(scene: str, trajectory: Trajectory) -> None:
     """Raise UsageError if there is no such scene, or if the trajectory lacks what the scene needs."""
-    check_name(scene)
+    if check_name(scene) in CARDS:
+        return
     if scene == "charuco_board":
         good, needed = trajectory.target is not None and trajectory.board is not None, "'target' and 'board'"
         remedy = "use the trajectory calibration_demo, or another --scene"
@@ -173,6 +192,8 @@ def _on_table(scene: str, trajectory: Trajectory, seed: int) -> View:
         extent = np.array([target.squares_x, target.squares_y, 0]) * target.square_length_m
         middle = table_from_board[:3, :3] @ extent / 2 + table_from_board[:3, 3]
         return BoardView(BoardPicture(target, table_from_board, seed, (float(middle[0]), float(middle[1]))))
+    if scene in CARDS:
+        return CardView(CARDS[scene])
     volume = trajectory.object
     if volume is None:
         raise SimulationError(f"scene '{scene}' has nowhere to stand")

@@ -48,4 +48,4 @@ def test_format_is_the_one_that_the_sensor_has():
         CaptureError, match=r"camera does not send rgb8 .*offers Mono8, BayerGB8.*set camera.pixel_format to bayer8"
     ):
         choose_format("rgb8", ["Mono8", "BayerGB8"], where="camera")
-    assert set(CANDIDATES) == {"rgb8", "bayer8", "bayer12"}
+    assert set(CANDIDATES) == {"rgb8", "bayer8", "bayer12", "mono8", "mono12"}

@@ -174,3 +174,18 @@ def test_raw_photosites_give_nearly_the_same_picture():
 def test_twelve_bits_have_the_steps_of_twelve_bits():
     raw8, raw12 = (above_the_board(name) for name in ("bayer8", "bayer12"))
     assert len(np.unique(raw8)) <= 256 < 1000 < len(np.unique(raw12)) <= 4096
+
+
+def test_a_shorter_exposure_sees_the_same_light(trajectory):
+    """Brackets: light is rendered once, and the values scale with the time."""
+    with simulated(
+        trajectory.model_copy(update={"camera": trajectory.camera.model_copy(update={"pixel_format": "bayer12"})})
+    ) as camera:
+        longer = camera.grab()
+        camera.set_exposure(trajectory.camera.exposure_us / 4)
+        shorter = camera.grab()
+    assert longer.raw.shape == (120, 120) and longer.raw.dtype == np.uint16
+    assert (longer.exposure_us, shorter.exposure_us) == pytest.approx((10_000, 2_500), abs=1)
+    usable = (longer.raw > 400) & (longer.raw < 3900)
+    assert usable.mean() > 0.3  # the premise
+    assert np.median(longer.raw[usable] / np.maximum(shorter.raw[usable], 1)) == pytest.approx(4, rel=0.02)

@@ -1,0 +1,1 @@
+"""Measuring what the camera's sensor does to light: flat field, black level, hot pixels, white balance, noise."""
