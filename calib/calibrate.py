@@ -55,19 +55,23 @@ def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
 
 
 def calibrate_handeye(
-    session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
+    session: TargetSession,
+    given: Calibration | None = None,
+    accuracy: Accuracy = STATED,
+    lens: str = "auto",
+    allow_m: float = uncertainty.MAX_STD_M,
 ) -> Calibration:
     """Hand-eye pose, board pose and intrinsics together; `lens` is a key of `estimate.LENSES`.
 
     With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange. Intrinsics
     `given` by another session count with their covariance. From the same session they are only the start, because corners must
-    not count twice.
+    not count twice. `allow_m` relaxes the bound above which an uncertain pose is refused; the calibration is then marked.
 
     Raises:
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
         UsageError: `given` is for images of another size.
     """
-    return finished(solve(session, given, accuracy, lens), accuracy, given is not None)
+    return finished(solve(session, given, accuracy, lens), accuracy, given is not None, allow_m)
 
 
 @dataclass(frozen=True)
@@ -173,11 +177,11 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
     return Known(free, np.array([getattr(given.camera, name) for name in free]), among * np.outer(std, std))
 
 
-def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration:
+def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float = uncertainty.MAX_STD_M) -> Calibration:
     """The calibration with its uncertainty, its held-out errors and its provenance."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
-    covariance = uncertainty.covariance(measured, refined)
+    covariance = uncertainty.covariance(measured, refined, allow_m)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     residuals = {
         "rms_px": refined.rms_px,
@@ -193,6 +197,8 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool) -> Calibration
         "view_rms_px": _by_view(session, measured, refined),
         "closed_form": _closed_form_facts(closed, refined),
     }
+    if allow_m > uncertainty.MAX_STD_M:
+        residuals["allowed_mm"] = 1e3 * allow_m
     free = first.free
     if free:
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])

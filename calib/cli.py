@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from calib.options import Arm, Import, JointDeg, Lens, Pictures, Rig, check_lens, spread
+from calib.options import AllowMm, Arm, Import, Intrinsics, JointDeg, Lens, Pictures, Rig, allowed_m, check_lens, spread
 from datasets.core import console
 from datasets.core.console import Json
 from datasets.core.errors import UsageError
@@ -36,17 +36,17 @@ def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: 
 
 @app.command("handeye")
 @spread
-def handeye_command(rig: Rig, out: Out, joint_deg: JointDeg = 0.0, json: Json = False) -> None:
+def handeye_command(rig: Rig, out: Out, joint_deg: JointDeg = 0.0, allow_mm: AllowMm = 5.0, json: Json = False) -> None:
     """Calibrate the whole rig: the camera, its pose on the flange and the pose of the target.
 
     Everything is estimated together, with its uncertainty, and tested on views held out of the fit.
     """
     from calib.calibrate import calibrate_handeye
 
-    accuracy = rig.accuracy(joint_deg)
+    accuracy, allow_m = rig.accuracy(joint_deg), allowed_m(allow_mm)
     _check_out(out)
     session, given = rig.read()
-    _finish(calibrate_handeye(session, given, accuracy, rig.lens), out, json)
+    _finish(calibrate_handeye(session, given, accuracy, rig.lens, allow_m), out, json)
 
 
 @app.command("compare")
@@ -161,6 +161,35 @@ def plan_command(
         f"{after_mm:.4f} mm, {after_deg:.5f} deg expected with {count} more views\nwritten to {out}"
     )
     console.report({"out": str(out), "before": found.before, "after": found.after}, as_json=json, text=text)
+
+
+@app.command("advise")
+@spread
+def advise_command(
+    recording: Annotated[Path, Argument(metavar="RECORDING", help="Folder that 'capture calibrate' is writing.")],
+    arm: Arm,
+    until: Annotated[tuple[float, float], Option("--until", metavar="MM DEG", help="Errors that are wanted [mm] [deg].")] = (
+        0.05,
+        0.01,
+    ),
+    intrinsics: Intrinsics = None,
+    lens: Lens = "auto",
+    rehearse: Annotated[bool, Option("--rehearse", help="Simulate the rig instead of reading a recording.")] = False,
+) -> None:
+    """Advise 'capture calibrate' on its next views.
+
+    Reads questions from the standard input and answers on the standard output, one line of JSON each. See `datasets/advice.py`.
+    """
+    import sys
+
+    from calib.advice.serve import Recorded, serve
+    from calib.study.rehearsal import Rehearsed
+    from datasets.calibration import Calibration
+
+    check_lens(lens)
+    given = Calibration.load(intrinsics) if intrinsics is not None else None
+    answer = Rehearsed(until) if rehearse else Recorded(recording, until, arm.accuracy(), given, lens)
+    serve(sys.stdin, console.line, answer)
 
 
 @app.command("refine")

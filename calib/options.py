@@ -33,6 +33,10 @@ ArmDeg = Annotated[float, Option("--arm-deg", help="The arm's stated orientation
 JointDeg = Annotated[
     float, Option("--joint-deg", help="Accuracy of the joints' zeros [deg]. Above 0, joint offsets are estimated.")
 ]
+AllowMm = Annotated[
+    float,
+    Option("--allow-mm", help="Accept poses uncertain by up to this many mm, for an inaccurate arm; the result is marked."),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +93,16 @@ class Rig(Arm, Pictures):
         given = Calibration.load(self.intrinsics) if self.intrinsics is not None else None
         session, camera = self.observe()
         return session, given or camera
+
+
+def allowed_m(allow_mm: float) -> float:
+    """The bound of `--allow-mm` in metres. Raises UsageError where it is stricter than the usual one, or no number."""
+    from calib.handeye.uncertainty import MAX_STD_M
+
+    if not 1e3 * MAX_STD_M <= allow_mm < math.inf:
+        why, remedy = f"{allow_mm:g} given", f"{1e3 * MAX_STD_M:g} mm is the usual bound; give more"
+        raise UsageError("cannot be stricter than usual", where="--allow-mm", why=why, remedy=remedy)
+    return 1e-3 * allow_mm
 
 
 def check_lens(lens: str) -> None:

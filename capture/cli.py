@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from typer import Option
 
 from capture import looking, viewing
+from capture.calibrating import commands as calibrating_commands
 from capture.doctor.commands import doctor
 from capture.options import RigName, Settings, TimeScale, TrajectoryName
 from capture.radiometry import commands as radiometry_commands
@@ -140,6 +141,7 @@ def plan_command(
     console.report({**found, "plot": plot, "page": page}, as_json=as_json, text=text)
 
 
+app.command()(calibrating_commands.calibrate)
 app.command()(viewing.view)
 app.command()(recording_commands.check)
 app.command()(viewing.report)
@@ -147,6 +149,7 @@ app.command()(recording_commands.replay)
 app.command()(rig_commands.sim)
 app.command()(doctor)
 app.command()(recording_commands.bench)
+app.command("bench-calibrate")(calibrating_commands.bench_calibrate)
 app.command()(looking.look)
 app.command()(radiometry_commands.flat)
 app.command("bench-colour")(radiometry_commands.bench_colour)

@@ -17,7 +17,9 @@ from datasets import pose
 from datasets.calibration import UncertainPose
 
 MIN_TURN_RAD = float(np.deg2rad(3))  # rms angle about an axis below which the flange counts as not having turned about it
-MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))  # a pose less certain than this is useless for a reconstruction and refused
+MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))
+"""A pose less certain than this is useless for a reconstruction and refused, unless another bound is asked for on purpose."""
+ON_PURPOSE = "for an arm that is no better, --allow-mm accepts more"
 
 
 def check_motion(base_from_flange: Array) -> None:
@@ -52,8 +54,11 @@ def parameter_names(session: Session) -> list[str]:
     return [*session.free, *offsets, *(f"{p} {a}" for p in session.pose_names for a in axes)]
 
 
-def covariance(session: Session, refined: Refined) -> Array:
-    """(p, p) covariance of the global parameters. Raises Unobservable, naming the worst one, where they are undetermined."""
+def covariance(session: Session, refined: Refined, allow_m: float = MAX_STD_M) -> Array:
+    """(p, p) covariance of the global parameters. Raises Unobservable, naming the worst one, where they are undetermined.
+
+    `allow_m` is the largest standard deviation of a position that is not refused; that of a rotation grows with it.
+    """
     information = refined.information
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
@@ -61,7 +66,7 @@ def covariance(session: Session, refined: Refined) -> Array:
         weakest = np.abs(vectors[:, 0] / scale) / _units(session)
         _refuse(session, int(weakest.argmax()), "no view shows it")
     result = (vectors / values) @ vectors.T / np.outer(scale, scale)
-    _check(session, refined, result)
+    _check(session, refined, result, allow_m / MAX_STD_M)
     return result
 
 
@@ -77,8 +82,8 @@ def _units(session: Session) -> Array:
     return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
 
-def _check(session: Session, refined: Refined, joint: Array) -> None:
-    """Raise Unobservable where a pose or the focal length is too uncertain to be of use."""
+def _check(session: Session, refined: Refined, joint: Array, times: float) -> None:
+    """Raise Unobservable where a pose (by so many times the usual bound) or the focal length is too uncertain to be of use."""
     std = np.sqrt(np.diag(joint))
     for name in ("fx", "fy"):
         if name in session.free:
@@ -87,13 +92,14 @@ def _check(session: Session, refined: Refined, joint: Array) -> None:
                 _refuse(session, session.free.index(name), f"its standard deviation is {relative:.1%} of it")
     for uncertain, first in zip(poses(session, refined, joint), (-12, -6), strict=True):
         millimetres = uncertain.translation_std_mm
-        if not millimetres.max() <= 1e3 * MAX_STD_M:
-            _refuse(session, first + int(millimetres.argmax()), f"its standard deviation is {millimetres.max():.3g} mm")
-        if not std[first + 3 :][:3].max() <= MAX_STD_RAD:
+        if not millimetres.max() <= 1e3 * MAX_STD_M * times:
+            why = f"its standard deviation is {millimetres.max():.3g} mm"
+            _refuse(session, first + int(millimetres.argmax()), why, f"; {ON_PURPOSE}")
+        if not std[first + 3 :][:3].max() <= MAX_STD_RAD * times:
             worst = first + 3 + int(std[first + 3 :][:3].argmax())
-            _refuse(session, worst, f"its standard deviation is {np.rad2deg(std[worst]):.3g} deg")
+            _refuse(session, worst, f"its standard deviation is {np.rad2deg(std[worst]):.3g} deg", f"; {ON_PURPOSE}")
 
 
-def _refuse(session: Session, parameter: int, why: str) -> None:
-    remedy = "add views that are tilted by 20 degrees and more about two axes, at two distances"
+def _refuse(session: Session, parameter: int, why: str, more: str = "") -> None:
+    remedy = f"add views that are tilted by 20 degrees and more about two axes, at two distances{more}"
     raise Unobservable(f"{parameter_names(session)[parameter]} is not observable", why=why, remedy=remedy)

@@ -1,11 +1,12 @@
 """How well a calibration predicts pictures that it was not made from. A small residual of the fit does not show that."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
 from calib.handeye import closed_forms, model
 from calib.handeye.model import Accuracy, Session, State, camera_points, predict
@@ -65,26 +66,41 @@ def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> 
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
-    """Error on held-out views, in up to five folds: `held_out_px`, `held_out_mm`; None if a fold could not be fitted.
+    """Error on held-out views, in up to five folds, of the corners that `refined` kept: `held_out_px`, `held_out_mm`; and of all
+    corners: `held_out_all_px`, `held_out_all_mm`. None if a fold could not be fitted.
 
     The arm's poses are taken as reported, so these figures include the error of the arm, as in a reconstruction.
     """
     views = len(session.base_from_flange)
-    fold_of = folds(views, FOLDS)
-    found = []
+    start = replace(refined.state, corrections=np.zeros((views, 6)))
+
+    def fitted(seen: Mask) -> State:
+        return refine(session.some(seen[session.view]), start, sigma_px=refined.sigmas.pixel, rounds=2).state
+
+    kept, every = predicted(session, refined.inliers, fitted) or ((None, None), (None, None))
+    return {"held_out_px": kept[0], "held_out_mm": kept[1], "held_out_all_px": every[0], "held_out_all_mm": every[1]}
+
+
+def predicted(
+    session: Session, kept: Mask, fit: Callable[[Mask], State]
+) -> tuple[tuple[float | None, float | None], tuple[float | None, float | None]] | None:
+    """Rms errors ([px], [mm]) of predicted corners: of those `kept` (n,), and of all. None if a fold cannot be fitted.
+
+    Every view is predicted by what `fit` finds in the views of other folds, (views,) true, with the arm's pose as reported.
+    """
+    views = len(session.base_from_flange)
+    fold_of, pixels, millimetres = folds(views, FOLDS), np.zeros((len(session.view), 2)), np.zeros((len(session.view), 2))
     for fold in range(min(FOLDS, views)):
-        unseen = fold_of[session.view] == fold
-        start = replace(refined.state, corrections=np.zeros((views, 6)))
+        unseen = (fold_of == fold)[session.view]
+        if not unseen.any():
+            continue
         try:
-            fitted = refine(session.some(~unseen), start, sigma_px=refined.sigmas.pixel, rounds=2)
+            state = fit(fold_of != fold)
+            pixels[unseen], millimetres[unseen] = errors(session.some(unseen), replace(state, corrections=np.zeros((views, 6))))
         except CalibrationError:
-            found = []
-            break
-        rest = session.some(unseen & refined.inliers)
-        if len(rest.view):
-            found.append(errors(rest, replace(fitted.state, corrections=np.zeros((views, 6)))))
-    pixels, millimetres = (rms(np.concatenate(parts)) for parts in zip(*found, strict=True)) if found else (None, None)
-    return {"held_out_px": pixels, "held_out_mm": millimetres}
+            return None
+    some = (rms(pixels[kept]), rms(millimetres[kept])) if kept.any() else (None, None)
+    return some, (rms(pixels), rms(millimetres))
 
 
 def check_size(session: TargetSession, camera: Camera) -> None:

@@ -6,7 +6,7 @@ from calib.errors import CalibrationError
 from calib.intrinsics import crossval, estimate
 from calib.page import figures
 from calib.page.evidence import Evidence
-from calib.page.summary import notes
+from calib.page.summary import RELAXED, notes
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.reports.html import Number, ReportPage
@@ -16,6 +16,8 @@ MEANINGS = {
     "rms_px": "root mean square of the residuals of the views that the calibration was made from",
     "held_out_px": "the same for views predicted from the others: the error to expect in a reconstruction",
     "held_out_mm": "the same at the target, across the line of sight",
+    "held_out_all_px": "on unseen views, corners included that the fit left out",
+    "held_out_all_mm": "the same at the target",
     "arm_translation_mm": "estimated error of the arm's reports, per axis",
     "arm_rotation_deg": "the same for rotation",
 }
@@ -33,7 +35,7 @@ def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
     report.headline([(words, known[name]) for name, words in headings.items() if name in known], views)
     report.section("Result")
     for name, value in calibration.poses.items():
-        _pose(report, name, value)
+        _pose(report, name + (RELAXED if "allowed_mm" in residuals else ""), value)
     _camera(report, calibration)
     report.heading("residuals")
     report.numbers((name.rsplit("_", 1)[0].replace("_", " "), value, MEANINGS[name]) for name, value in known.items())

@@ -2,18 +2,22 @@
 
 import numpy as np
 
+from calib.handeye.uncertainty import MAX_STD_M
 from calib.handeye.verify import Verification
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 
+RELAXED = " (bound relaxed)"
+"""Mark of poses that would have been refused, or might have been, without `--allow-mm`."""
 _DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
 
 
 def describe_calibration(calibration: Calibration) -> str:
     """Several lines: poses with standard deviations, intrinsics, residuals, notes."""
     lines = []
+    mark = RELAXED if "allowed_mm" in calibration.residuals else ""
     for title, value in calibration.poses.items():
-        lines += _pose_lines(title, value)
+        lines += _pose_lines(f"{title}{mark}", value)
     camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
     if offsets is not None:
         numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:-1]
@@ -27,6 +31,9 @@ def describe_calibration(calibration: Calibration) -> str:
     if residuals.get("held_out_px") is not None:
         millimetres = f" = {residuals['held_out_mm']:.3f} mm at the target" if residuals.get("held_out_mm") is not None else ""
         lines.append(f"on unseen views     {residuals['held_out_px']:.3f} px{millimetres}")
+    if residuals.get("corners_left_out") and residuals.get("held_out_all_px") is not None:
+        every = f"{residuals['held_out_all_px']:.3f} px = {residuals['held_out_all_mm']:.3f} mm"
+        lines.append(f"  with every corner {every}, the {residuals['corners_left_out']} that were left out included")
     if "arm_translation_mm" in residuals:
         millimetres, degrees = residuals["arm_translation_mm"], residuals["arm_rotation_deg"]
         lines.append(f"arm errors          {millimetres:.3f} mm, {degrees:.4f} deg per axis")
@@ -38,6 +45,11 @@ def describe_calibration(calibration: Calibration) -> str:
 def notes(calibration: Calibration) -> list[str]:
     """What a user should know before using the calibration, one sentence each."""
     residuals, found = calibration.residuals, []
+    if allowed := residuals.get("allowed_mm"):
+        worst = max(float(value.translation_std_mm.max()) for value in calibration.poses.values())
+        usual = 1e3 * MAX_STD_M
+        state = f"{worst:.2g} mm is above it" if worst > usual else "it would have been kept"
+        found.append(f"the bound on uncertain poses was relaxed from {usual:g} to {allowed:g} mm by --allow-mm; {state}")
     if residuals.get("views_unseen"):
         found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
     reasons = residuals.get("why_left_out", {})

@@ -105,17 +105,21 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     views = [(f.name, recording.image_path(f), f.base_from_flange) for f in recording.frames]  # paths are checked on opening
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
-    provenance = {
+    session = observe(board, views, provenance=provenance_of(path, board), seen=seen)
+    joints = {frame.name: frame.joints for frame in recording.frames}
+    region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
+    angles = np.stack([joints[o.name] for o in session.observations])
+    return replace(session, region=region, joints=angles, links=recording.links)
+
+
+def provenance_of(path: Path, board: Board) -> dict[str, Any]:
+    """Where the measurements of a recording come from, for the calibration file."""
+    return {
         "recording": str(Path(path).resolve()),
         "frames_sha256": files.sha256(Path(path) / FRAMES),
         "board": board.to_json(),
         "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},
     }
-    session = observe(board, views, provenance=provenance, seen=seen)
-    joints = {frame.name: frame.joints for frame in recording.frames}
-    region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
-    angles = np.stack([joints[o.name] for o in session.observations])
-    return replace(session, region=region, joints=angles, links=recording.links)
 
 
 def describe(board: Board) -> str:

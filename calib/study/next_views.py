@@ -5,21 +5,20 @@ session. Candidates are drawn around the board, where the recorded views were. T
 chosen first, then the best one in addition to it (greedy A-optimal design; Pukelsheim 2006, chapter 6).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from calib.advice.information import Known, informations
+from calib.advice.patterns import Pattern, Rig, viewpoints
 from calib.arrays import Array
 from calib.calibrate import Solution
 from calib.errors import CalibrationError
-from calib.handeye import model, refine
-from calib.handeye.model import Session, State
-from calib.handeye.refine import Refined
+from calib.handeye.model import State
 from calib.intrinsics import projection
-from calib.study.simulate import Pattern, Rig, inside_image, viewpoints
 from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.core import files
@@ -27,7 +26,6 @@ from datasets.core import files
 LEVER_M = 0.4  # rotation errors are weighed by the motion they cause at this distance, that of the object from the camera
 CANDIDATES = 400
 MAX_TILT_DEG = 50.0
-MIN_SHARE = 0.7  # smallest share of the board's corners in a view
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,9 @@ def plan(solution: Solution, count: int, *, reach: Array | None = None, grow_m: 
     rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
     recorded = np.stack([flown[:, :3, 3].min(0) - grow_m, flown[:, :3, 3].max(0) + grow_m])
     candidates = _candidates(np.random.default_rng(seed), rig, flown, recorded if reach is None else reach)
-    informations = [_information(candidate, rig, fit.measured, fit.refined) for candidate in candidates]
-    showing = [(view, information) for view, information in zip(candidates, informations, strict=True) if information is not None]
+    known = Known(camera, rig.board, fit.measured.free, state, fit.refined.sigmas, fit.refined.information)
+    told = informations(known, np.array(candidates).reshape(-1, 4, 4) @ pose.inverse(state.mount_from_camera))
+    showing = [(view, information) for view, information in zip(candidates, told, strict=True) if information is not None]
     if not showing:
         raise CalibrationError("no view within reach shows the board", remedy="allow more room with --grow-mm")
     total, chosen, after = fit.refined.information, [], []
@@ -77,24 +76,6 @@ def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Array) 
     drawn = viewpoints(rng, rig, 20 * CANDIDATES, pattern)
     within = np.all((drawn[:, :3, 3] >= reach[0]) & (drawn[:, :3, 3] <= reach[1]), axis=1)
     return list(drawn[within][:CANDIDATES])
-
-
-def _information(candidate: Array, rig: Rig, measured: Session, refined: Refined) -> Array | None:
-    """(p, p) information of one view more, or None where it shows too little of the board."""
-    points = rig.board.points
-    reported = candidate @ pose.inverse(rig.flange_from_camera)
-    view, pixels = np.zeros(len(points), np.int64), np.zeros((len(points), 2))
-    options = {"accuracy": measured.accuracy, "fisheye": measured.fisheye}
-    session = Session(reported[None], view, pixels, points, measured.free, **options)
-    state = State(refined.state.intrinsics, refined.state.mount_from_camera, refined.state.stand_from_board, np.zeros((1, 6)))
-    if model.camera_points(session, state)[:, 2].min() <= 1e-3:
-        return None
-    pixels = model.predict(session, state)[0]
-    inside = inside_image(pixels, rig.camera)
-    if inside.sum() < max(8, MIN_SHARE * len(points)):
-        return None
-    seen = replace(session, pixels=pixels)  # as predicted: nothing is an outlier
-    return refine.linear_system(seen.some(inside), state, refined.sigmas).information
 
 
 def _deviations(information: Array, state: State) -> tuple[float, float]:

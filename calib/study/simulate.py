@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array, Mask
+from calib.advice.information import inside_image
+from calib.advice.patterns import Pattern, Rig, viewpoints
+from calib.arrays import Array
 from calib.handeye import model
 from calib.handeye.model import Accuracy, Session, State
 from calib.intrinsics import projection
@@ -17,27 +19,8 @@ from datasets import pose
 from datasets.board import Board
 from datasets.camera_model import Camera
 
+__all__ = ["KOALA", "Pattern", "Rig", "Simulated", "simulate", "viewpoints"]
 Generator = np.random.Generator
-
-
-@dataclass(frozen=True)
-class Rig:
-    """What stands where, and what the camera is."""
-
-    camera: Camera
-    board: Board
-    flange_from_camera: Array  # (4, 4)
-    base_from_board: Array  # (4, 4)
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """How views lie around the board: each quantity is drawn evenly from its range."""
-
-    tilt_deg: tuple[float, float] = (0.0, 35.0)  # between the optical axis and the board's normal; even over the sphere's surface
-    distance_m: tuple[float, float] = (0.4, 0.6)  # from the camera to the point that it looks at
-    roll_deg: tuple[float, float] = (-180.0, 180.0)  # about the optical axis
-    shift_m: float = 0.03  # the point looked at lies up to this far beside the board's middle, along x and along y
 
 
 KOALA = Rig(
@@ -70,27 +53,6 @@ class Simulated:
         pixels, points = self.session.pixels, self.session.points
         masks = [self.session.view == i for i in range(len(self.base_from_camera))]
         return [Observation(f"{i:03d}", number[own], pixels[own], points[own]) for i, own in enumerate(masks)]
-
-
-def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:
-    """(views, 4, 4) base_from_camera on the board's seen side."""
-    board = rig.base_from_board
-    middle = np.append(rig.board.points[:, :2].mean(0), 0.0)
-    low, high = np.deg2rad(pattern.tilt_deg)
-    tilt = np.arccos(rng.uniform(np.cos(high), np.cos(low), views))
-    side, roll = rng.uniform(0, 2 * np.pi, views), np.deg2rad(rng.uniform(*pattern.roll_deg, views))
-    shift = np.column_stack([rng.uniform(-1, 1, (views, 2)) * pattern.shift_m, np.zeros(views)])
-    tilts = pose.from_rotation_vector(tilt[:, None] * np.column_stack([np.cos(side), np.sin(side), 0 * side]))
-    rolls = pose.from_rotation_vector(roll[:, None] * np.array([0.0, 0.0, 1.0]))
-    board_from_camera = tilts @ rolls  # at no tilt the camera looks along the board's z axis, into it
-    distance = rng.uniform(*pattern.distance_m, views)
-    board_from_camera[:, :3, 3] = middle + shift - distance[:, None] * board_from_camera[:, :3, 2]
-    return board @ board_from_camera
-
-
-def inside_image(pixels: Array, camera: Camera) -> Mask:
-    """(n,) which of (n, 2) pixels lie in the image, two pixels from its border."""
-    return np.all((pixels > 2) & (pixels < [camera.width - 2, camera.height - 2]), axis=1)
 
 
 def simulate(

@@ -114,6 +114,11 @@ def report(result: dict[str, Any], *, as_json: bool, text: str) -> None:
     print(json.dumps(result, default=_plain) if as_json else text, flush=True)
 
 
+def line(text: str) -> None:
+    """Write one line for another program to the standard output; `text` ends with a newline."""
+    print(text, end="", flush=True)
+
+
 def command_line() -> str:
     """The running command, ready to be typed again."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])

@@ -53,3 +53,10 @@ def test_accuracies_are_converted():
 def test_accuracies_that_cannot_be_are_named(values):
     with pytest.raises(UsageError, match="accuracy must be a positive number"):
         options.Arm(**values).accuracy()
+
+
+def test_a_bound_can_only_be_relaxed():
+    assert options.allowed_m(20.0) == pytest.approx(0.02) and options.allowed_m(5.0) == pytest.approx(0.005)
+    for wrong in (4.9, -1.0, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="--allow-mm"):
+            options.allowed_m(wrong)

@@ -3,8 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib import calibrate
 from calib.errors import Unobservable
 from calib.handeye import refine, uncertainty
+from calib.handeye.model import Accuracy
+from calib.page import summary
+from calib.study import simulate as without_pictures
+from calib.study.variants import target_session
 from datasets import pose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
@@ -115,3 +120,20 @@ def test_names_follow_the_order_of_the_information(small):
     names = uncertainty.parameter_names(session)
     assert len(names) == len(refined.information)
     assert names[:3] == ["fx", "k1", "flange_from_camera translation x"] and names[-1] == "base_from_board rotation z"
+
+
+def test_a_relaxed_bound_accepts_a_poor_arm_and_marks_the_calibration():
+    arm = Accuracy(0.01, float(np.deg2rad(0.5)))
+    rng = np.random.default_rng(0)
+    rig = without_pictures.KOALA
+    views = without_pictures.viewpoints(rng, rig, 8, without_pictures.Pattern((20.0, 50.0)))
+    session = target_session(without_pictures.simulate(rng, rig, views, sigma_px=0.2, arm=arm))
+    with pytest.raises(Unobservable, match=r"6.7 mm.*--allow-mm accepts more"):
+        calibrate.calibrate_handeye(session, accuracy=arm)
+    with pytest.raises(Unobservable, match=r"6\.7 mm"):
+        calibrate.calibrate_handeye(session, accuracy=arm, allow_m=6e-3)
+    found = calibrate.calibrate_handeye(session, accuracy=arm, allow_m=0.02)
+    assert found.residuals["allowed_mm"] == 20.0 and found.flange_from_camera is not None
+    assert 5.0 < found.flange_from_camera.translation_std_mm.max() < 20.0
+    said = summary.describe_calibration(found)
+    assert "flange_from_camera (bound relaxed)" in said and "relaxed from 5 to 20 mm by --allow-mm; 7.3 mm is above it" in said

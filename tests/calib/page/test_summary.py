@@ -60,3 +60,12 @@ def test_notes_name_what_a_person_should_look_at():
 def test_verification_names_the_worst_view():
     text = summary.describe_verification(Verification(0.3, 0.2, {"000": 0.1, "001": 0.5}, 80, "base", np.eye(4)))
     assert "0.300 px = 0.200 mm" in text and "001: 0.500 px" in text
+
+
+def test_error_with_every_corner_is_shown_where_corners_were_left_out():
+    more = {**RESIDUALS, "held_out_all_px": 0.5, "held_out_all_mm": 0.4, "corners_left_out": 7}
+    assert "with every corner 0.500 px = 0.400 mm, the 7 that were left out" in summary.describe_calibration(
+        replace(CALIBRATION, residuals=more)
+    )
+    none = {**more, "corners_left_out": 0}
+    assert "every corner" not in summary.describe_calibration(replace(CALIBRATION, residuals=none))

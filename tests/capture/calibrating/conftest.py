@@ -1,0 +1,38 @@
+"""A rehearsal: the real adviser, planner and loop, and a simulated rig without pictures."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from capture.calibrating.adviser import Adviser
+from capture.calibrating.bench import RehearsedArm
+from capture.planning import Obstacles
+from capture.rig.description import RigDescription
+from capture.trajectory import Trajectory, load_trajectory
+from datasets.advice import Question
+
+MOUNT = RigDescription().flange_from_camera.matrix()
+
+
+@pytest.fixture
+def mount() -> np.ndarray:
+    return MOUNT
+
+
+@pytest.fixture(scope="session")
+def trajectory() -> Trajectory:
+    return load_trajectory("calibration")
+
+
+@pytest.fixture(scope="session")
+def running() -> Iterator[Adviser]:
+    with Adviser("rehearsal", ["--rehearse"]) as adviser:
+        yield adviser
+
+
+@pytest.fixture
+def arm(running: Adviser, trajectory: Trajectory) -> RehearsedArm:
+    """At the start of a session of rig 1."""
+    running.ask(Question(rehearse=1))
+    return RehearsedArm(trajectory, running, Obstacles.of(trajectory, MOUNT))
