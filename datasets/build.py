@@ -6,6 +6,7 @@ world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint 
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,8 @@ def _scene(
 
 
 def with_measured_near(scene: Scene) -> Scene:
-    """The scene with near measured in its images. Where too few points can be triangulated, near stays and a note says so.
+    """The scene with near measured in its images, and with the points that were triangulated for that. Where these are too few,
+    near stays and a note says so.
 
     Space nearer than anything visible is empty; a reconstruction that knows this does not fill it with fog.
     """
@@ -114,7 +116,9 @@ def with_measured_near(scene: Scene) -> Scene:
         why = found.bounds_from.removeprefix(f"{scene.bounds_from}; ")
         advice = "put something textured beside the object to keep reconstructions free of fog near the cameras"
         return replace(scene, notes=(*scene.notes, f"near is a guess: {why}; {advice}"))
-    return replace(scene, near=found.near, bounds_from=f"box {scene.bounds_from}; near from {found.bounds_from}")
+    evidence = f"box {scene.bounds_from}; near from {found.bounds_from}"
+    kept: dict[str, Any] = {"points": found.points, "colours": found.colours, "sightings": found.sightings}
+    return replace(scene, near=found.near, bounds_from=evidence, **kept)
 
 
 def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, list[str]]:

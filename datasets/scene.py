@@ -233,8 +233,6 @@ class Sightings:
     """(m, 2) index of a point, and of a view in `names`."""
     pixels: NDArray[np.float64]
     """(m, 2) where the view saw it."""
-    colours: NDArray[np.uint8]
-    """(points, 3) sRGB of each point."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +253,8 @@ class Scene:
     """True where the world unit is the metre."""
     points: NDArray[np.float64] | None = None
     """(n, 3) sparse surface points, where known."""
+    colours: NDArray[np.uint8] | None = None
+    """(n, 3) their sRGB, where known."""
     sightings: Sightings | None = None
     """Which views saw which of the points, where known."""
     notes: tuple[str, ...] = ()

@@ -12,6 +12,7 @@ EXTRAS = {
     "ray": "sweep",
     "xatlas": "asset",
     "pxr": "asset",
+    "coacd": "asset",
 }
 """Module to the extra of pyproject.toml that brings it."""
 

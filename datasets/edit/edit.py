@@ -84,7 +84,7 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
     ]
     views = [replace(v, name=new[v.name]) for scene, new in zip(scenes, renamed, strict=True) for v in scene.views]
     boxes = np.stack([scene.box for scene in scenes])
-    points, sightings = _merged_points(scenes, renamed)
+    points, colours, sightings = _merged_points(scenes, renamed)
     return replace(
         scenes[0],
         name=name,
@@ -93,6 +93,7 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
         far=max(s.far for s in scenes),
         box=np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]),
         points=points,
+        colours=colours,
         sightings=sightings,
         notes=tuple(note for s in scenes for note in s.notes),
         provenance={"format": "koala", "merged": [s.provenance for s in scenes]},
@@ -100,23 +101,24 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
     )
 
 
-def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -> tuple[Any, Sightings | None]:
-    having = [(s.points, s.sightings, new) for s, new in zip(scenes, renamed, strict=True) if s.points is not None]
+def _merged_points(scenes: Sequence[Scene], renamed: Sequence[dict[str, str]]) -> tuple[Any, Any, Sightings | None]:
+    """Points of all scenes; their colours and sightings where all that have points have these too."""
+    having = [(s, new) for s, new in zip(scenes, renamed, strict=True) if s.points is not None]
     if not having:
-        return None, None
+        return None, None, None
+    points = np.concatenate([scene.points for scene, _ in having if scene.points is not None])
+    coloured = [scene.colours for scene, _ in having if scene.colours is not None]
+    colours = np.concatenate(coloured) if len(coloured) == len(having) else None
     names: list[str] = []
-    index, pixels, colours, first = [], [], [], 0
-    for points, sightings, new in having:
-        if sightings is None:
-            return np.concatenate([points for points, _, _ in having]), None
-        index.append(sightings.index + np.array([first, len(names)]))
-        pixels.append(sightings.pixels)
-        colours.append(sightings.colours)
-        names += [new.get(name, name) for name in sightings.names]
-        first += len(points)
-    return np.concatenate([points for points, _, _ in having]), Sightings(
-        tuple(names), np.concatenate(index), np.concatenate(pixels), np.concatenate(colours)
-    )
+    index, pixels, first = [], [], 0
+    for scene, new in having:
+        if scene.sightings is None or scene.points is None:
+            return points, colours, None
+        index.append(scene.sightings.index + np.array([first, len(names)]))
+        pixels.append(scene.sightings.pixels)
+        names += [new.get(name, name) for name in scene.sightings.names]
+        first += len(scene.points)
+    return points, colours, Sightings(tuple(names), np.concatenate(index), np.concatenate(pixels))
 
 
 def downscaled(scene: Scene, factor: int, folder: Path, *, done: Step = ignore) -> Scene:

@@ -110,9 +110,10 @@ def _assembled(
         if sightings is not None:
             sightings = replace(sightings, names=tuple(sidecar.name_of(stored_facts, name) for name in sightings.names))
         scene = sidecar.restore(stored_facts, views, gathering.folder, notes=tuple(gathering.notes))
-        return replace(scene, points=model.points, sightings=sightings) if sightings is not None else scene
-    scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
-    return replace(assemble.with_points(scene, model.points), sightings=sightings) if sightings is not None else scene
+    else:
+        scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
+        scene = assemble.with_points(scene, model.points) if sightings is not None else scene
+    return scene if sightings is None else replace(scene, points=model.points, colours=model.colours, sightings=sightings)
 
 
 def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, np.ndarray]) -> Sightings:
@@ -121,7 +122,7 @@ def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, n
         matched = np.flatnonzero(image.points >= 0)
         index.append(np.stack([image.points[matched], np.full(len(matched), number)], axis=1))
         places.append(pixels[name][matched])
-    return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places), model.colours)
+    return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places))
 
 
 @dataclass(frozen=True, eq=False)

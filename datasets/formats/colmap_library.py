@@ -85,7 +85,7 @@ def write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) ->
         for place, point in enumerate(points):
             tracks.setdefault(int(point), []).append((number, place))
     if scene.points is not None:
-        colours = np.zeros((len(scene.points), 3), np.uint8) if scene.sightings is None else scene.sightings.colours
+        colours = np.zeros((len(scene.points), 3), np.uint8) if scene.colours is None else scene.colours
         for point, xyz in enumerate(scene.points):
             track = pycolmap.Track([pycolmap.TrackElement(*element) for element in tracks.get(point, [])])
             model.add_point3D(xyz, track, colours[point])

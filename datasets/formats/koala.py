@@ -5,7 +5,7 @@ SCENE/images/        as captured, never re-encoded (a hard link where the disk a
 SCENE/images_N/      the same at 1/N of the size, on request
 SCENE/masks/         where there are masks, with masks_N
 SCENE/deviations/    standard deviations of images that are merged from several exposures
-SCENE/points.npz     where surface points are known: points and the pixels of the views that saw them
+SCENE/points.npz     where surface points are known: points, their colours, and the pixels of the views that saw them
 SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation only
 """
 
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets import pose
 from datasets.camera_model import Camera
@@ -45,38 +44,43 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
         link_all(extra, folder)
         write_smaller(scene.views, folder, sizes, lambda view, source: f"{file_name(view)}{source.suffix}")
         if scene.points is not None:
-            _save_points(scene.points, scene.sightings, folder / POINTS)
+            _save_points(scene, folder / POINTS)
         files.write_json(folder / FILE, {"format": FORMAT, "version": VERSION, **sidecar.facts(scene), "views": views})
     return ""
 
 
-def _save_points(points: NDArray[np.float64], sightings: Sightings | None, path: Path) -> None:
-    arrays = {"points": points}
-    if sightings is not None:
-        arrays |= {"names": np.array(sightings.names, np.str_), "index": sightings.index}
-        arrays |= {"pixels": sightings.pixels, "colours": sightings.colours}
+def _save_points(scene: Scene, path: Path) -> None:
+    arrays = {"points": np.asarray(scene.points)}
+    if scene.colours is not None:
+        arrays["colours"] = scene.colours
+    if (seen := scene.sightings) is not None:
+        arrays |= {"names": np.array(seen.names, np.str_), "index": seen.index, "pixels": seen.pixels}
     np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
-def _load_points(path: Path) -> tuple[NDArray[np.float64], Sightings | None]:
+def _with_points(scene: Scene, path: Path) -> Scene:
+    """The scene with the points of a file, and what it holds about them."""
     stored = arrays.read_npz(path)
     if "points" not in stored:
         raise DatasetError("holds no points", where=path)
     points = arrays.numbers(stored["points"], (None, 3), where=f"{path}, points")
     if not np.isfinite(points).all():
         raise DatasetError("points are not finite", where=path)
+    colours = None
+    if "colours" in stored:
+        colours = arrays.numbers(stored["colours"], (len(points), 3), where=f"{path}, colours").astype(np.uint8)
+    scene = replace(scene, points=points, colours=colours)
     if "index" not in stored:
-        return points, None
+        return scene
     try:
         index = arrays.numbers(stored["index"], (None, 2), where=f"{path}, index").astype(np.int64)
         pixels = arrays.numbers(stored["pixels"], (len(index), 2), where=f"{path}, pixels")
-        colours = arrays.numbers(stored["colours"], (len(points), 3), where=f"{path}, colours").astype(np.uint8)
         names = tuple(str(name) for name in stored["names"])
     except KeyError as error:
         raise DatasetError("sightings are not complete", where=path, why=str(error)) from None
     if len(index) and not ((index >= 0).all() and (index < [len(points), len(names)]).all()):
         raise DatasetError("sightings refer to missing points or views", where=path)
-    return points, Sightings(names, index, pixels, colours)
+    return replace(scene, sightings=Sightings(names, index, pixels))
 
 
 def _saved_view(view: View, folder: Path) -> dict[str, Any]:
@@ -121,8 +125,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
         scene = scene.with_views(tuple(_resized(view, folder, images_folder) for view in scene.views))
     if not (folder / POINTS).is_file():
         return scene
-    points, sightings = _load_points(files.inside(folder, POINTS))
-    return replace(scene, points=points, sightings=sightings)
+    return _with_points(scene, files.inside(folder, POINTS))
 
 
 def _resized(view: View, folder: Path, home: str) -> View:

@@ -14,7 +14,7 @@ from datasets.core import files
 from datasets.core.errors import DatasetError
 from datasets.imaging import downscale, images
 from datasets.recording import TRUTH
-from datasets.scene import Scene, View
+from datasets.scene import LOSSY, Scene, View
 
 Extra = Mapping[str, Path] | None
 """Further files to include in a scene, by relative name."""
@@ -70,8 +70,8 @@ def _copy(source: Path, target: Path) -> None:
 
 @contextmanager
 def plain_masks(scene: Scene) -> Iterator[Scene]:
-    """The scene with masks as other programs expect them: grey, of the image's size, white on the object; in a temporary folder
-    where they differ from that."""
+    """The scene with masks as other programs expect them: grey, of the image's size, white on the object and without the noise of
+    compression; in a temporary folder where they differ from that."""
     with tempfile.TemporaryDirectory(prefix="koala-masks-") as folder:
         views = []
         for number, view in enumerate(scene.views):
@@ -85,7 +85,10 @@ def plain_masks(scene: Scene) -> Iterator[Scene]:
 
 def _is_plain(view: View) -> bool:
     mask, same_size = view.mask, (view.camera.width, view.camera.height)
-    return mask is None or not (view.mask_inverted or images.channels(mask) != 1 or images.size(mask) != same_size)
+    if mask is None:
+        return True
+    noisy = mask.suffix.lower() in LOSSY
+    return not (noisy or view.mask_inverted or images.channels(mask) != 1 or images.size(mask) != same_size)
 
 
 def write_smaller(views: Sequence[View], folder: Path, sizes: Sequence[int], name: Callable[[View, Path], str]) -> None:

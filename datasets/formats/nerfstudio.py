@@ -18,7 +18,7 @@ from datasets.core.errors import DatasetError, KoalaError
 from datasets.core.progress import Step, ignore
 from datasets.formats import assemble, export, opengl, ply, sidecar
 from datasets.formats.links import Extra, file_name, link_all, write_smaller
-from datasets.imaging import images
+from datasets.imaging import downscale, images
 from datasets.scene import SPLITS, Scene, View
 
 FILE = "transforms.json"
@@ -65,21 +65,23 @@ def load(
         gathering.views = [replace(view, mask=mask) for view, mask in zip(gathering.views, masks, strict=True)]
         gathering.notes += [f"masks are used that {FILE} does not name"] if any(masks) else []
     views = gathering.finished(listed_in=FILE)
-    points = _points(folder, content, where=source)
+    points, colours = _points(folder, content, where=source)
     known = sidecar.read(folder)
     if known is not None:
-        return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points)
+        return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points, colours=colours)
     if not stated:
         views = splits.hold_out(views, hold_out)
     scene = assemble.scene(gathering, views, "nerfstudio")
-    return scene if points is None else assemble.with_points(scene, points)
+    return scene if points is None else replace(assemble.with_points(scene, points), colours=colours)
 
 
-def _points(folder: Path, content: dict[str, Any], *, where: object) -> NDArray[np.float64] | None:
-    """Surface points of `ply_file_path`, which are in the world of the frames."""
+def _points(
+    folder: Path, content: dict[str, Any], *, where: object
+) -> tuple[NDArray[np.float64] | None, NDArray[np.uint8] | None]:
+    """Surface points of `ply_file_path`, which are in the world of the frames, and their colours."""
     name = content.get("ply_file_path")
     path = files.inside(folder, name, where=where) if name else None
-    return ply.read_points(path) if path is not None and path.is_file() else None
+    return ply.read_cloud(path) if path is not None and path.is_file() else (None, None)
 
 
 def _gather(
@@ -133,17 +135,18 @@ def _splits(content: Any, *, where: object) -> dict[str, str]:
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:
     """Export a scene; arguments and result are those of `save_scene`.
 
-    Depth is included, in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits.
+    Depth is included, in steps of `DEPTH_STEP`, where all views have it and it fits into 16 bits; `sizes` are made of it as well.
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
         views = [p.view for p in placed]
         write_smaller(views, folder, sizes, lambda view, source: source.name)
+        _harden(views, folder, sizes)
         content = _global(scene, views)
-        depths = _depths(views, folder)
+        depths = _depths(views, folder, sizes)
         content["frames"] = [_frame(view, folder, depths.get(view.name), common="fl_x" in content) for view in views]
         if scene.points is not None:
-            ply.write_points(folder / "sparse.ply", scene.points)
+            ply.write_points(folder / "sparse.ply", scene.points, scene.colours)
             content["ply_file_path"] = "sparse.ply"
         files.write_json(folder / FILE, content)
         link_all(extra, folder)
@@ -155,17 +158,43 @@ def _global(scene: Scene, views: Sequence[View]) -> dict[str, Any]:
     """Content of the file that all frames share."""
     reach = max(float(np.abs(scene.box).max()), 1e-9) * 0.33 + 0.5  # instant-ngp's own scale and offset
     aabb = int(min(2 ** np.ceil(np.log2(max(2 * reach - 1, 1.0))), 128)) if scene.background == "white" else 16
-    names = {split: [f"images/{view.image.name}" for view in views if view.split == split] for split in SPLITS}
     cameras = {view.camera for view in views}
     common = _intrinsics(views[0].camera) if len(cameras) == 1 else {}
+    if len({camera.fisheye for camera in cameras}) == 1:  # nerfstudio reads no lens model of single frames
+        common["camera_model"] = _model(views[0].camera)
     transform = {"applied_transform": np.eye(4)[:3].tolist(), "orientation_override": "none"}
-    listed = {f"{split}_filenames": paths for split, paths in names.items()}
-    return {**common, "aabb_scale": aabb, "depth_unit_scale_factor": DEPTH_STEP, **transform, **listed}
+    return {**common, "aabb_scale": aabb, "depth_unit_scale_factor": DEPTH_STEP, **transform, **_listed(views)}
+
+
+def _harden(views: Sequence[View], folder: Path, sizes: Sequence[int]) -> None:
+    """Make smaller masks black and white: to nerfstudio all but black is the object, half a pixel of surroundings included."""
+    for size, mask in ((size, view.mask) for size in sizes for view in views if view.mask is not None):
+        path = folder / f"masks_{size}" / mask.name
+        images.write(path, np.uint8(255) * (images.read(path)[..., :1] >= 0.5))
+
+
+def _listed(views: Sequence[View]) -> dict[str, list[str]]:
+    """The lists of splits. nerfstudio needs all three, and fails on an empty one: test and validation views stand in for each
+    other. Without any of them, or without training views, there are no lists, and nerfstudio chooses.
+    """
+    names = {split: [f"images/{view.image.name}" for view in views if view.split == split] for split in SPLITS}
+    held_out = names["test"] or names["val"]
+    if not held_out or not names["train"]:
+        return {}
+    return {
+        "train_filenames": names["train"],
+        "val_filenames": names["val"] or held_out,
+        "test_filenames": held_out,
+    }
+
+
+def _model(camera: Camera) -> str:
+    return opengl.FISHEYE if camera.fisheye else "OPENCV"
 
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
     values: dict[str, Any] = {
-        "camera_model": opengl.FISHEYE if camera.fisheye else "OPENCV",
+        "camera_model": _model(camera),
         "w": camera.width,
         "h": camera.height,
     }
@@ -183,8 +212,8 @@ def _frame(view: View, folder: Path, depth: Path | None, *, common: bool) -> dic
     return {"file_path": f"images/{view.image.name}", **own, "transform_matrix": opengl.transform_matrix(view.world_from_camera)}
 
 
-def _depths(views: Sequence[View], folder: Path) -> dict[str, Path]:
-    """16-bit depth of every view by its name; empty where not all have it, or it does not fit."""
+def _depths(views: Sequence[View], folder: Path, sizes: Sequence[int]) -> dict[str, Path]:
+    """16-bit depth of every view by its name, also at smaller sizes; empty where not all have it, or it does not fit."""
     if not all("depth" in view.truth for view in views):
         return {}
     written = {}
@@ -193,6 +222,16 @@ def _depths(views: Sequence[View], folder: Path) -> dict[str, Path]:
         if counts.max(initial=0) > 65535:
             return {}
         counts = np.where(np.isnan(counts), 0, counts)  # the format's value of a pixel without depth
+        steps = counts.round().clip(0, 65535).astype(np.uint16)
         written[view.name] = folder / "depths" / f"{view.image.stem}.png"
-        images.write(written[view.name], counts.round().clip(0, 65535).astype(np.uint16))
+        images.write(written[view.name], steps)
+        for size in sizes:
+            small = downscale.camera(view.camera, size)
+            rows, columns = _nearest(len(steps), small.height), _nearest(steps.shape[1], small.width)
+            images.write(folder / f"depths_{size}" / f"{view.image.stem}.png", steps[rows[:, None], columns])
     return written
+
+
+def _nearest(count: int, fewer: int) -> NDArray[np.int64]:
+    """(fewer,) of `count` pixels those nearest to the centres of larger ones: depth is not mixed across edges."""
+    return ((np.arange(fewer) + 0.5) * count / fewer).astype(np.int64)

@@ -15,35 +15,55 @@ TYPES = {
 }  # fmt: skip
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 """Byte order of each encoding; none for text."""
+CHANNELS = ("red", "green", "blue")
 LONGEST_HEADER, MAX_BYTES = 2**16, 2**31
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
-    """(n, 3) vertices. Raises DatasetError where it is no such file, it is cut off, or a vertex is not finite."""
+    """(n, 3) vertices. Raises as `read_cloud` does."""
+    return read_cloud(path)[0]
+
+
+def read_cloud(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+    """(n, 3) vertices and their (n, 3) sRGB, None where there is none in bytes.
+
+    Raises DatasetError: it is no such file, it is cut off, or a vertex is not finite.
+    """
     data = files.read_regular(path, MAX_BYTES, suffixes=(".ply",))
     header = re.match(rb"ply\r?\n(.*?)end_header\r?\n", data[:LONGEST_HEADER], re.DOTALL)
     if header is None:
         raise DatasetError("is not a PLY file", where=path, why="it has no header")
     encoding, count, properties = _header(header[1].decode("ascii", "replace"), where=path)
+    channels = [name for name in CHANNELS if (name, "u1") in properties]
     body = data[header.end() :]
     if encoding == "ascii":
-        points = _from_text(body, count, [name for name, _ in properties], where=path)
+        table = _from_text(body, count, len(properties), where=path)
+        vertices = dict(zip((name for name, _ in properties), table.T, strict=True))
     else:
         layout = np.dtype([(name, ORDERS[encoding] + kind) for name, kind in properties])
         if count * layout.itemsize > len(body):
             raise DatasetError("is cut off", where=path, why=f"{count} vertices expected, {len(body)} bytes found")
         vertices = np.frombuffer(body, layout, count)
-        points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     if not np.isfinite(points).all():
         raise DatasetError("points are not finite", where=path)
-    return points
+    if len(channels) < len(CHANNELS):
+        return points, None
+    colours = np.stack([vertices[channel] for channel in channels], axis=-1)
+    if not ((colours >= 0) & (colours <= 255)).all():  # false for NaN too
+        raise DatasetError("colours are not bytes", where=path)
+    return points, colours.astype(np.uint8)
 
 
-def write_points(path: Path, points: NDArray[np.float64]) -> None:
-    """Write (n, 3) points as binary doubles, atomically."""
+def write_points(path: Path, points: NDArray[np.float64], colours: NDArray[np.uint8] | None = None) -> None:
+    """Write (n, 3) points as binary doubles, with their (n, 3) sRGB where it is known, atomically."""
+    fields = [(axis, "<f8") for axis in "xyz"] + ([] if colours is None else [(channel, "u1") for channel in CHANNELS])
+    vertices = np.zeros(len(points), fields)
+    for name, column in zip(vertices.dtype.names or (), (*points.T, *(() if colours is None else colours.T)), strict=True):
+        vertices[name] = column
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    header += "".join(f"property double {axis}\n" for axis in "xyz") + "end_header\n"
-    files.write_bytes(path, header.encode() + points.astype("<f8").tobytes())
+    header += "".join(f"property {'double' if kind == '<f8' else 'uchar'} {name}\n" for name, kind in fields) + "end_header\n"
+    files.write_bytes(path, header.encode() + vertices.tobytes())
 
 
 def _header(text: str, *, where: Path) -> tuple[str, int, list[tuple[str, str]]]:
@@ -68,12 +88,12 @@ def _header(text: str, *, where: Path) -> tuple[str, int, list[tuple[str, str]]]
     return encoding, count, properties
 
 
-def _from_text(body: bytes, count: int, names: list[str], *, where: Path) -> NDArray[np.float64]:
-    words, width = body.split(), len(names)
+def _from_text(body: bytes, count: int, width: int, *, where: Path) -> NDArray[np.float64]:
+    """(count, width) numbers."""
+    words = body.split()
     if count * width > len(words):
         raise DatasetError("is cut off", where=where, why=f"{count} vertices expected, {len(words)} numbers found")
     try:
-        table = np.array(words[: count * width], np.float64).reshape(count, width)
+        return np.array(words[: count * width], np.float64).reshape(count, width)
     except ValueError as error:
         raise DatasetError("vertex is not a number", where=where, why=str(error)) from None
-    return table[:, [names.index(axis) for axis in "xyz"]]

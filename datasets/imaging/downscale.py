@@ -22,8 +22,8 @@ Result = TypeVar("Result")
 
 
 def camera(full: Camera, factor: int) -> Camera:
-    """The camera of an image at 1/`factor` of its size, rounded to whole pixels."""
-    return full.scaled(max(round(full.width / factor), 1), max(round(full.height / factor), 1))
+    """The camera of an image at 1/`factor` of its size, rounded down to whole pixels: nerfstudio accepts no others."""
+    return full.scaled(max(full.width // factor, 1), max(full.height // factor, 1))
 
 
 def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDArray[Any]:

@@ -90,8 +90,7 @@ class SceneView:
         shapes.add_box(page, "/bounds", scene.box, colour=shapes.COLOURS["box"])
         if scene.points is not None and len(scene.points):
             step = -(-len(scene.points) // MOST_POINTS)
-            own = None if scene.sightings is None else scene.sightings.colours
-            colours = own[::step] if own is not None and len(own) == len(scene.points) else (90, 90, 90)
+            colours = (90, 90, 90) if scene.colours is None else scene.colours[::step]
             page.scene.add_point_cloud(
                 "/points", scene.points[::step].astype(np.float32), colours, point_size=0.004 * self.reach, precision="float32"
             )

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.core.progress import Count, Step, ignore
-from datasets.scene import Scene, View
+from datasets.imaging import images
+from datasets.scene import Scene, Sightings, View
 from datasets.structure import bounds, matching
 from datasets.structure.matching import Matches
 from datasets.structure.triangulate import DOUBTFUL, Cloud, agreement, endless_share, triangulate
@@ -48,7 +49,7 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Count = ignore) -> 
     doubt = f"; the poses explain only {100 * agreed:.0f}% of the matches, see 'datasets check'" if agreed < DOUBTFUL else ""
     evidence = f"{placed} (median error {np.median(cloud.errors_px):.2f} px{doubt})"
     if scene.background == "white":
-        return replace(scene, points=cloud.points, bounds_from=f"{scene.bounds_from}; {evidence}")
+        return with_cloud(replace(scene, bounds_from=f"{scene.bounds_from}; {evidence}"), matches, cloud)
     box, near, far = found
     if np.isfinite(scene.far):  # stated in the file
         near, far = scene.near, scene.far
@@ -58,7 +59,25 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Count = ignore) -> 
         if share > ENDLESS:
             far = np.inf
             evidence += f", {100 * share:.1f}% of the matches without parallax: far away"
-    return replace(scene, box=box, near=near, far=far, points=cloud.points, bounds_from=evidence)
+    return with_cloud(replace(scene, box=box, near=near, far=far, bounds_from=evidence), matches, cloud)
+
+
+def with_cloud(scene: Scene, matches: Matches, cloud: Cloud) -> Scene:
+    """The scene with triangulated points, their colours, and the pixels of the views that saw them.
+
+    The colour of a point is the mean light of its features.
+    """
+    point, view = cloud.sightings.T
+    light, pixels = np.zeros((len(point), 3)), np.zeros((len(point), 2))
+    for number, features in enumerate(matches.features):
+        rows = np.flatnonzero(view == number)
+        light[rows] = features.colours[cloud.features[rows]]
+        pixels[rows] = matches.views[number].camera.project(features.directions[cloud.features[rows]])
+    total = np.zeros((len(cloud.points), 3))
+    np.add.at(total, point, light)
+    mean = total / np.bincount(point, minlength=len(total))[:, None]
+    seen = Sightings(tuple(view.name for view in matches.views), cloud.sightings, pixels)
+    return replace(scene, points=cloud.points, colours=images.to_uint8(images.srgb_from_linear(mean)), sightings=seen)
 
 
 def _placed(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from datasets import pose
 from datasets.build import build, with_measured_near
@@ -12,11 +13,13 @@ from datasets.calibration import Calibration, UncertainPose
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import load_scene
+from datasets.formats import load_scene, save_scene
 from datasets.imaging import images
 from datasets.imaging.region import Region
 from datasets.recording import Frame, Recording
 from datasets.scene import Scene
+from datasets.structure.matching import BLUR_PX
+from datasets.structure.reprojection import errors_px
 
 CAMERA = Camera(48, 36, 45.0, 45.5, 24.6, 17.1, k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4)
 FLANGE_FROM_CAMERA = pose.from_rotation_vector((0.7, 0.02, -0.01), (0.001, 0.06, 0.08))
@@ -158,11 +161,34 @@ def test_near_is_measured_in_the_images(two_walls: Callable[..., Scene]) -> None
     assert "triangulated from 12 views" in found.bounds_from
 
 
+def test_triangulated_points_stay_in_the_scene_and_its_exports(two_walls: Callable[..., Scene], tmp_path: Path) -> None:
+    """With what views saw of them: other programs start from these points."""
+    scene = with_measured_near(two_walls())
+    points, colours = scene.points, scene.colours
+    assert points is not None and colours is not None and len(colours) == len(points) > 200
+    assert np.median(errors_px(scene)) < 0.5  # px of pictures that were searched at full size
+    first = scene.sightings.index[:, 1] == 0
+    column, row = scene.sightings.pixels[first].astype(int).T
+    light = images.linear_from_srgb(images.read(scene.views[0].image)[..., 0])
+    blurred = 255 * images.srgb_from_linear(gaussian_filter(light, BLUR_PX)[row, column])
+    told = colours[scene.sightings.index[first, 0], 0]
+    assert np.median(np.abs(blurred - told)) < 5  # the points' colours are means over their views
+    for layout in ("koala", "nerfstudio", "colmap"):
+        if layout == "colmap":
+            pytest.importorskip("pycolmap")
+        save_scene(scene, tmp_path / layout, layout)
+        again = load_scene(tmp_path / layout)
+        assert again.points is not None and again.colours is not None
+        order, back = (np.lexsort(np.round(cloud, 9).T) for cloud in (points, again.points))
+        np.testing.assert_allclose(again.points[back], points[order], atol=1e-8)
+        assert np.array_equal(again.colours[back], colours[order])
+
+
 def test_near_stays_where_nothing_can_be_triangulated(two_walls: Callable[..., Scene]) -> None:
     scene = two_walls()
     for view in scene.views:
         images.write(view.image, np.full((150, 200, 3), 0.5))
     found = with_measured_near(scene)
     assert (found.near, found.far, found.bounds_from) == (scene.near, scene.far, scene.bounds_from)
-    assert np.array_equal(found.box, scene.box)
+    assert np.array_equal(found.box, scene.box) and found.points is None
     assert "near is a guess: only 0 points triangulated from 12 views, too few" in found.notes[-1]

@@ -83,10 +83,12 @@ def _scene(folder: Path) -> Scene:
         images.write(depth, np.full((18, 24, 1), 1.0, np.float32))
         views.append(View(f"{index}", CAMERA, matrix, ("train", "test")[index % 2], path, mask, {"depth": depth}))
     index = np.array([[0, 0], [0, 1], [1, 2], [2, 3]])
-    seen = Sightings(tuple(view.name for view in views), index, np.full((4, 2), 5.0), np.zeros((3, 3), np.uint8))
+    seen = Sightings(tuple(view.name for view in views), index, np.full((4, 2), 5.0))
     box = np.array([[-1.0, -1, -1], [1, 1, 1]])
     points = generator.normal(size=(3, 3))
-    return Scene("fuzzed", tuple(views), 0.1, np.inf, box, "white", points=points, sightings=seen)
+    return Scene(
+        "fuzzed", tuple(views), 0.1, np.inf, box, "white", points=points, colours=np.zeros((3, 3), np.uint8), sightings=seen
+    )
 
 
 def _recording(folder: Path) -> None:

@@ -25,8 +25,8 @@ def with_sightings(scene: Scene) -> Scene:
         local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
         index += [[point, number] for point in range(5)]
         pixels.append(view.camera.project(local))
-    seen = Sightings(tuple(v.name for v in scene.views), np.array(index), np.concatenate(pixels), np.zeros((5, 3), np.uint8))
-    return replace(scene, points=points, sightings=seen)
+    seen = Sightings(tuple(v.name for v in scene.views), np.array(index), np.concatenate(pixels))
+    return replace(scene, points=points, colours=np.arange(15, dtype=np.uint8).reshape(5, 3), sightings=seen)
 
 
 def assert_sightings_fit(scene: Scene) -> None:

@@ -29,9 +29,9 @@ def test_their_rules_hold(make_scene: Callable[..., Scene], tmp_path: Path, mask
         assert len({key in frame for frame in frames}) == 1  # all or none
     assert ("mask_path" in frames[0]) == mask
     listed = {f"{split}_filenames": content[f"{split}_filenames"] for split in ("train", "val", "test")}
-    assert sorted(name for names in listed.values() for name in names) == [
-        frame["file_path"] for frame in frames
-    ]  # each entry among the frames, once
+    held_out = listed.pop("val_filenames")
+    assert held_out == listed["test_filenames"]  # none of the three may be empty
+    assert sorted(name for names in listed.values() for name in names) == [frame["file_path"] for frame in frames]
     assert content["camera_model"] == "OPENCV" and content["aabb_scale"] in [2**n for n in range(8)]
     assert content["applied_transform"] == [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     first = scene.views[0].world_from_camera @ OPENCV_FROM_OPENGL
@@ -64,3 +64,25 @@ def test_depth_unit_of_the_file(make_scene: Callable[..., Scene], tmp_path: Path
     path.write_text(json.dumps({**content, "depth_unit_scale_factor": -1}))
     with pytest.raises(DatasetError, match="depth_unit_scale_factor is not positive"):
         load_scene(tmp_path / "out")
+
+
+def test_smaller_depth_and_masks_are_there_and_not_mixed(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    """nerfstudio takes them from folders beside `images_N`; half a pixel of surroundings is not the object."""
+    scene = make_scene(Camera(98, 75, 90.0, 90.0, 49.0, 37.0), count=5, mask=True)
+    depth = tmp_path / "depth.exr"
+    values = np.where(np.arange(98)[None, :, None] < 50, 0.4, 0.8) * np.ones((75, 1, 1))
+    images.write(depth, values.astype(np.float32))
+    scene = scene.with_views(tuple(replace(view, truth={"depth": depth}) for view in scene.views))
+    nerfstudio.save(scene, tmp_path / "out", sizes=(4,))
+    for view in scene.views:
+        small, mask = (images.read_stored(tmp_path / "out" / f"{home}_4" / f"{name}.png") for home, name in
+                       (("depths", view.name), ("masks", view.name)))  # fmt: skip
+        assert small.shape[:2] == mask.shape[:2] == (18, 24)
+        assert set(np.unique(small)) == {400, 800} and set(np.unique(mask)) == {0, 255}
+
+
+def test_scenes_without_held_out_views_state_no_splits(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = make_scene(count=5)
+    nerfstudio.save(scene.with_views(tuple(replace(view, split="train") for view in scene.views)), tmp_path / "out")
+    assert not [key for key in json.loads((tmp_path / "out" / "transforms.json").read_text()) if key.endswith("_filenames")]
+    assert load_scene(tmp_path / "out").counts()["train"] == 5  # as the sidecar says

@@ -85,13 +85,9 @@ def scenes(draw: st.DrawFn) -> Callable[[Path], Scene]:
 def _with_points(scene: Scene, random: np.random.Generator) -> Scene:
     index = np.stack([random.permutation(np.repeat(np.arange(5), 2)), np.repeat(np.arange(2), 5)], axis=1)
     index = np.unique(index, axis=0)
-    seen = Sightings(
-        tuple(view.name for view in scene.views),
-        index,
-        random.uniform(0, 16, (len(index), 2)),
-        random.integers(0, 255, (5, 3), np.uint8),
-    )
-    return replace(scene, points=random.normal(size=(5, 3)), sightings=seen)
+    seen = Sightings(tuple(view.name for view in scene.views), index, random.uniform(0, 16, (len(index), 2)))
+    colours = random.integers(0, 255, (5, 3), np.uint8)
+    return replace(scene, points=random.normal(size=(5, 3)), colours=colours, sightings=seen)
 
 
 def through(scene: Scene, layout: str, folder: Path) -> Scene:
@@ -150,7 +146,7 @@ def assert_same_sightings(one: Scene, other: Scene) -> None:
     def rows(scene: Scene) -> Any:
         seen = scene.sightings
         named = [
-            (seen.names[view], *scene.points[point].tolist(), *pixel, *seen.colours[point].tolist())
+            (seen.names[view], *scene.points[point].tolist(), *pixel, *scene.colours[point].tolist())
             for (point, view), pixel in zip(seen.index, seen.pixels.tolist(), strict=True)
         ]
         return sorted(named)

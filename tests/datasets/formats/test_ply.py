@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datasets.core.errors import DatasetError
-from datasets.formats.ply import read_points, write_points
+from datasets.formats.ply import read_cloud, read_points, write_points
 
 POINTS = np.random.default_rng(0).normal(size=(7, 3))
 
@@ -12,6 +12,15 @@ POINTS = np.random.default_rng(0).normal(size=(7, 3))
 def test_points_come_back_to_the_bit(tmp_path: Path) -> None:
     write_points(tmp_path / "a.ply", POINTS)
     assert np.array_equal(read_points(tmp_path / "a.ply"), POINTS)
+
+
+def test_colours_are_read_back_and_no_others_are_invented(tmp_path: Path) -> None:
+    colours = np.array([[0, 128, 255]], np.uint8).repeat(len(POINTS), 0)
+    write_points(tmp_path / "a.ply", POINTS, colours)
+    points, found = read_cloud(tmp_path / "a.ply")
+    assert np.array_equal(points, POINTS) and np.array_equal(found, colours)
+    write_points(tmp_path / "b.ply", POINTS)
+    assert read_cloud(tmp_path / "b.ply")[1] is None
 
 
 def test_another_programs_vertices_with_colours(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_metadata_is_kept(tmp_path: Path) -> None:
 
 def test_camera_of_a_size_that_does_not_divide() -> None:
     small = downscale.camera(Camera(101, 75, 90.0, 90.0, 50.5, 37.5), 4)
-    assert (small.width, small.height, small.cx, small.cy) == (25, 19, 12.5, 9.5)
+    assert (small.width, small.height, small.cx, small.cy) == (25, 18, 12.5, 9.0)
 
 
 def test_streamed_keeps_the_order_and_few_results() -> None:

@@ -27,7 +27,7 @@ def scene() -> Scene:
     views = tuple(View(f"a {k}", CAMERA, matrix, "train", Path("none")) for k, matrix in enumerate(poses))
     index = np.array([(point, view) for point in (0, 1) for view in range(3)] + [(2, 0), (3, 0)])
     local = [(POINTS[p] - poses[v][:3, 3]) @ poses[v][:3, :3] for p, v in index]
-    sightings = Sightings(tuple(v.name for v in views), index, CAMERA.project(local), np.zeros((4, 3), np.uint8))
+    sightings = Sightings(tuple(v.name for v in views), index, CAMERA.project(local))
     box = np.array([[-1.0, -1, -1], [1, 1, 1]])
     return Scene("four", views, 1.0, np.inf, box, "scene", points=POINTS, sightings=sightings)
 

@@ -87,7 +87,7 @@ def test_the_marker_gives_metres_and_up(finished, shots) -> None:
 
 def test_the_scene_has_points_bounds_and_a_test_split(finished) -> None:
     scene = load_scene(finished[1])
-    assert scene.points is not None and scene.sightings is not None and len(scene.sightings.colours) == len(scene.points)
+    assert scene.points is not None and scene.sightings is not None and len(scene.colours) == len(scene.points)
     assert len(scene.points) > 300 and abs(np.median(scene.points[:, 2])) < 0.1
     assert scene.bounds_from == f"{len(scene.points)} points of the model" and 0.5 < scene.near < 2.0
     assert [view.split for view in scene.views] == ["test" if k % 8 == 0 else "train" for k in range(10)]

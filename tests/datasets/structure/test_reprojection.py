@@ -21,7 +21,7 @@ def scene(camera_ring: Callable[..., list[View]]) -> Scene:
     pixels = np.concatenate(
         [v.camera.project((points - v.world_from_camera[:3, 3]) @ v.world_from_camera[:3, :3]) for v in views]
     )
-    sightings = Sightings(tuple(v.name for v in views), index, pixels, np.zeros((20, 3), np.uint8))
+    sightings = Sightings(tuple(v.name for v in views), index, pixels)
     return Scene("ring", tuple(views), 0.1, 9.0, np.array([[0.0, 0, 0], [1, 1, 1]]), "scene", points=points, sightings=sightings)
 
 
