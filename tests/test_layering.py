@@ -14,9 +14,9 @@ import datasets
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("capture", "calib", "datasets", "reconstruct")
 ALLOWED = {package: {package, "datasets", "configs"} for package in PACKAGES} | {"datasets": {"datasets"}}
-VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 2, "rtde_control": 1, "pycolmap": 4}
+VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 3, "rtde_control": 1, "pycolmap": 4}
 """Vendor's library: in how many modules it may be imported. mitsuba: laboratory, scenes of the
-benchmark. pycolmap: writes files, adjusts bundles, matches features, maps."""
+benchmark, proof of assets. pycolmap: writes files, adjusts bundles, matches features, maps."""
 NUMERICS = {"jax", "equinox", "optax", "mitsuba", "pypylon", "rtde_control"}
 
 

@@ -13,6 +13,7 @@ from reconstruct.asset.materials import Textures, textures
 from reconstruct.asset.texels import texels_of
 from reconstruct.asset.unwrap import Unwrapped, unwrap
 from reconstruct.output.mesh import extraction
+from reconstruct.output.mesh.files import points_on
 from reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 FACES, SIZE = 20_000, 1024
 """Default target number of triangles, and texels along a side of the textures."""
+LIT_POINTS = 60_000  # of the surface, for what is in whose light
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,8 @@ def bake(
     """The asset of a trained model with a surface that is there already (world frame)."""
     mesh = unwrap(surface, size)
     texels = texels_of(mesh, size)
-    points = Surface(trained, texels.points, texels.normals)
-    light = points.light()
-    baked = points.baked(light)
+    light = light_around(trained, surface)
+    baked = Surface(trained, texels.points, texels.normals).baked(light)
     frame = base_from_asset(surface.vertices, stands_on)
     about = {
         "run": str(trained.run.path),
@@ -78,6 +79,12 @@ def bake(
     }
     moved = mesh.moved(np.linalg.inv(frame))
     return Asset(trained.scene.name, moved, textures(texels, baked), frame, trained.scene.metric, about), light
+
+
+def light_around(trained: TrainedModel, surface: "trimesh.Trimesh") -> Light:
+    """The light around a trained model with this surface (world frame); the same for the same surface, whatever the textures."""
+    points = points_on(surface, LIT_POINTS)
+    return Surface(trained, np.asarray(points.vertices), np.asarray(points.vertex_normals)).light()
 
 
 def base_from_asset(vertices: Float[np.ndarray, "v 3"], stands_on: str | None = None) -> Float[np.ndarray, "4 4"]:

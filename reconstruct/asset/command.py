@@ -1,4 +1,4 @@
-"""The command that makes an asset of a trained run."""
+"""The commands that make an asset of a trained run, and a picture of the light around it."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +10,9 @@ from reconstruct.options import RunFolder
 from reconstruct.output.commands import StandsOn
 
 app = Typer()
+Faces = Annotated[int, Option(min=100, help="Target number of triangles.")]
+Resolution = Annotated[int, Option(min=16, max=768, help="Grid points along the longest side of the object's box.")]
+Closed = Annotated[bool, Option("--closed/--open", help="Close the surface where it leaves the box.")]
 
 
 def _format(name: str | None) -> str | None:
@@ -30,11 +33,14 @@ _ROBOT = "Write a folder for robot simulators: urdf or mjcf, with convex parts, 
 def asset(
     run: RunFolder,
     out: Annotated[Path, Option("--out", metavar="FILE|FOLDER", help=_FILE)],
-    faces: Annotated[int, Option(min=100, help="Target number of triangles.")] = 20_000,
+    light: Annotated[
+        Path | None, Option("--light", metavar="FILE.exr", help="Also write the light, as 'reconstruct light' does; must be new.")
+    ] = None,
+    faces: Faces = 20_000,
     texture: Annotated[int, Option(min=64, max=8192, help="Width and height of the textures in texels.")] = 1024,
-    resolution: Annotated[int, Option(min=16, max=768, help="Grid points along the longest side of the object's box.")] = 256,
+    resolution: Resolution = 256,
     stands_on: StandsOn = None,
-    closed: Annotated[bool, Option("--closed/--open", help="Close the surface where it leaves the box.")] = True,
+    closed: Closed = True,
     robot: Annotated[str | None, Option("--robot", metavar="urdf|mjcf", callback=_format, help=_ROBOT)] = None,
     mass: Annotated[float | None, Option(min=1e-6, max=1e6, help="With --robot: mass of the object in kg.")] = None,
     density: Annotated[float | None, Option(min=1e-3, max=1e6, help="With --robot: density of the object in kg/m3.")] = None,
@@ -45,27 +51,81 @@ def asset(
     from datasets.core.errors import UsageError
     from datasets.core.files import refuse_existing
     from reconstruct.asset import asset as assets
-    from reconstruct.asset.robot import body as bodies
-    from reconstruct.asset.robot import saving as bodies_saving
-    from reconstruct.asset.robot.mass import Weight
-    from reconstruct.asset.writing import saving
+    from reconstruct.asset.writing import environment, saving
     from reconstruct.output.commands import opened
 
     shape: dict[str, Any] = {"faces": faces, "size": texture, "resolution": resolution, "stands_on": stands_on}
-    if robot is None:
-        if mass is not None or density is not None:
-            raise UsageError("--mass and --density are for --robot", remedy="add --robot urdf or --robot mjcf")
-        save = saving.writer(out)
-        refuse_existing(out)
-        made, _ = assets.make(opened(run), **shape, closed=closed)
-        save(made, out)
-        result, text = saving.summary(made)
-    else:
-        weight = Weight(density, mass)
-        if not closed:
-            raise UsageError("--open is not for --robot", why="an open surface has no mass", remedy="leave --open out")
-        refuse_existing(out)
-        body = bodies.make(opened(run), weight, **shape, parts=parts)
-        bodies_saving.save(body, out, robot)
-        result, text = bodies_saving.summary(body)
+    if robot is not None:
+        if light is not None or not closed:
+            why = "a body for simulators is closed and brings no light"
+            raise UsageError("--light and --open are not for --robot", why=why, remedy="leave them out")
+        _write_body(run, out, robot, (density, mass), parts, shape, as_json)
+        return
+    if mass is not None or density is not None:
+        raise UsageError("--mass and --density are for --robot", remedy="add --robot urdf or --robot mjcf")
+    save = saving.writer(out)
+    refuse_existing(out)
+    if light is not None:
+        refuse_existing(environment.check(light))
+    trained = opened(run)
+    if light is not None:
+        environment.refuse_moving(trained)
+    made, around = assets.make(trained, **shape, closed=closed)
+    save(made, out)
+    if light is not None:
+        environment.save(around, made.base_from_asset, light)
+    result, text = saving.summary(made)
+    files = [str(path) for path in (out, light) if path is not None]
+    console.report({"out": str(out), **result}, as_json=as_json, text="\n".join([text, *files]))
+
+
+def _write_body(
+    run: Path,
+    out: Path,
+    robot: str,
+    weight: tuple[float | None, float | None],
+    parts: int,
+    shape: dict[str, Any],
+    as_json: bool,
+) -> None:
+    """Write the folder of a body for robot simulators."""
+    from datasets.core.files import refuse_existing
+    from reconstruct.asset.robot import body as bodies
+    from reconstruct.asset.robot import saving
+    from reconstruct.asset.robot.mass import Weight
+    from reconstruct.output.commands import opened
+
+    wanted = Weight(*weight)
+    refuse_existing(out)
+    body = bodies.make(opened(run), wanted, **shape, parts=parts)
+    saving.save(body, out, robot)
+    result, text = saving.summary(body)
+    console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
+
+
+@app.command()
+def light(
+    run: RunFolder,
+    out: Annotated[Path, Option("--out", metavar="FILE.exr", help="File to write; must be new.")],
+    height: Annotated[int, Option(min=16, max=4096, help="Rows of the picture; it has twice as many columns.")] = 256,
+    faces: Faces = 20_000,
+    resolution: Resolution = 256,
+    stands_on: StandsOn = None,
+    closed: Closed = True,
+    as_json: console.Json = False,
+) -> None:
+    """Write the light around the object, as its surface mirrors it, as an equirectangular HDR picture."""
+    from datasets.core.files import refuse_existing
+    from reconstruct.asset import asset as assets
+    from reconstruct.asset.writing import environment
+    from reconstruct.output.commands import opened
+    from reconstruct.output.mesh import extraction
+
+    refuse_existing(environment.check(out))
+    trained = opened(run)
+    environment.refuse_moving(trained)
+    surface = extraction.extract(trained, faces=faces, resolution=resolution, stands_on=stands_on, watertight=closed)
+    found = assets.light_around(trained, surface)
+    environment.save(found, assets.base_from_asset(surface.vertices, stands_on), out, height=height)
+    result, text = environment.summary(found)
     console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")

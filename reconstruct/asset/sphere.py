@@ -15,8 +15,11 @@ SUBDIVISIONS = 4  # of an icosahedron: 2562 nodes, 4 degrees apart
 ROUGHNESS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0)
 """Roughness of the lobes. Sharper ones than the first cannot be told apart at the nodes' distance."""
 NEAREST = 3  # nodes between which a direction lies
+AROUND = 40  # nodes of which a perfect mirror shows something
 NODE_WIDTH = np.deg2rad(2.5)
 """Standard deviation of the smallest lobe: what is mirrored by a perfect mirror is known as finely as the nodes are."""
+SMALLEST = NODE_WIDTH / 2
+"""Its alpha: a normal's angle is half the reflection's."""
 
 
 @cache
@@ -34,11 +37,14 @@ def lobes() -> Float[np.ndarray, "levels nodes nodes"]:
     angle = np.arccos(cosine)
     found = np.empty((len(ROUGHNESS), *cosine.shape), np.float32)
     for lobe, roughness in zip(found, ROUGHNESS, strict=True):
-        alpha = np.hypot(roughness**2, NODE_WIDTH / 2)  # a normal's angle is half the reflection's
-        half = np.cos(angle / 2)
-        lobe[:] = np.maximum(cosine, 0) / (half**2 * (alpha**2 - 1) + 1) ** 2
+        lobe[:] = np.maximum(cosine, 0) * _ggx(angle, np.hypot(roughness**2, SMALLEST))
         lobe /= lobe.sum(-1, keepdims=True)
     return found
+
+
+def _ggx(angle: Float[np.ndarray, "..."], alpha: float) -> Float[np.ndarray, "..."]:
+    """Lobe of GGX, up to a factor, at an angle from the mirrored direction, which is twice the normal's."""
+    return 1 / (np.cos(angle / 2) ** 2 * (alpha**2 - 1) + 1) ** 2
 
 
 @cache
@@ -59,6 +65,15 @@ def at(values: Float[np.ndarray, "nodes channels"], directions: Float[np.ndarray
     """Values of nodes in any directions."""
     index, shares = nearest_nodes(directions)
     return np.sum(values[index] * shares[..., None], axis=1)
+
+
+def mirrored_at(
+    values: Float[np.ndarray, "nodes channels"], directions: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n channels"]:
+    """What a perfect mirror shows of the nodes' values in any directions: `lobes` of roughness 0, smooth between the nodes."""
+    distance, index = _tree().query(directions, k=AROUND)
+    shares = _ggx(2 * np.arcsin(np.minimum(distance / 2, 1)), SMALLEST)
+    return np.sum(values[index] * (shares / shares.sum(-1, keepdims=True))[..., None], axis=1)
 
 
 def equirectangular(height: int) -> Float[np.ndarray, "height width 3"]:

@@ -6,12 +6,14 @@ from typing import Annotated
 from typer import Argument, Context, Option, Typer
 
 from datasets.core import console
+from reconstruct.bench.asset.command import asset_command
 from reconstruct.bench.gpu.command import gpu_command
 from reconstruct.options import ModelName, Settings
 
 app = Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
 
 app.command("gpu")(gpu_command)
+app.command("asset")(asset_command)
 
 
 @app.callback()

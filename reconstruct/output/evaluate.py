@@ -5,6 +5,7 @@ RUN/metrics.json    metrics per view and on average, their definitions, and the 
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.console import progress
+from datasets.core.errors import KoalaError
 from datasets.formats import find
 from datasets.imaging import images
 from datasets.imaging.copies import Copies
@@ -45,6 +47,8 @@ EXPOSED = {
 }
 """Definitions for models with gains."""
 ALIGNED_SHOWN = ("psnr", "ssim", "psnr_inside", "ssim_inside", "lpips")  # metrics of aligned views in the summary
+OF_OTHERS = ("asset",)
+"""Keys of metrics.json that other commands add: kept when the same state of a run is evaluated again."""
 TRUE_SURFACE = "truth/object.ply"  # true mesh [m] of the object in a simulated scene
 
 
@@ -77,8 +81,22 @@ def evaluate(
     if truth_mesh.is_file() and trained.scene.metric:
         result |= {"mesh": compare_surface(trained, truth_mesh, stands_on), "mesh_stands_on": stands_on}
         result |= {"mesh_definitions": surface_distance.DEFINITIONS}
+    with suppress(KoalaError):  # a file that cannot be read is replaced
+        result |= {name: values for name, values in _stored(trained).items() if name in OF_OTHERS}
     files.write_json(trained.run.path / METRICS, result)
     return result
+
+
+def current(trained: TrainedModel) -> dict[str, Any]:
+    """The run's metrics if they belong to this state of it; otherwise new ones."""
+    return _stored(trained) or evaluate(trained)
+
+
+def _stored(trained: TrainedModel) -> dict[str, Any]:
+    """The run's metrics.json if it belongs to this state of it; otherwise nothing."""
+    path = trained.run.path / METRICS
+    result = files.read_json(path, kind=FORMAT, version=VERSION) if path.is_file() else {}
+    return result if result.get("steps") == trained.step else {}
 
 
 def _measured(trained: TrainedModel, views: Sequence[View], lpips: Lpips | None) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from datasets.core.console import progress
 from datasets.imaging import images
 from datasets.reports.html import Number, ReportPage
 from reconstruct.output import metrics
-from reconstruct.output.evaluate import FORMAT, METRICS, VERSION, evaluate, read_truth
+from reconstruct.output.evaluate import current, read_truth
 from reconstruct.output.export import brightness_of_depth
 from reconstruct.output.metric_names import NAMES, mesh_note, unit
 from reconstruct.output.trained_model import TrainedModel
@@ -55,7 +55,7 @@ def write(trained: TrainedModel, out: Path, *, calibration: Path | None = None) 
     """
     files.refuse_existing(out)
     calibrated = _calibration_scores(calibration)
-    run, result = trained.run, _measured(trained)
+    run, result = trained.run, current(trained)
     views = trained.scene.split(result["split"])
     chosen = views[:: max(1, len(views) // VIEWS)][:VIEWS]
     page = ReportPage(f"{trained.scene.name}: {run.config.model}", made_by=_commands(run, result, out, calibration))
@@ -103,13 +103,6 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[M
             name, decision = one.name if one.name in record.NAMES else "", "skipped" if one.skipped else "kept"
             body.append((record.in_words(one.name), name, decision, one.evidence, one.saving, one.cost))
         page.table(("what", "name", "decision", "evidence", "saving", "cost"), body)
-
-
-def _measured(trained: TrainedModel) -> dict[str, Any]:
-    """The run's metrics if they belong to this state; otherwise new ones."""
-    path = trained.run.path / METRICS
-    result = files.read_json(path, kind=FORMAT, version=VERSION) if path.is_file() else {}
-    return result if result.get("steps") == trained.step else evaluate(trained)
 
 
 def side_by_side(truth: dict[str, NDArray[np.float32]], picture: Picture) -> dict[str, Pair]:

@@ -48,6 +48,19 @@ def test_eval_render_mesh_and_report_of_a_run(
         assert code == 2 and "already exists" in err and not out
 
 
+def test_light_is_refused_before_anything_is_computed(
+    command: Callable[..., tuple[int, str, str]], make_run: Callable[..., Run], tmp_path: Path
+) -> None:
+    run = make_run().path
+    code, _, err = command("light", run, "--out", tmp_path / "light.png")
+    assert code == 2 and "light is not written as '.png'" in err
+    (tmp_path / "light.exr").write_text("here")
+    code, _, err = command("asset", run, "--out", tmp_path / "a.glb", "--light", tmp_path / "light.exr")
+    assert code == 2 and "already exists" in err and not (tmp_path / "a.glb").exists()
+    code, _, err = command("bench", "asset", run, tmp_path / "a.glb", tmp_path / "light.exr")
+    assert code == 1 and "there is no such asset" in err
+
+
 def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_run: Callable[..., Run], tmp_path: Path) -> None:
     run = make_run().path
     cases = {

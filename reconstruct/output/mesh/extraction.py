@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from datasets.scene import Scene
 from reconstruct.errors import ReconstructError
+from reconstruct.output.mesh.closing import mended
 from reconstruct.output.mesh.field_samples import frontal_colours, grid_axes, predicted_normals, sample_density
 from reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
 from reconstruct.output.mesh.refinement import follow_normals
@@ -43,7 +44,8 @@ def extract(
         resolution: grid points along the longest side of the object's box.
         level: see `LEVEL`; above 0 and below 1.
         watertight: close the surface where it leaves the box, for printing and for volumes.
-        faces: target number of triangles (quadric error, Garland and Heckbert 1997); None keeps all.
+        faces: target number of triangles (quadric error, Garland and Heckbert 1997); None keeps all. A closed surface stays
+            closed, see `closing`.
         stands_on: side of the box, such as "-z", that the object stands on: remove the table top there and whatever enters the
             box through other sides, see `isolation`; None keeps all.
         follow: refine the surface to follow the predicted normals, see `refinement`, of a model that has them.
@@ -78,6 +80,7 @@ def extract(
         mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
     if faces is not None and faces < len(mesh.faces):
         mesh = mesh.simplify_quadric_decimation(face_count=faces)
+    mesh = mended(mesh)
     colours = frontal_colours(trained, mesh.vertices, mesh.vertex_normals)
     world = mesh.vertices / trained.run.normalisation.scale + trained.run.normalisation.centre
     return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)

@@ -1,0 +1,53 @@
+"""An asset on Mitsuba's stage, seen through the cameras of a scene."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from datasets.camera_model import Camera
+from datasets.core.mitsuba_variant import variant
+from datasets.imaging import images
+from datasets.scene import View
+from reconstruct.bench.asset import lens
+from reconstruct.bench.asset.reading import StoredAsset
+from reconstruct.errors import ReconstructError
+
+TRIAL = "reconstruct.bench.asset.trial"
+
+
+class Stage:
+    """An asset in a light, to be looked at by the views of a scene."""
+
+    def __init__(self, asset: StoredAsset, light: Path | Float[np.ndarray, "h w 3"], *, using: str | None = None) -> None:
+        """Load it under a light, from a file or an array of that kind.
+
+        Args:
+            using: a variant of Mitsuba; None: the fastest that works.
+
+        Raises DatasetError: the light cannot be read. ReconstructError: Mitsuba is missing.
+        """
+        self._asset_from_world = np.linalg.inv(asset.base_from_asset)
+        if isinstance(light, Path):
+            images.read(light)  # says what is wrong with it better than the renderer
+        try:
+            self.using = using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
+            from reconstruct.bench.asset.renderer import Renderer
+        except ModuleNotFoundError as error:
+            advice = "pip install 'koala-capture[sim]'"
+            raise ReconstructError("assets are rendered by Mitsuba, which is missing", remedy=advice) from error
+        self._renderer = Renderer(asset, light, using=self.using)
+
+    def picture(self, view: View, camera: Camera, *, paths: int, seed: int) -> Float[np.ndarray, "h w 4"]:
+        """Straight linear light and alpha of a view."""
+        pinhole = lens.pinhole_for(camera)
+        place = self._asset_from_world @ view.world_from_camera
+        linear = lens.through(camera, pinhole, self._renderer.picture(pinhole, place, paths=paths, seed=seed))
+        alpha = np.clip(linear[..., 3:], 0, 1)
+        light = linear[..., :3] / np.maximum(alpha, 0.5 / paths)
+        return np.concatenate([np.maximum(light, 0), alpha], -1)
+
+
+def over_white(picture: Float[np.ndarray, "h w 4"]) -> Float[np.ndarray, "h w 3"]:
+    """sRGB in 0..1 of straight linear light, over white as photographs with an alpha are."""
+    return np.clip(images.srgb_from_linear(picture[..., :3]), 0, 1) * picture[..., 3:] + (1 - picture[..., 3:])
