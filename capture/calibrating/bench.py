@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.calibrating import candidates, loop
+from capture.arms.carrier import Carrier
+from capture.calibrating import loop
 from capture.calibrating.adviser import Adviser
 from capture.calibrating.loop import Goal
 from capture.planning import Obstacles, connect, move_duration, plan
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 FIXED = "calibration"
 """The shipped trajectory of 25 views: what is compared with, and where the camera may be."""
 MAX_VIEWS = 60
-HOME = np.radians([0.0, -90.0, 90.0, -90.0, -90.0, 0.0])  # where the arm starts
+START = np.radians([0.0, -90.0, 90.0, -90.0, -90.0, 0.0])  # where the arm of a rehearsal starts
 
 
 @dataclass(frozen=True)
@@ -53,13 +54,13 @@ class RehearsedArm:
     trajectory: Trajectory
     adviser: Adviser
     obstacles: Obstacles
-    present: Array = field(default_factory=lambda: HOME.copy())
+    present: Array = field(default_factory=lambda: START.copy())
     flown: list[Array] = field(default_factory=list)  # since the last question
     seconds: float = 0.0
     taken: int = 0
 
     def joints(self) -> Array:
-        """(6,) present joint angles [rad]."""
+        """(n,) present joint angles [rad]."""
         return self.present
 
     def take(self, joints: Array) -> None:
@@ -69,7 +70,7 @@ class RehearsedArm:
             self.seconds += move_duration(motion, float(np.abs(corner - self.present).max())) + motion.settle_time_s
             self.present = corner
         self.seconds += self.trajectory.camera.exposure_us * 1e-6 + READOUT_S
-        self.flown.append(candidates.flange(joints))
+        self.flown.append(self.obstacles.carrier.arm.forward(joints))
         self.taken += 1
 
     def ask(self, question: Question) -> Answer:
@@ -81,14 +82,14 @@ class RehearsedArm:
 def run(rigs: int, workers: int, until: Figures, *, done: Callable[[], None] = lambda: None) -> list[Rehearsal]:
     """Rehearse both kinds of session on `rigs` simulated rigs, `workers` at a time. The wanted errors are those of `until`."""
     trajectory = load_trajectory(FIXED)
-    mount = RigDescription().flange_from_camera.matrix()
-    fixed = [view.joints for view in plan(trajectory, mount)]
+    carrier = RigDescription().carrier()
+    fixed = [view.joints for view in plan(trajectory, carrier)]
 
     def several(first: int) -> list[Rehearsal]:
         found = []
         with Adviser("rehearsal", ["--rehearse", "--until", *map(str, until)]) as adviser:
             for rig in range(first, rigs, workers):
-                found.append(_one(rig, trajectory, mount, fixed, adviser, until))
+                found.append(_one(rig, trajectory, carrier, fixed, adviser, until))
                 done()
         return found
 
@@ -97,8 +98,8 @@ def run(rigs: int, workers: int, until: Figures, *, done: Callable[[], None] = l
     return sorted((one for part in parts for one in part), key=lambda one: one.rig)
 
 
-def _one(rig: int, trajectory: Trajectory, mount: Array, fixed: list[Array], adviser: Adviser, until: Figures) -> Rehearsal:
-    obstacles = Obstacles.of(trajectory, mount)
+def _one(rig: int, trajectory: Trajectory, carrier: Carrier, fixed: list[Array], adviser: Adviser, until: Figures) -> Rehearsal:
+    obstacles = Obstacles.of(trajectory, carrier)
     adviser.ask(Question(rehearse=rig))
     arm, before = RehearsedArm(trajectory, adviser, obstacles), []
     for number, joints in enumerate(fixed, 1):
@@ -114,7 +115,7 @@ def _one(rig: int, trajectory: Trajectory, mount: Array, fixed: list[Array], adv
         if views:
             steps.append(_step(arm, answer))
 
-    outcome = loop.run(trajectory, mount, arm, goal, seed=rig, show=show)
+    outcome = loop.run(trajectory, carrier, arm, goal, seed=rig, show=show)
     steps.append(_step(arm, outcome.answer))
     stopped = arm.taken if outcome.reason == loop.REACHED else None
     return Rehearsal(rig, before, steps, outcome.reason, stopped)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from capture import kinematics
+from capture.arms.carrier import Carrier
 from capture.planning import Obstacles
 from capture.planning.solutions import solve
 from capture.trajectory import Trajectory
@@ -36,20 +36,20 @@ class Candidate:
     """One reachable view."""
 
     base_from_flange: Array  # (4, 4) by the nominal kinematics
-    joints: Array  # (n, 6) configurations that take it [rad]
+    joints: Array  # (m, n) configurations that take it [rad]
 
 
-def reach_of(trajectory: Trajectory, mount: Array, base_from_board: Array) -> Reach:
+def reach_of(trajectory: Trajectory, carrier: Carrier, base_from_board: Array) -> Reach:
     """The room that the views of a trajectory take up around a board.
 
     Args:
-        mount: (4, 4) nominal flange_from_camera.
+        carrier: the arm with its camera.
         base_from_board: (4, 4) as found in the first views.
     """
-    places = np.stack([view.camera_pose(mount)[:3, 3] for view in trajectory.viewpoints()])
+    places = np.stack([view.camera_pose(carrier)[:3, 3] for view in trajectory.viewpoints()])
     distances = np.linalg.norm(places - _middle(trajectory, base_from_board), axis=1)
     span = float(distances.min()), float(distances.max())
-    return Reach(places.min(axis=0) - ROOM_M, places.max(axis=0) + ROOM_M, span, Obstacles.of(trajectory, mount))
+    return Reach(places.min(axis=0) - ROOM_M, places.max(axis=0) + ROOM_M, span, Obstacles.of(trajectory, carrier))
 
 
 def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int, count: int = COUNT) -> list[Candidate]:
@@ -69,12 +69,12 @@ def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int
     return found
 
 
-def looking(trajectory: Trajectory, mount: Array, present: Array, count: int) -> list[Array]:
+def looking(trajectory: Trajectory, carrier: Carrier, present: Array, count: int) -> list[Array]:
     """Joint angles of up to `count` views to look for the board from: of the trajectory's own, evenly spread, that can be taken.
 
-    Each is the configuration nearest to the one before, the first to the `present` (6,) joint angles.
+    Each is the configuration nearest to the one before, the first to the `present` (n,) joint angles.
     """
-    obstacles, found = Obstacles.of(trajectory, mount), []
+    obstacles, found = Obstacles.of(trajectory, carrier), []
     views = trajectory.viewpoints()
     for index in np.unique(np.linspace(0, len(views) - 1, count).round().astype(int)):
         solved = solve(views[index], obstacles)
@@ -84,13 +84,8 @@ def looking(trajectory: Trajectory, mount: Array, present: Array, count: int) ->
 
 
 def nearest(joints: Array, present: Array) -> Array:
-    """(6,) of the (n, 6) configurations that needs the shortest motion of the fastest joint."""
+    """(n,) of the (m, n) configurations that needs the shortest motion of the fastest joint."""
     return np.asarray(joints[int(np.abs(joints - present).max(axis=1).argmin())], np.float64)
-
-
-def flange(joints: Array) -> Array:
-    """(4, 4) base_from_flange by the nominal kinematics."""
-    return kinematics.forward(joints)
 
 
 def _middle(trajectory: Trajectory, base_from_board: Array) -> Array:

@@ -20,7 +20,6 @@ from datasets.core.errors import UsageError
 from datasets.recording import MANIFEST, Recording
 
 Array = NDArray[np.float64]
-Six = tuple[float, float, float, float, float, float]
 
 
 class GrowingRecording:
@@ -33,8 +32,8 @@ class GrowingRecording:
 
     def __init__(self, trajectory: Trajectory, rig: Rig, out: Path, adviser: Adviser) -> None:
         self.trajectory, self.rig, self.out, self.adviser = trajectory, rig, Path(out), adviser
-        self._obstacles = Obstacles.of(trajectory, rig.flange_from_camera)
-        self._views: list[Six] = []  # joint angles [deg]
+        self._obstacles = Obstacles.of(trajectory, rig.carrier)
+        self._views: list[list[float]] = []  # joint angles [deg]
         self._resumed = False
 
     def resume(self) -> None:
@@ -58,7 +57,7 @@ class GrowingRecording:
         return len(self._views)
 
     def joints(self) -> Array:
-        """(6,) present joint angles [rad]."""
+        """(n,) present joint angles [rad]."""
         return self.rig.robot.state().joints
 
     def take(self, joints: Array) -> None:

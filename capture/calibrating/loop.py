@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.arms.carrier import Carrier
 from capture.calibrating import candidates
 from capture.calibrating.candidates import Candidate
 from capture.errors import PlanningError
@@ -53,7 +54,7 @@ class Arm(Protocol):
         ...
 
     def joints(self) -> Array:
-        """(6,) present joint angles [rad]."""
+        """(n,) present joint angles [rad]."""
         ...
 
     def take(self, joints: Array) -> None:
@@ -83,15 +84,15 @@ def reached(figures: Figures | None, until: Figures) -> bool:
 
 
 def run(
-    trajectory: Trajectory, mount: Array, arm: Arm, goal: Goal, *, seed: int = 0, show: Callable[[int, Answer], None]
+    trajectory: Trajectory, carrier: Carrier, arm: Arm, goal: Goal, *, seed: int = 0, show: Callable[[int, Answer], None]
 ) -> Outcome:
     """Take views until the goal is reached or nothing helps. Continues where the views that `arm` has already taken end.
 
     Args:
-        mount: (4, 4) nominal flange_from_camera.
+        carrier: the arm with its camera.
         show: called with the number of views and the answer after each view.
     """
-    pool, blind = _Pool(trajectory, mount, seed), 0
+    pool, blind = _Pool(trajectory, carrier, seed), 0
     while True:
         answer = arm.ask(Question(candidates=pool.flanges))
         show(arm.taken, answer)
@@ -103,7 +104,7 @@ def run(
         if arm.taken >= goal.max_views:
             return Outcome(ENOUGH_VIEWS, answer)
         if answer.board is None:
-            reason = _look(trajectory, mount, arm)
+            reason = _look(trajectory, carrier, arm)
         elif blind >= LOST:
             reason = LOST_BOARD
         else:
@@ -118,8 +119,8 @@ def run(
 class _Pool:
     """Candidates, drawn when the board is found and again when its place is known well."""
 
-    def __init__(self, trajectory: Trajectory, mount: Array, seed: int) -> None:
-        self.trajectory, self.mount, self.seed = trajectory, mount, seed
+    def __init__(self, trajectory: Trajectory, carrier: Carrier, seed: int) -> None:
+        self.trajectory, self.carrier, self.seed = trajectory, carrier, seed
         self.found: list[Candidate] = []
         self.well = False  # whether a calibration said where the board is
         self.drawn = False
@@ -136,14 +137,14 @@ class _Pool:
     def draw(self, answer: Answer) -> None:
         """Draw the candidates anew around the board."""
         assert answer.board is not None  # the loop looks for it first
-        reach = candidates.reach_of(self.trajectory, self.mount, answer.board)
+        reach = candidates.reach_of(self.trajectory, self.carrier, answer.board)
         self.found = candidates.draw(self.trajectory, reach, answer.board, self.seed)
         self.well, self.drawn = answer.figures is not None, True
 
 
-def _look(trajectory: Trajectory, mount: Array, arm: Arm) -> str:
+def _look(trajectory: Trajectory, carrier: Carrier, arm: Arm) -> str:
     """Take the next view that looks for the board; the reason why there is none, or nothing."""
-    views = candidates.looking(trajectory, mount, arm.joints(), LOOKS)
+    views = candidates.looking(trajectory, carrier, arm.joints(), LOOKS)
     for joints in views[arm.taken :]:
         try:
             arm.take(joints)

@@ -52,7 +52,7 @@ def run(
         recording = GrowingRecording(trajectory, rig, out, adviser)
         if options.resume:
             recording.resume()
-        outcome = loop.run(trajectory, rig.flange_from_camera, recording, goal, seed=options.seed, show=show)
+        outcome = loop.run(trajectory, rig.carrier, recording, goal, seed=options.seed, show=show)
         return Outcome(outcome.reason, adviser.ask(Question(finish=True)) if outcome.answer.views else outcome.answer)
 
 

@@ -170,8 +170,9 @@ def open_camera(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0,
     from capture.sim.camera import SimulatedCamera, StillArm
     from capture.sim.truth import RigTruth
 
-    mount = description.flange_from_camera.matrix()
-    arm = StillArm(trajectory.viewpoints()[view].camera_pose(mount) @ pose.inverse(mount))
+    carrier = description.carrier()
+    mount = carrier.flange_from_camera
+    arm = StillArm(trajectory.viewpoints()[view].camera_pose(carrier) @ pose.inverse(mount))
     with SimulatedCamera(trajectory, scene, RigTruth.draw(mount, seed), arm, seed, flaws_of(description)) as simulated:
         yield simulated
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
+from capture.arms.carrier import Carrier
 from capture.calibrating.adviser import Adviser
 from capture.calibrating.bench import RehearsedArm
 from capture.planning import Obstacles
@@ -12,12 +12,12 @@ from capture.rig.description import RigDescription
 from capture.trajectory import Trajectory, load_trajectory
 from datasets.advice import Question
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+CARRIER = RigDescription().carrier()
 
 
 @pytest.fixture
-def mount() -> np.ndarray:
-    return MOUNT
+def carrier() -> Carrier:
+    return CARRIER
 
 
 @pytest.fixture(scope="session")
@@ -35,4 +35,4 @@ def running() -> Iterator[Adviser]:
 def arm(running: Adviser, trajectory: Trajectory) -> RehearsedArm:
     """At the start of a session of rig 1."""
     running.ask(Question(rehearse=1))
-    return RehearsedArm(trajectory, running, Obstacles.of(trajectory, MOUNT))
+    return RehearsedArm(trajectory, running, Obstacles.of(trajectory, CARRIER))

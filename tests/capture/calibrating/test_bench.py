@@ -52,10 +52,10 @@ def test_report_has_every_step(tmp_path):
     assert json.loads(json.dumps(bench_report.plain({**summary, "views_share": np.inf})))["views_share"] is None
 
 
-def test_flights_take_as_long_as_planned_ones(trajectory, mount, arm):
+def test_flights_take_as_long_as_planned_ones(trajectory, carrier, arm):
     from capture.planning import duration, plan
 
-    planned = plan(trajectory, mount)[:4]
+    planned = plan(trajectory, carrier)[:4]
     arm.present = planned[0].joints
     for view in planned:
         arm.take(view.joints)

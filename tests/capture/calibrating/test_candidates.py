@@ -14,9 +14,9 @@ BOARD = pose.from_rotation_vector([np.pi, 0.0, 0.0], [0.265, 0.105, 0.003])
 def drawn(trajectory):
     from capture.rig.description import RigDescription
 
-    mount = RigDescription().flange_from_camera.matrix()
-    reach = candidates.reach_of(trajectory, mount, BOARD)
-    return reach, candidates.draw(trajectory, reach, BOARD, 0, 60), mount
+    carrier = RigDescription().carrier()
+    reach = candidates.reach_of(trajectory, carrier, BOARD)
+    return reach, candidates.draw(trajectory, reach, BOARD, 0, 60), carrier
 
 
 def test_the_arm_can_take_every_candidate(drawn):
@@ -30,11 +30,11 @@ def test_the_arm_can_take_every_candidate(drawn):
 
 
 def test_candidates_see_the_board_from_where_the_trajectory_goes(drawn, trajectory):
-    reach, found, mount = drawn
-    cameras = np.stack([one.base_from_flange @ mount for one in found])
+    reach, found, carrier = drawn
+    cameras = np.stack([one.base_from_flange @ carrier.flange_from_camera for one in found])
     places = cameras[:, :3, 3]
     assert (places >= reach.low - 1e-9).all() and (places <= reach.high + 1e-9).all()
-    views = np.stack([view.camera_pose(mount)[:3, 3] for view in trajectory.viewpoints()])
+    views = np.stack([view.camera_pose(carrier)[:3, 3] for view in trajectory.viewpoints()])
     assert (places >= views.min(0) - candidates.ROOM_M - 1e-9).all() and (places <= views.max(0) + candidates.ROOM_M + 1e-9).all()
     in_board = pose.inverse(BOARD) @ cameras
     tilt = np.arccos(in_board[:, 2, 2])
@@ -52,22 +52,22 @@ def test_the_same_seed_draws_the_same(drawn, trajectory):
 
 
 def test_the_workspace_bounds_the_candidates(drawn, trajectory):
-    _, _, mount = drawn
+    _, _, carrier = drawn
     low, high = np.array([[0.1, 0.0, 0.0], [0.7, 0.3, 0.5]])  # half of what the trajectory takes up
     room = Box(centre=tuple((low + high) / 2), size=tuple(high - low))
     narrow = trajectory.model_copy(update={"safety": trajectory.safety.model_copy(update={"workspace": room})})
-    reach = candidates.reach_of(narrow, mount, BOARD)
+    reach = candidates.reach_of(narrow, carrier, BOARD)
     found = candidates.draw(narrow, reach, BOARD, 0, 20)
     assert found
     for one in found:
-        assert (Obstacles.of(narrow, mount).margin(one.joints) >= 0).all()
+        assert (Obstacles.of(narrow, carrier).margin(one.joints) >= 0).all()
 
 
-def test_looking_views_are_the_trajectorys_own(trajectory, mount):
+def test_looking_views_are_the_trajectorys_own(trajectory, carrier):
     home = np.radians([0.0, -90.0, 90.0, -90.0, -90.0, 0.0])
-    found = candidates.looking(trajectory, mount, home, 8)
+    found = candidates.looking(trajectory, carrier, home, 8)
     assert len(found) == 8
-    own = np.stack([view.camera_pose(mount) for view in trajectory.viewpoints()])
+    own = np.stack([view.camera_pose(carrier) for view in trajectory.viewpoints()])
     for joints in found:
-        camera = candidates.flange(joints) @ mount
+        camera = carrier.base_from_camera(joints)
         assert np.linalg.norm(own[:, :3, 3] - camera[:3, 3], axis=1).min() < 1e-6
