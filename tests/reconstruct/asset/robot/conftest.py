@@ -1,6 +1,7 @@
 """Bodies of simple shapes, whose mass and inertia are known in closed form."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,12 @@ from reconstruct.asset.unwrap import unwrap
 
 PLACE = pose.from_rotation_vector([0, 0, 0.4], [0.4, -0.1, 0.02])
 """Where the shapes stand in the robot's base, which their frame must not depend on."""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its log into the working directory."""
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
