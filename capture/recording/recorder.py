@@ -24,6 +24,7 @@ from datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recor
 
 BYTES = {"rgb8": (3, 3), "bayer8": (3, 3), "bayer12": (6, 2), "mono8": (1, 1), "mono12": (2, 2)}
 """Bytes of a pixel: of the developed picture, and of each exposure beside it."""
+RAW = ("bayer12", "mono12")  # formats whose values are kept as the sensor read them
 FRAME_BYTES = 16_384  # room for the line of a frame, and for what a file takes beyond its pixels
 TRUTH_BYTES = 4 * 11  # room per pixel for the maps of a simulated test view: normals, depth, opacity, two parts of the light
 
@@ -81,8 +82,8 @@ def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: lis
                 rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
             arrived_ns = time.monotonic_ns()
             previous = name
-            frame, taken = _expose(recording, rig, numbers[name], view, arrived_ns, trajectory)
-            writer.put(frame, taken)
+            frame, exposures = _expose(recording, rig, numbers[name], view, arrived_ns, trajectory)
+            writer.put(frame, exposures)
     return recording
 
 
@@ -177,7 +178,8 @@ def _size(trajectory: Trajectory, splits: list[str], *, truth: bool) -> int:
     """Largest number of bytes that pictures take, and with `truth` the maps of test views."""
     camera = trajectory.camera
     developed, read = BYTES[camera.pixel_format]
-    picture = camera.width * camera.height * (developed + read * camera.brackets) + FRAME_BYTES
+    beside = camera.brackets if camera.pixel_format in RAW else camera.brackets - 1  # else the image is the first exposure
+    picture = camera.width * camera.height * (developed + read * beside) + FRAME_BYTES
     maps = camera.width * camera.height * TRUTH_BYTES * truth
     return len(splits) * picture + splits.count("test") * maps
 

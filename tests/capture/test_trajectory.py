@@ -130,7 +130,7 @@ views:
         ("{kind: poses, poses: []}", "views.0.poses"),
         ("{kind: poses, poses: [{position: [0.4, 0, 0.1]}]}", "give either look_at or quaternion_wxyz"),
         ("{kind: poses, poses: [{position: [0.4, 0, 0.1], look_at: [0.4, 0, 0.1]}]}", "position and look_at coincide"),
-        ("{kind: joints, joints_deg: [[0, 0, 0, 0, 0]]}", "joints_deg"),
+        ("{kind: joints, joints_deg: [[]]}", "joints_deg"),
         ("{target: [0.4, 0, 0.1]}", "kind"),
     ],
 )
@@ -145,7 +145,7 @@ def test_a_wrong_group_of_views_is_named(tmp_path, group, expected):
     [
         ("camera.binning=0", "camera.binning"),
         ("camera.exposure_us=-1", "camera.exposure_us"),
-        ("camera.pixel_format=rgb16", "'rgb8', 'bayer8' or 'bayer12'"),
+        ("camera.pixel_format=rgb16", "'rgb8', 'bayer8', 'bayer12', 'mono8' or 'mono12'"),
         ("camera.pixelformat=rgb8", "did you mean 'pixel_format'?"),
         ("motion.speed=4", "motion.speed"),
         ("motion.order=fastest", "'given' or 'shortest'"),

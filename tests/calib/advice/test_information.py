@@ -45,7 +45,7 @@ def test_views_that_show_too_little_tell_nothing(known):
     away = flown.copy()
     away[1] = flown[1] @ pose.from_rotation_vector([np.pi, 0, 0])  # looks the other way: corners behind the camera
     aside = flown[2].copy()
-    aside[:3, 3] += [0.2, 0, 0]
+    aside[:3, 3] += [0.4, 0, 0]  # as far as the board is away
     away[2] = aside
     told = information.informations(known, away)
     assert told[0] is not None and told[1] is None and told[2] is None

@@ -32,9 +32,8 @@ def session() -> tuple[Trajectory, list[PlannedView]]:
 
 
 def begin(path: Path, trajectory: Trajectory) -> Recording:
-    return Recording.create(
-        path, {"trajectory": trajectory.model_dump(mode="json"), "rig": {"name": "sim", "flange_from_camera": {}}}
-    )
+    rig = {"name": "sim", "flange_from_camera": RigDescription().flange_from_camera.model_dump(mode="json")}
+    return Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
 
 
 def take(recording: Recording, planned: list[PlannedView], index: int, grey: int) -> None:

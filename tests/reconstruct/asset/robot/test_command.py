@@ -81,7 +81,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], run: P
         (run, *out, "--robot", "sdf", "--mass", 1): "there is no robot format 'sdf'; valid: mjcf, urdf",
         (run, *out, "--robot", "urdf"): "needs either a mass or a density (neither was given)",
         (run, *out, "--robot", "urdf", "--mass", 1, "--density", 1): "(both were given)",
-        (run, *out, "--robot", "urdf", "--mass", 1, "--open"): "--open is not for --robot",
+        (run, *out, "--robot", "urdf", "--mass", 1, "--open"): "--light and --open are not for --robot",
         (run, *out, "--mass", 1): "--mass and --density are for --robot",
         (run, "--out", run, "--robot", "urdf", "--mass", 1): "already exists",
     }
