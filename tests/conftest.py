@@ -34,6 +34,8 @@ CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "
 """Cache of this suite only: compiled programs are shared between tests and workers."""
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+os.environ.setdefault("KOALA_RENDERER", "scalar_rgb")
+"""One variant of Mitsuba for the whole suite: two of them in one process end it."""
 
 _NUMERICS = (
     "numerics",
