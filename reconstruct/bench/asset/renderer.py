@@ -16,10 +16,10 @@ from jaxtyping import Float, Int
 
 from datasets.camera_model import Camera
 from reconstruct.bench.asset.reading import StoredAsset
+from reconstruct.bench.sensor import MITSUBA_FROM_OPENCV, pinhole
 
 EDGES = 6
 """Most edges of a light path: the asset mirrors itself."""
-MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 ASSET_FROM_SURROUNDINGS = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 """Mitsuba's surroundings have z in the middle column and -x to the right of it; ours x, and z to the right."""
 GLASS = 0.5  # of `principled`: reflectance 0.04
@@ -96,25 +96,7 @@ def _texture(values: Float[np.ndarray, "h w channels"]) -> dict[str, Any]:
 
 
 def _sensor(camera: Camera, asset_from_camera: Float[np.ndarray, "4 4"]) -> Any:
-    film = {
-        "type": "hdrfilm",
-        "width": camera.width,
-        "height": camera.height,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgba",
-        "component_format": "float32",
-    }
-    sensor = {
-        "type": "perspective",
-        "film": film,
-        "sampler": {"type": "multijitter"},
-        "near_clip": 1e-3,
-        "far_clip": 1e4,
-        "fov_axis": "x",
-        "fov": float(np.rad2deg(2 * np.arctan(0.5 * camera.width / camera.fx))),
-        "to_world": _transform(asset_from_camera @ MITSUBA_FROM_OPENCV),
-    }
-    return mi.load_dict(sensor)
+    return mi.load_dict(pinhole(camera, _transform(asset_from_camera @ MITSUBA_FROM_OPENCV), clip=(1e-3, 1e4)))
 
 
 def _transform(matrix: Float[np.ndarray, "4 4"]) -> Any:

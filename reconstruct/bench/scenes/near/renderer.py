@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from datasets.camera_model import Camera
 from reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
 from reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
+from reconstruct.bench.sensor import MITSUBA_FROM_OPENCV, pinhole
 from reconstruct.errors import ReconstructError
 
 EDGES, CLEAR_EDGES = 6, 12
@@ -27,7 +28,6 @@ SHARP = 1e6
 """Concentration of a lobe that leaves the room's light as it is."""
 ROOM_SIZE = (128, 256)
 """Rows and columns of the picture of the room."""
-MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 SCENE_FROM_ROOM = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
 """Mitsuba's surroundings have their zenith along y."""
 COLOUR = {"type": "mesh_attribute", "name": "vertex_colour"}
@@ -167,25 +167,7 @@ def _blended(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
 
 
 def _sensor(camera: Camera, scene_from_camera: NDArray[np.float64]) -> Any:
-    film = {
-        "type": "hdrfilm",
-        "width": camera.width,
-        "height": camera.height,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgba",
-        "component_format": "float32",
-    }
-    sensor = {
-        "type": "perspective",
-        "film": film,
-        "sampler": {"type": "multijitter"},
-        "near_clip": 0.05,
-        "far_clip": 100.0,
-        "fov_axis": "x",
-        "fov": float(np.rad2deg(2 * np.arctan(0.5 * camera.width / camera.fx))),
-        "to_world": _transform(scene_from_camera @ MITSUBA_FROM_OPENCV),
-    }
-    return mi.load_dict(sensor)
+    return mi.load_dict(pinhole(camera, _transform(scene_from_camera @ MITSUBA_FROM_OPENCV), clip=(0.05, 100.0)))
 
 
 def _transform(matrix: NDArray[np.float64]) -> Any:
