@@ -55,6 +55,11 @@ class CameraSettings(Schema):
     offset_y: int | None = Field(default=None, ge=0, description="upper edge of the region after binning [px]; default: centred")
 
     @property
+    def keeps_raw(self) -> bool:
+        """Whether the values of the sensor are kept beside the developed picture."""
+        return self.pixel_format.endswith("12")
+
+    @property
     def exposures_us(self) -> list[float]:
         """Exposure times of a view, longest first [us]."""
         return [self.exposure_us / self.bracket_factor**step for step in range(self.brackets)]

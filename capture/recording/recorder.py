@@ -24,7 +24,6 @@ from datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recor
 
 BYTES = {"rgb8": (3, 3), "bayer8": (3, 3), "bayer12": (6, 2), "mono8": (1, 1), "mono12": (2, 2)}
 """Bytes of a pixel: of the developed picture, and of each exposure beside it."""
-RAW = ("bayer12", "mono12")  # formats whose values are kept as the sensor read them
 FRAME_BYTES = 16_384  # room for the line of a frame, and for what a file takes beyond its pixels
 TRUTH_BYTES = 4 * 11  # room per pixel for the maps of a simulated test view: normals, depth, opacity, two parts of the light
 
@@ -178,7 +177,7 @@ def _size(trajectory: Trajectory, splits: list[str], *, truth: bool) -> int:
     """Largest number of bytes that pictures take, and with `truth` the maps of test views."""
     camera = trajectory.camera
     developed, read = BYTES[camera.pixel_format]
-    beside = camera.brackets if camera.pixel_format in RAW else camera.brackets - 1  # else the image is the first exposure
+    beside = camera.brackets if camera.keeps_raw else camera.brackets - 1  # else the image is the first exposure
     picture = camera.width * camera.height * (developed + read * beside) + FRAME_BYTES
     maps = camera.width * camera.height * TRUTH_BYTES * truth
     return len(splits) * picture + splits.count("test") * maps
