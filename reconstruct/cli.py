@@ -37,20 +37,32 @@ def backend(as_json: console.Json = False) -> None:
 def view(
     path: Annotated[Path, Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
     mesh: Annotated[Path | None, Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
+    asset: Annotated[
+        Path | None, Option(metavar="FILE.glb", help="Asset to show beside the model, written by 'reconstruct asset'.")
+    ] = None,
+    light: Annotated[Path | None, Option(metavar="FILE.exr", help="Light of the asset; the page turns it.")] = None,
     port: console.Port = 8080,
     as_json: console.Json = False,
 ) -> None:
     """Explore a run in the browser, during training or afterwards."""
+    from datasets.core.errors import UsageError
     from datasets.page import open_page
     from reconstruct.backend import cache_compilations
     from reconstruct.run import RUN, Run
 
+    if (asset is None) != (light is None):
+        remedy = "reconstruct asset RUN --out FILE.glb --light FILE.exr writes both"
+        raise UsageError("an asset is shown under its light: give both", where="--asset, --light", remedy=remedy)
+    if asset is not None and not (path / RUN).is_file():
+        raise UsageError("an asset is shown beside the model of a run, and this is a scene", where=path, remedy="give the run")
     cache_compilations()
     with open_page(path.name, port) as page:
         if (path / RUN).is_file():
             from reconstruct.page.run_page import show
+            from reconstruct.page.wipe import lit_asset
 
-            show(page, Run.open(path), mesh=mesh)
+            lit = lit_asset(asset, light) if asset is not None and light is not None else None
+            show(page, Run.open(path), mesh=mesh, asset=lit)
         else:
             from datasets.formats import load_scene
             from datasets.page.view import show as show_scene

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 from viser import uplot
 
 from datasets.page import Page, PicturePanel, shapes
@@ -27,6 +26,7 @@ from reconstruct.page.compose import Values, Viewpoint
 from reconstruct.page.path_editor import PathEditor
 from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoint_of
 from reconstruct.page.status import curves, is_training, skips_text, status_text
+from reconstruct.page.wipe import LitAsset, Wipe
 from reconstruct.rendering.pictures import taken
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.training.pace.pause import PauseRequests
@@ -47,7 +47,7 @@ logger = logging.getLogger(__name__)
 class RunPage:
     """The page of one run."""
 
-    def __init__(self, page: Page, run: Run, mesh: Path | None) -> None:
+    def __init__(self, page: Page, run: Run, mesh: Path | None, asset: LitAsset | None = None) -> None:
         self.page, self.run, self.scene = page, run, run.scene()
         self.train_views = self.scene.split("train")
         self.trained: TrainedModel | None = None
@@ -55,7 +55,6 @@ class RunPage:
         centre, spread = bounds.focus(matrices)
         self.centre = centre if spread > bounds.PARALLEL else self.scene.box.mean(0)
         self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
-        self._photograph: tuple[str, NDArray[np.float32]] | None = None
         self._surface: viser.SceneNodeHandle | None = None
         self._sending = threading.Lock()
         """Held while a picture is sent or removed, so that none arrives after its channel was left."""
@@ -63,10 +62,10 @@ class RunPage:
         self.loop = RenderLoop(page, self._paint, moved=self._moved)
         first = self.train_views[0]
         self.page.look(first.world_from_camera[:3, 3], self.centre, up=shapes.upright(list(matrices)), size=self.reach)
-        self._panel()
+        self._panel(asset)
         self._draw(mesh)
 
-    def _panel(self) -> None:
+    def _panel(self, asset: LitAsset | None) -> None:
         gui = self.page.gui
         self._state = gui.add_markdown("*waiting for a checkpoint*")
         self.channel = gui.add_dropdown("channel", (*compose.CHANNELS, NOTHING))
@@ -74,10 +73,10 @@ class RunPage:
         hint = "a lower value leaves more time for training"
         self.sharpest_training = gui.add_slider("sharpness while it trains", 0, len(LEVELS), 1, 2, hint=hint)
         self.pace = gui.add_slider("training while I move [%]", 0, 100, 10, 30, hint="0 pauses it, 100 does not slow it down")
-        self.wipe = gui.add_checkbox("wipe against the nearest training image", False)
-        self.share = gui.add_slider("wipe at", 0.0, 1.0, 0.01, 0.5)
-        for element in (self.channel, self.sharpest, self.sharpest_training, self.wipe, self.share):
+        for element in (self.channel, self.sharpest, self.sharpest_training):
             element.on_update(lambda event: self._changed())
+        self.wipe = Wipe(gui, self.train_views, self.reach, asset)
+        self.wipe.on_update(self._changed)
         gui.add_button("go to the nearest training view").on_click(lambda event: self._go(event.client))
         furthest, step = rounded_up(2 * self.reach)
         unit = " [m]" if self.scene.metric else ""
@@ -204,23 +203,13 @@ class RunPage:
         if values is None or cancelled():
             return
         picture = compose.enlarged(compose.picture_of(channel, values), WIDTH)
-        if self.wipe.value:
-            picture = compose.wiped(picture, self._photograph_from(viewpoint, picture), self.share.value)
+        picture = self.wipe.over(picture, viewpoint, rays)
         shown = (255 * picture + 0.5).astype(np.uint8)
         depth = compose.hiding_depth(values) if DEPTHS[0] < self.reach < DEPTHS[1] else None
         with self._sending:
             if self.channel.value == channel:
                 client.scene.set_background_image(shown, format="jpeg", jpeg_quality=85, depth=depth)
         client.flush()
-
-    def _photograph_from(self, viewpoint: Viewpoint, like: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The nearest training image warped to a viewpoint, of the size of another picture."""
-        view = compose.nearest_view(viewpoint, self.train_views, self.reach)
-        if self._photograph is None or self._photograph[0] != view.name:
-            self._photograph = (view.name, view.read())
-        height, width = like.shape[:2]
-        camera = viewpoint.camera(width * height).scaled(width, height)
-        return compose.warped(viewpoint, camera, view, self._photograph[1])
 
     def follow(self) -> None:
         """Load new checkpoints and update the curves until the page ends."""
@@ -274,14 +263,15 @@ def rounded_up(length: float) -> tuple[float, float]:
     return float(np.ceil(length / (10 * step)) * 10 * step), float(step)
 
 
-def show(page: Page, run: Run, *, mesh: Path | None = None) -> RunPage:
+def show(page: Page, run: Run, *, mesh: Path | None = None, asset: LitAsset | None = None) -> RunPage:
     """Show a run on a page; the model appears once it is loaded.
 
     Args:
         run: finished, or trained by another process.
         mesh: file of a mesh in world coordinates to overlay.
+        asset: of the run, to be wiped against the model.
     """
-    shown = RunPage(page, run, mesh)
+    shown = RunPage(page, run, mesh, asset)
     page.in_background(shown.follow)
     page.in_background(shown.loop.run)
     return shown

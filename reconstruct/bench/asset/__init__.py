@@ -1,1 +1,1 @@
-"""An asset's files shown by a foreign renderer, Mitsuba, and compared with the photographs."""
+"""An asset's pictures by a foreign renderer, compared with the photographs."""

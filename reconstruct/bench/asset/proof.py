@@ -11,8 +11,9 @@ from datasets.core import files
 from datasets.core.console import progress
 from datasets.imaging import images
 from datasets.scene import View
-from reconstruct.bench.asset import reading, relighting
-from reconstruct.bench.asset.stage import Stage, over_white
+from reconstruct.asset.stage import reading
+from reconstruct.asset.stage.stage import Stage, over_white
+from reconstruct.bench.asset import relighting
 from reconstruct.output import metrics
 from reconstruct.output.evaluate import METRICS, current, read_truth
 from reconstruct.output.trained_model import TrainedModel

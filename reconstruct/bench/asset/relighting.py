@@ -15,9 +15,9 @@ from datasets.core.console import progress
 from datasets.core.errors import UsageError
 from datasets.imaging import images
 from datasets.scene import View
+from reconstruct.asset.stage.reading import StoredAsset
+from reconstruct.asset.stage.stage import Stage, over_white
 from reconstruct.asset.writing import environment
-from reconstruct.bench.asset.reading import StoredAsset
-from reconstruct.bench.asset.stage import Stage, over_white
 from reconstruct.bench.scenes.light import Light
 from reconstruct.bench.scenes.shiny import SCENES
 from reconstruct.bench.scenes.views import Traced

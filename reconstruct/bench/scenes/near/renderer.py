@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.camera_model import Camera
+from reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
 from reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
 from reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
-from reconstruct.bench.sensor import MITSUBA_FROM_OPENCV, pinhole
 from reconstruct.errors import ReconstructError
 
 EDGES, CLEAR_EDGES = 6, 12

@@ -14,8 +14,9 @@ from datasets.imaging import images
 from reconstruct.asset import asset as assets
 from reconstruct.asset.asset import Asset
 from reconstruct.asset.light import Light
+from reconstruct.asset.stage import reading
 from reconstruct.asset.writing import environment, glb
-from reconstruct.bench.asset import proof, reading
+from reconstruct.bench.asset import proof
 from reconstruct.output.evaluate import FORMAT, METRICS, VERSION
 from reconstruct.output.trained_model import TrainedModel
 from tests.reconstruct.conftest import CENTRE, RADIUS

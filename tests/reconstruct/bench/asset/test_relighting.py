@@ -10,8 +10,9 @@ from datasets import pose
 from datasets.core.errors import UsageError
 from datasets.core.mitsuba_variant import SURE
 from reconstruct.asset import asset as assets
-from reconstruct.bench.asset import relighting, trial
-from reconstruct.bench.asset.reading import StoredAsset
+from reconstruct.asset.stage import trial
+from reconstruct.asset.stage.reading import StoredAsset
+from reconstruct.bench.asset import relighting
 from reconstruct.bench.scenes.light import Light
 from reconstruct.bench.scenes.shiny import RADIUS_M, chrome_ball
 from reconstruct.bench.scenes.views import Traced

@@ -12,9 +12,9 @@ from datasets.camera_model import Camera
 from datasets.core.mitsuba_variant import SURE
 from reconstruct.asset import sphere
 from reconstruct.asset.light import Light
+from reconstruct.asset.stage import trial
+from reconstruct.asset.stage.reading import StoredAsset
 from reconstruct.asset.writing import environment
-from reconstruct.bench.asset import trial
-from reconstruct.bench.asset.reading import StoredAsset
 
 pytest.importorskip("mitsuba", reason="Mitsuba is absent: pip install 'koala-capture[sim]'")
 CAMERA = Camera(24, 24, 48.0, 48.0, 12.0, 12.0)
@@ -41,11 +41,15 @@ def tile(**changes: Any) -> StoredAsset:
     )
 
 
-def picture(asset: StoredAsset, light: Any, *, from_: tuple[float, ...] = (0.0, 0.0, 3.0), paths: int = 16) -> np.ndarray:
-    from reconstruct.bench.asset.renderer import Renderer
+def picture(
+    asset: StoredAsset, light: Any, *, from_: tuple[float, ...] = (0.0, 0.0, 3.0), paths: int = 16, turn: float = 0.0
+) -> np.ndarray:
+    from reconstruct.asset.stage.renderer import Renderer
 
     place = pose.look_at(np.array(from_), np.zeros(3), up=np.array([0.0, 1, 0]))
-    return Renderer(asset, light, using=SURE).picture(CAMERA, place, paths=paths, seed=0)
+    renderer = Renderer(asset, light, using=SURE)
+    renderer.turn_light(turn)
+    return renderer.picture(CAMERA, place, paths=paths, seed=0)
 
 
 def test_a_metal_in_even_light_has_its_base_colour_where_the_texture_says() -> None:
@@ -82,14 +86,17 @@ def test_normals_of_a_mirrored_chart_mean_the_same() -> None:
     assert np.abs(upright - mirrored)[8:16, 8:16].mean() < 0.03  # noise of 64 paths
 
 
-def test_a_metal_ball_shows_a_lamp_where_it_mirrors_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("turn", [0.0, -1.2])
+def test_a_metal_ball_shows_a_lamp_where_it_mirrors_it(tmp_path: Path, turn: float) -> None:
     lamp = np.array([0.48, 0.6, 0.64])  # in the asset's frame: right of, above and behind the camera
     world = np.array([lamp[0], -lamp[2], lamp[1]])  # z up
     nodes = sphere.nodes()
     light = Light(0.02 + np.exp(400 * (nodes @ world - 1))[:, None] * np.ones(3), np.ones(len(nodes)))
     frame = pose.rigid(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))
     environment.save(light, frame, tmp_path / "light.exr", height=64)
-    found = picture(replace(trial.ball(), roughness=np.full((4, 4, 1), 0.2, np.float32)), tmp_path / "light.exr", from_=(0, 0, 5))
+    ball = replace(trial.ball(), roughness=np.full((4, 4, 1), 0.2, np.float32))
+    found = picture(ball, tmp_path / "light.exr", from_=(0, 0, 5), turn=turn)
+    lamp = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]) @ lamp
     bright = np.clip(found[..., 0] - 0.3 * found[..., 0].max(), 0, None)
     rows, columns = np.indices(bright.shape) + 0.5
     x, y = (float((values * bright).sum() / bright.sum()) - 12 for values in (columns, rows))

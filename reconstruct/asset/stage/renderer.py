@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datasets.camera_model import Camera
-from reconstruct.bench.asset.reading import StoredAsset
-from reconstruct.bench.sensor import MITSUBA_FROM_OPENCV, pinhole
+from reconstruct.asset.stage.reading import StoredAsset
+from reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
 
 EDGES = 6
 """Most edges of a light path: the asset mirrors itself."""
@@ -33,8 +33,20 @@ class Renderer:
         mi.set_log_level(mi.LogLevel.Error)
         around = {"filename": str(light)} if isinstance(light, Path) else {"bitmap": mi.Bitmap(light.astype(np.float32))}
         surroundings = {"type": "envmap", **around, "to_world": _transform(ASSET_FROM_SURROUNDINGS)}
+        self._turned = 0.0
         self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **_shapes(asset)})
         self._light = mi.load_dict({"type": "path", "max_depth": EDGES, "rr_depth": EDGES, "hide_emitters": True})
+
+    def turn_light(self, angle: float) -> None:
+        """Turn the light about the upward axis, counterclockwise seen from above, from how it was loaded [rad]."""
+        if angle == self._turned:
+            return
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turned = np.array([[cosine, 0, sine, 0], [0, 1.0, 0, 0], [-sine, 0, cosine, 0], [0, 0, 0, 1]])
+        values = mi.traverse(self._scene)
+        values["surroundings.to_world"] = _transform(turned @ ASSET_FROM_SURROUNDINGS)
+        values.update()
+        self._turned = angle
 
     def picture(
         self, camera: Camera, asset_from_camera: Float[np.ndarray, "4 4"], *, paths: int, seed: int

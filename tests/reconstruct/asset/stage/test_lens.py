@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datasets.camera_model import Camera
-from reconstruct.bench.asset import lens
+from reconstruct.asset.stage import lens
 
 
 def shown(directions: np.ndarray) -> np.ndarray:

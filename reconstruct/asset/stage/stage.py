@@ -9,11 +9,11 @@ from datasets.camera_model import Camera
 from datasets.core.mitsuba_variant import variant
 from datasets.imaging import images
 from datasets.scene import View
-from reconstruct.bench.asset import lens
-from reconstruct.bench.asset.reading import StoredAsset
+from reconstruct.asset.stage import lens
+from reconstruct.asset.stage.reading import StoredAsset
 from reconstruct.errors import ReconstructError
 
-TRIAL = "reconstruct.bench.asset.trial"
+TRIAL = "reconstruct.asset.stage.trial"
 
 
 class Stage:
@@ -32,11 +32,15 @@ class Stage:
             images.read(light)  # says what is wrong with it better than the renderer
         try:
             self.using = using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
-            from reconstruct.bench.asset.renderer import Renderer
+            from reconstruct.asset.stage.renderer import Renderer
         except ModuleNotFoundError as error:
             advice = "pip install 'koala-capture[sim]'"
             raise ReconstructError("assets are rendered by Mitsuba, which is missing", remedy=advice) from error
         self._renderer = Renderer(asset, light, using=self.using)
+
+    def turn_light(self, angle: float) -> None:
+        """Turn the light about the asset's upward axis, counterclockwise seen from above, from how it was loaded [rad]."""
+        self._renderer.turn_light(angle)
 
     def picture(self, view: View, camera: Camera, *, paths: int, seed: int) -> Float[np.ndarray, "h w 4"]:
         """Straight linear light and alpha of a view."""

@@ -1,0 +1,1 @@
+"""An asset's files shown by a foreign renderer, Mitsuba."""
