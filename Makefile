@@ -47,7 +47,7 @@ test: $(READY)
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 test-all: $(READY)
-	$(BIN)/python -m pytest -q -m 'not hardware'
+	$(BIN)/python -m pytest -q -m 'not hardware' --hypothesis-profile thorough
 
 check: $(READY)
 	$(BIN)/ruff format --check .

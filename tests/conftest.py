@@ -18,6 +18,7 @@ from unittest import mock
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 from datasets import pose
@@ -30,8 +31,9 @@ from datasets.scene import Scene, View
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"
 
-CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(ROOT / ".pytest_cache" / "koala")))
-"""Cache of this suite only: compiled programs are shared between tests and workers."""
+USERS_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+CACHE = Path(os.environ.setdefault("KOALA_CACHE", str(USERS_CACHE / "koala-tests")))
+"""Cache of this suite only: compiled programs are shared between tests, workers and clones. They are found by their content."""
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ.setdefault("KOALA_RENDERER", "scalar_rgb")
@@ -52,6 +54,10 @@ install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.bea
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+settings.register_profile("quick", max_examples=10, deadline=None)
+settings.register_profile("thorough", max_examples=60, deadline=None)
+settings.load_profile("quick")  # `make test-all` takes the other
 
 LONG = (
     "tests/test_pipeline.py",

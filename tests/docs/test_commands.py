@@ -15,6 +15,7 @@ import tomllib
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,12 @@ def quoted_in_sentences(page: Path) -> list[Quoted]:
     return found
 
 
+@cache
+def command_line(package: str) -> Any:
+    """A package's commands."""
+    return typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+
+
 def parse(words: tuple[str, ...], *, mention: bool = False) -> dict[str, Any]:
     """Parse a command against the real command line without running it.
 
@@ -103,7 +110,7 @@ def parse(words: tuple[str, ...], *, mention: bool = False) -> dict[str, Any]:
         AssertionError: the command, an option or a choice does not exist, or a required argument is missing.
     """
     package, *rest = words
-    group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+    group = command_line(package)
     own = {option for parameter in group.params for option in parameter.opts} | {"--help", "-h"}
     while rest and rest[0].startswith("-"):
         assert rest[0] in own, f"{package} has no option {rest[0]}"

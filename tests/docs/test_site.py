@@ -5,6 +5,7 @@ import fnmatch
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,7 @@ def test_every_figure_is_defined() -> None:
     assert not [name for name in {**metrics.DEFINITIONS, **surface_distance.DEFINITIONS} if f"`{name}`" not in text]
 
 
+@cache
 def texts_in_the_source() -> list[list[str]]:
     """The words of every string in the source; `*` stands for a value in a word."""
     texts = []
@@ -65,10 +67,16 @@ def is_message(quoted: str, texts: list[list[str]]) -> bool:
     """Whether a string of the source has these words one after the other."""
     words = quoted.split()
     return any(
-        all(fnmatch.fnmatchcase(word.strip(":,;"), other.strip(":,;")) for word, other in zip(words, text[start:], strict=False))
+        all(alike(word, other) for word, other in zip(words, text[start:], strict=False))
         for text in texts
         for start in range(len(text) - len(words) + 1)
     )
+
+
+def alike(word: str, pattern: str) -> bool:
+    """Whether a word fits one of the source, where `*` stands for anything."""
+    word, pattern = word.strip(":,;"), pattern.strip(":,;")
+    return fnmatch.fnmatchcase(word, pattern) if "*" in pattern else word == pattern
 
 
 def test_quoted_messages_exist() -> None:

@@ -145,10 +145,10 @@ EVERY = [(model, preset) for model in models.names() if model != "finetune" for 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("model", "preset"), FAST)
-def test_a_dozen_short_trainings_stay_finite(model: str, preset: str) -> None:
+def test_short_trainings_stay_finite(model: str, preset: str) -> None:
     rng = np.random.default_rng(7)
     group = Group(*settings_of(rng, model, preset))
-    for pictures in list(PICTURES)[:6]:
+    for pictures in list(PICTURES)[:4]:
         stress(group, rng, pictures)
     pixels = scene_of(rng, "half masked")
     for one, other in zip(*(jax.tree.leaves(group.train(pixels, 3)[0]) for _ in range(2)), strict=True):

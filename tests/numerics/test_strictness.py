@@ -94,7 +94,7 @@ def rays_of(count: int) -> Rays:
     return Rays(origins, directions, jnp.full(count, 1e-3))
 
 
-@pytest.fixture(scope="module", params=["deferred", "sample"])
+@pytest.fixture(scope="module", params=["deferred", pytest.param("sample", marks=pytest.mark.slow)])
 def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
     """A small model, and a compiled function of (model, edges of 16 rays' intervals) to ((total, terms), gradient)."""
     config = load_config(overrides=[*SMALL, f"field.shading={request.param}"])

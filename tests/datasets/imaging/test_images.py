@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from datasets.core.errors import DatasetError, UsageError
@@ -148,7 +148,6 @@ def by_hand(picture: np.ndarray, width: int, height: int) -> np.ndarray:
     return result * width * height / (rows * columns)
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.tuples(*[st.integers(1, 9)] * 4))
 def test_resize_is_the_mean_over_what_a_pixel_covers(sizes: tuple[int, int, int, int]) -> None:
     rows, columns, height, width = sizes

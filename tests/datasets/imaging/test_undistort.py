@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from datasets import pose
@@ -10,7 +10,6 @@ from datasets.imaging.undistort import NEAREST, SMOOTH, pinhole
 LENS = Camera(192, 144, 180.0, 182.0, 100.6, 68.2, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(-0.2, 0.2), st.floats(-2e-3, 2e-3), st.floats(-15, 15), st.floats(-15, 15), st.floats(0.98, 1.02))
 def test_every_pixel_was_seen_and_hardly_any_is_lost(k1: float, p1: float, dx: float, dy: float, aspect: float) -> None:
     source = Camera(192, 144, 180.0, 180.0 * aspect, 96 + dx, 72 + dy, k1=k1, p1=p1)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from reconstruct.kernels import adam
@@ -62,7 +62,6 @@ def test_steps_are_those_of_optax(shape: tuple[int, ...]) -> None:
 
 
 @given(st.integers(0, 100000), st.floats(0, 4))
-@settings(max_examples=30, deadline=None)
 def test_any_count_and_gradients_of_any_size(count: int, sizes: float) -> None:
     assert_alike(arrays((2, 999), sizes), count)
 

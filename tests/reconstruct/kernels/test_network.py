@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from reconstruct.field.mlp import Mlp
@@ -76,7 +76,6 @@ def test_any_size(channels: int, width: int, outputs: int, sensitivity: bool) ->
 NUMBERS = st.sampled_from([0.0, -0.0, 1e-38, 1e-20, 1.0, -3.0, 1e10])
 
 
-@settings(max_examples=40, deadline=None)
 @given(inputs=st.lists(NUMBERS, min_size=1, max_size=40))
 def test_worst_cases(inputs: list[float]) -> None:
     assert_alike(network_of(5, 1, 3, 9), jnp.asarray(np.resize(inputs, (5, 300)), jnp.float32), sensitivity=True)

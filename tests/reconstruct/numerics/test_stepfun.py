@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
@@ -30,7 +30,6 @@ def test_inverse_ladder_is_finite_beyond_its_end() -> None:
     assert np.isfinite(inverse_power_ladder(jnp.array([1.6, 1.67, 2.0, 1e6]), -1.5, 2.0)).all()
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["even", "clustered", "repeated"]), st.floats(0, 1))
 def test_sampled_edges_ascend_and_stay_in_range(seed: int, edges: str, empty: float) -> None:
     rng = np.random.default_rng(seed)

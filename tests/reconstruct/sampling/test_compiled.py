@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from reconstruct.numerics.compiling import jit
@@ -114,7 +114,6 @@ def test_all_empty_and_all_full(value: float) -> None:
 
 
 @given(st.integers(0, 10000), st.floats(0.01, 1.0), st.sampled_from([2, 5, 17, 64]))
-@settings(max_examples=40, deadline=None)
 def test_random_depths(seed: int, share: float, most: int) -> None:
     """A running sum may round across an integer; at most a sample of a thousand changes its step then."""
     rng = np.random.default_rng(seed)

@@ -30,8 +30,15 @@ def results(grid: HashedGrid, scale: jax.Array | None) -> list[Any]:
     return jax.tree.leaves((found, gradient))
 
 
-@pytest.mark.parametrize("kind", [PermutohedralLattice, VoxelGrid])
-@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "extended"),
+    [
+        (PermutohedralLattice, True),
+        (VoxelGrid, False),
+        pytest.param(PermutohedralLattice, False, marks=pytest.mark.slow),
+        pytest.param(VoxelGrid, True, marks=pytest.mark.slow),
+    ],
+)
 def test_both_ways_come_to_the_same(kind: type[HashedGrid], extended: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(native.SWITCH, "off")
     made = kind.create(jax.random.key(1), levels=3, features=4, log2_size=8, coarsest=2.0, finest=64.0)
