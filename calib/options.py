@@ -90,9 +90,18 @@ class Rig(Arm, Pictures):
         from datasets.calibration import Calibration
 
         check_lens(self.lens)
+        self._require_still()
         given = Calibration.load(self.intrinsics) if self.intrinsics is not None else None
         session, camera = self.observe()
         return session, given or camera
+
+    def _require_still(self) -> None:
+        """Raise UsageError for a recording in which a turntable turned the target: it has no single pose in the base."""
+        from datasets.recording import MANIFEST, Recording
+
+        if self.description is None and (self.recording / MANIFEST).is_file() and Recording.open(self.recording).turns:
+            remedy = "record a target that stands still; then 'calib turntable' takes this recording"
+            raise UsageError("the target turned on a table", where=self.recording, remedy=remedy)
 
 
 def allowed_m(allow_mm: float) -> float:

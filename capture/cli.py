@@ -120,8 +120,9 @@ def plan_command(
         refuse_existing(path)
     session = load_trajectory(trajectory, overrides=settings)
     mount = describe(rig).carrier()
+    describe(rig).lights_on(session.lights)
     planned = plan(session, mount)
-    seconds = duration(session, planned)
+    seconds = duration(session, planned, mount.turntable)
     for write, path in drawings:
         title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
         write(planned, Obstacles.of(session, mount), path, title=title)

@@ -106,6 +106,9 @@ class Trajectory(Schema):
     safety: Safety = Field(default_factory=Safety, description="where the arm may not go")
     up: Literal["+z", "-z"] = Field(default="+z", description="axis of the base that points up; -z: the arm hangs")
     object: Box | None = Field(default=None, description="volume of the object, which stands at the centre of the bottom face")
+    lights: list[str] | None = Field(
+        default=None, description="lamps of the rig file that are on, by name; null: all of them. A person switches them"
+    )
     target: Board | None = Field(default=None, description="calibration target, for a calibration session")
     board: PoseDescription | None = Field(
         default=None,
@@ -115,11 +118,16 @@ class Trajectory(Schema):
 
     @model_validator(mode="after")
     def _counts_agree(self) -> Self:
-        count = sum(group.number for group in self.views)
+        for index, group in enumerate(self.views):
+            if group.turntable is not None and (wrong := group.turntable.complaint(group.number)):
+                raise ValueError(f"views, group {index}: {wrong}")
+        count = self.number
         if self.split is not None and self.split.train + self.split.test != count:
             raise ValueError(f"split has {self.split.train} + {self.split.test} views, but 'views' gives {count}")
         if self.split is not None and self.target is not None:
             raise ValueError("a session with a target has no split: remove 'split' or 'target'")
+        if self.lights is not None and len(set(self.lights)) < len(self.lights):
+            raise ValueError(f"lights: one lamp is listed twice: {', '.join(self.lights)}")
         if self.target is not None and self.target.kind != "charuco":
             raise ValueError(f"target: only ChArUco boards can be recorded, not kind {self.target.kind!r}")
         return self
@@ -150,20 +158,42 @@ class Trajectory(Schema):
     @property
     def splits(self) -> list[str]:
         """Split of each view in order: "train" or "test"; "calibration" for all views of a session with a target."""
-        count = sum(group.number for group in self.views)
+        count = self.number
         if self.target is not None:
             return ["calibration"] * count
         test = spread(count, self.split.test) if self.split is not None else frozenset()
         return ["test" if index in test else "train" for index in range(count)]
 
+    @property
+    def turns(self) -> bool:
+        """Whether the object stands on a turntable."""
+        return any(group.turntable is not None for group in self.views)
+
+    @property
+    def number(self) -> int:
+        """Number of views."""
+        return sum(_taken(group) for group in self.views)
+
     def viewpoints(self) -> list[Viewpoint]:
         """Every view in order, named "000", "001", ..."""
-        views = [view for group in self.views for view in group.generate(self.upwards)]
+        views = [view for group in self.views for view in self._turned(group)]
         digits = max(3, len(str(len(views) - 1)))
         return [
             replace(view, name=f"{index:0{digits}d}", split=split)
             for index, (view, split) in enumerate(zip(views, self.splits, strict=True))
         ]
+
+    def _turned(self, group: Views) -> list[Viewpoint]:
+        """The views of a group, at the angles of the turntable if the trajectory has one."""
+        views = group.generate(self.upwards)
+        if group.turntable is not None:
+            return [replace(views[index], turntable=angle) for index, angle in group.turntable.taken(len(views))]
+        return [replace(view, turntable=0.0) for view in views] if self.turns else views
+
+
+def _taken(group: Views) -> int:
+    """How many views a group gives, at all angles of the turntable."""
+    return group.number if group.turntable is None else len(group.turntable.taken(group.number))
 
 
 def recorded_trajectory(recording: Recording) -> Trajectory:

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from capture.arms.carrier import Mount, carrier_of
 from capture.geometry import Vector
+from capture.turning import Turning
 from datasets import pose
 from datasets.core.schema import Schema
 from datasets.kinematics import MAX_JOINTS
@@ -28,6 +29,7 @@ class Viewpoint:
     base_from_camera: NDArray[np.float64] | None = None  # (4, 4) desired camera pose [m]; None if joint angles are given instead
     rolls: tuple[float, ...] = (0.0,)  # equally good turns about the optical axis [rad]; the planner chooses one
     joints: NDArray[np.float64] | None = None  # (n,) angles [rad] of a view that is given by these
+    turntable: float | None = None  # angle of the turntable [rad]; None in a trajectory without one
     name: str = ""  # names sort in the order of the trajectory
     split: str = ""  # "train", "test" or "calibration"
 
@@ -44,7 +46,11 @@ def spread(count: int, chosen: int) -> frozenset[int]:
     return frozenset(int((index + 0.5) * count / chosen) for index in range(chosen))
 
 
-class _Rolled(Schema):
+class _Group(Schema):
+    turntable: Turning | None = Field(default=None, description="angles of the turntable; null: zero, or there is none")
+
+
+class _Rolled(_Group):
     roll_deg: list[float] = Field(default=[0.0], min_length=1, description="allowed turns about the view axis [degrees]")
 
     @property
@@ -213,7 +219,7 @@ class PoseViews(_Rolled):
         return [Viewpoint(view.matrix(up), self._rolls) for view in self.poses]
 
 
-class JointViews(Schema):
+class JointViews(_Group):
     """A list of joint angles."""
 
     kind: Literal["joints"] = Field(description="pattern of the views")

@@ -1,6 +1,8 @@
 """From a recording and a calibration to a scene. The world is the robot's base, the unit the metre.
 
 world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint offsets applied where the calibration has them
+
+Where the object turned on a table, the world is the object's frame of `datasets.turntable`: the base with the table at angle zero.
 """
 
 from dataclasses import replace
@@ -24,11 +26,15 @@ from datasets.imaging.region import Region
 from datasets.recording import FORMAT, MANIFEST, TRUTH, Frame, Recording
 from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from datasets.structure import bounds
+from datasets.structure.lamps import light_of
 from datasets.structure.measure import measured
 
 NEAR_SHARE = 0.25
 """Where the images do not show what is nearest, near is this share of the nearest depth of the object's box: the table may be
 closer than the object."""
+BACKGROUND_STANDS = (
+    "the object turned before a background that stood still: give the images masks of the object; near is not measured"
+)
 
 
 def build(
@@ -52,6 +58,7 @@ def build(
     Raises:
         UsageError: a calibration session, a calibration without a hand-eye pose, an `out` that holds something, or a measured
             response of another camera.
+        DatasetError: the object turned on a table whose axis the calibration does not hold.
         DatasetError: an image is missing, damaged, altered or of another size than the calibrated camera's.
     """
     files.refuse_existing(out)
@@ -68,8 +75,8 @@ def build(
     camera, notes = camera_for(recording, calibration)
     views, maps, response = [], truth_maps(recording.path), recording.response(radiometry)
     with developing(recording, response, out) as developed:
-        for frame in frames:
-            view = _view(recording, frame, camera, calibration.camera_pose(frame.base_from_flange, frame.joints))
+        for frame, world_from_camera in zip(frames, calibration.camera_poses(frames), strict=True):
+            view = _view(recording, frame, camera, world_from_camera)
             truth = {channel: found[frame.name] for channel, found in maps.items() if frame.name in found}
             views.append(developed.picture(replace(view, truth=truth), frame))
             done()
@@ -101,7 +108,11 @@ def _scene(
         "software": {"koala-capture": version("koala-capture")},
     }
     near = NEAR_SHARE * bounds.depth_range(views, box)[0]
-    scene = Scene(name, views, near, np.inf, box, "scene", True, notes=notes, provenance=provenance, bounds_from=evidence)
+    light = light_of(recording, views, calibration.turntable)
+    scene = Scene(name, views, near, np.inf, box, "scene", True, provenance=provenance, bounds_from=evidence)
+    scene = replace(scene, light_frame=light.frame, light_axis=light.axis, notes=(*notes, *light.notes))
+    if recording.turns:
+        return replace(scene, notes=(*scene.notes, BACKGROUND_STANDS))
     return scene if evidence == CAMERAS_ALONE else with_measured_near(scene)  # `load_scene(..., measure=True)` measures all
 
 

@@ -6,6 +6,7 @@ Covariances of poses are (6, 6) over a left perturbation, translation first [m],
 Joint offsets and hand-eye pose are estimated together and are valid only together. `camera_pose` applies both.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -19,6 +20,8 @@ from datasets.core import files
 from datasets.core.errors import DatasetError
 from datasets.imaging.region import Region
 from datasets.kinematics import UR5E, Links
+from datasets.recording import Frame
+from datasets.turntable import Axis
 
 FORMAT, VERSION = "koala-calibration", 1
 _POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
@@ -125,6 +128,8 @@ class Calibration:
     """Pose of the target on the flange, where the camera stands beside the arm."""
     joint_offsets: JointOffsets | None = None
     """Joint offsets of the arm, where they were estimated."""
+    turntable: Axis | None = None
+    """Axis of the turntable on which the object stands, where it was calibrated."""
     region: Region | None = None
     """Region of the sensor that the recorded images show; None where it is not known, as in files of older versions."""
     residuals: dict[str, Any] = field(default_factory=dict)
@@ -152,11 +157,26 @@ class Calibration:
         flange = base_from_flange if self.joint_offsets is None else self.joint_offsets.corrected(base_from_flange, joints)
         return flange @ self.flange_from_camera.matrix
 
+    def camera_poses(self, frames: Sequence[Frame]) -> NDArray[np.float64]:
+        """(n, 4, 4) world_from_camera [m] of frames. The world is the base, or of frames with a turntable the object's frame.
+
+        Raises:
+            DatasetError: there is no hand-eye pose, or the object turned and the axis is not known.
+        """
+        flanges, joints = np.stack([one.base_from_flange for one in frames]), np.stack([one.joints for one in frames])
+        found, angles = self.camera_pose(flanges, joints), [one.turntable_angle or 0.0 for one in frames]
+        if not np.any(angles):
+            return found
+        if self.turntable is None:
+            remedy = "find it in a recording of the board on the table: 'calib turntable'"
+            raise DatasetError("calibration holds no axis of the turntable", why="the object turned", remedy=remedy)
+        return pose.inverse(self.turntable.base_from_object(angles)) @ found
+
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""
         content = {"format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std}
         content |= dict.fromkeys(_POSES[:2]) | {name: value.to_json() for name, value in self.poses.items()}
-        optional = {"joint_offsets": self.joint_offsets, "region": self.region}
+        optional = {"joint_offsets": self.joint_offsets, "turntable": self.turntable, "region": self.region}
         content |= {name: value.to_json() for name, value in optional.items() if value}
         files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})
 
@@ -173,6 +193,8 @@ class Calibration:
                 stored[name] = UncertainPose.from_json(content[name], where=f"{path}, {name}")
         if content.get("joint_offsets"):
             stored["joint_offsets"] = JointOffsets.from_json(content["joint_offsets"], where=f"{path}, joint_offsets")
+        if content.get("turntable"):
+            stored["turntable"] = Axis.from_json(content["turntable"], where=f"{path}, turntable")
         if content.get("region"):
             stored["region"] = Region.from_json(content["region"], where=f"{path}, region")
         for name in ("camera_std", "residuals", "provenance"):

@@ -33,6 +33,10 @@ MAX_BYTES = 2**28
 """Larger lists of frames are refused; one of ten thousand frames has a twentieth of this size."""
 LARGEST = 2**64
 """Limit of every number in a frame; clocks and counters have at most 64 bits."""
+LARGEST_ANGLE = 1e4
+"""Limit of a turntable's angle [rad]: 1600 turns."""
+LEAST_TURN = float(np.radians(0.1))
+"""Angles of a turntable that differ by less are one [rad]."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 RADIOMETRY = "radiometry.npz"
 
@@ -93,6 +97,12 @@ class Frame:
     """The controller's time stamp of that [s]."""
     exposures: tuple[Exposure, ...] = ()
     """What the sensor read, longest exposure first. Empty: the image is all there is."""
+    turntable_angle: float | None = None
+    """The turntable's angle as its controller reported it before the exposure [rad]; None without a turntable."""
+    turntable_angle_after: float | None = None
+    """The same after the exposure [rad]."""
+    lights: tuple[str, ...] | None = None
+    """Names of the lamps of the rig that were on; None where nobody said."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary of the fields, arrays as lists."""
@@ -110,7 +120,9 @@ class Frame:
                 arrays["base_from_flange_after"] = pose.checked(content["base_from_flange_after"], where=where)
                 if not abs(content["robot_time_after_s"]) < LARGEST:
                     raise ValueError(f"robot_time_after_s is {content['robot_time_after_s']!r:.80}")
-            taken = {"exposures": tuple(Exposure.from_json(one) for one in content.get("exposures", ()))}
+            taken: dict[str, Any] = {"exposures": tuple(Exposure.from_json(one) for one in content.get("exposures", ()))}
+            taken |= {name: _angle(content, name) for name in ("turntable_angle", "turntable_angle_after")}
+            taken["lights"] = _names(content.get("lights"))
             for one in fields(cls):
                 if one.default is not MISSING:
                     continue
@@ -229,6 +241,12 @@ class Recording:
         return found
 
     @property
+    def turns(self) -> bool:
+        """Whether the object turned on a table between the frames."""
+        angles = [frame.turntable_angle for frame in self.frames if frame.turntable_angle is not None]
+        return bool(angles and max(angles) - min(angles) > LEAST_TURN)
+
+    @property
     def links(self) -> Links:
         """The nominal chain of the arm; that of the UR5e where the manifest names no arm."""
         content = self.part("arm").get("dh")
@@ -243,6 +261,21 @@ class Recording:
     def image_path(self, frame: Frame) -> Path:
         """Path of a frame's image."""
         return self.path / frame.image
+
+
+def _angle(content: dict[str, Any], name: str) -> float | None:
+    """An angle of a frame's dictionary, where it has one; raises ValueError where it is not credible."""
+    given = content.get(name)
+    if given is not None and not (isinstance(given, int | float) and abs(given) < LARGEST_ANGLE):
+        raise ValueError(f"{name} is {given!r:.80}")
+    return None if given is None else float(given)
+
+
+def _names(given: Any) -> tuple[str, ...] | None:
+    """Names of lamps of a frame's dictionary; raises ValueError where they are none."""
+    if given is not None and not (isinstance(given, list | tuple) and all(isinstance(name, str) for name in given)):
+        raise ValueError(f"lights is {given!r:.80}")
+    return None if given is None else tuple(given)
 
 
 def _lines(path: Path) -> list[str]:

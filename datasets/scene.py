@@ -7,7 +7,7 @@ where the source is metric.
 import unicodedata
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging import images, reduced
 
 SPLITS = ("train", "val", "test")
+LightFrameName = Literal["world", "camera", "turntable"]
+LIGHT_FRAMES: tuple[LightFrameName, ...] = get_args(LightFrameName)
+"""Where lamps stand still: with the object, on the camera, or in a room in which the object turns."""
 CHANNELS = ("normals", "depth", "alpha", "diffuse", "specular")
 """What there can be ground truth of."""
 LIGHT = ("diffuse", "specular")
@@ -260,6 +263,10 @@ class Scene:
     notes: tuple[str, ...] = ()
     """What the reader had to assume or leave out, one line each."""
     provenance: dict[str, Any] = field(default_factory=dict)
+    light_frame: LightFrameName | None = None
+    """One of `LIGHT_FRAMES`; None where the source does not say where the lamps stand still."""
+    light_axis: tuple[float, float, float] | None = None
+    """Unit vector in the world about which the object turned, where `light_frame` is "turntable"."""
     bounds_from: str = STATED
     """Evidence for near, far and box, the box's first: "stated", "cameras alone", or how many points or masks."""
 

@@ -12,6 +12,7 @@ from capture.arms.model import DEFAULT, ArmModel, load_arm
 from capture.arms.parts import Part, Shape
 from capture.geometry import Vector
 from capture.shapes.solids import Solid
+from capture.turntables.description import TurntableDescription
 from datasets.core.schema import Schema
 
 Array = NDArray[np.float64]
@@ -59,6 +60,7 @@ class Carrier:
     body: tuple[CameraCapsule, ...] = BODY
     solids: tuple[Solid, ...] = ()  # what stands around the arm
     cable: Cable | None = None  # None: the cable is no limit
+    turntable: TurntableDescription | None = None  # what turns the object; None: it stands
 
     @cached_property
     def shape(self) -> Shape:

@@ -13,6 +13,7 @@ from capture.calibrating.loop import Goal, Outcome
 from capture.trajectory import Trajectory
 from datasets.advice import Answer, Figures, Question
 from datasets.core import console
+from datasets.core.errors import UsageError
 
 BAR = 24  # characters of the longer bar
 
@@ -43,6 +44,9 @@ def run(
     from capture.doctor.examine import examination
     from capture.rig.opening import open_rig, scene_for
 
+    if trajectory.turns:
+        remedy = "calibrate with a board that stands still, then record calibration_turntable for 'calib turntable'"
+        raise UsageError("a session that chooses its views turns no turntable", where=trajectory.name, remedy=remedy)
     scene = scene_for(options.rig, options.scene, trajectory)
     until = ["--until", *map(str, goal.until)]
     encoded = trajectory.camera.pixel_format == "rgb8"

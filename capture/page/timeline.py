@@ -75,12 +75,12 @@ def of_planned(trajectory: Trajectory, planned: list[PlannedView], mount: Mount)
     """An existing plan."""
     carrier = carrier_of(mount)
     seconds, joints, stops = [], [], []
-    for view, times in zip(planned, arrivals(trajectory, planned), strict=True):
+    for view, times in zip(planned, arrivals(trajectory, planned, carrier.turntable), strict=True):
         seconds += times
         joints += [corner for corner in view.path for _ in range(2)]
         base_from_camera = carrier.base_from_camera(view.joints)
         stops.append(Stop(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
-    notes = (f"{len(planned)} views in about {duration(trajectory, planned):.0f} s",)
+    notes = (f"{len(planned)} views in about {duration(trajectory, planned, carrier.turntable):.0f} s",)
     return Timeline(np.array(seconds), np.array(joints).reshape(-1, carrier.arm.count), tuple(stops), notes)
 
 
@@ -108,6 +108,8 @@ def of_recording(recording: Recording, mount: Mount) -> Timeline:
     for frame, when in zip(frames, seconds, strict=True):
         base_from_camera, image = frame.base_from_flange @ carrier.flange_from_camera, recording.image_path(frame)
         measured = f"exposed for {1e-3 * frame.exposure_us:g} ms, {frame.settle_s:.2f} s after the motion"
+        if frame.turntable_angle is not None:
+            measured += f", turntable at {np.degrees(frame.turntable_angle):.1f} degrees"
         stops.append(Stop(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
     waits = f", without {clock[-1] - seconds[-1]:.0f} s of waiting" if clock[-1] - seconds[-1] > WAIT_S else ""
     count = f"{len(frames)} of {len(trajectory.viewpoints())} views in {seconds[-1]:.0f} s{waits}"

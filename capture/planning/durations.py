@@ -4,6 +4,7 @@ import numpy as np
 
 from capture.planning.plan import PlannedView
 from capture.trajectory import Motion, Trajectory
+from capture.turntables.description import TurntableDescription
 
 READOUT_S = 0.1  # time from the end of an exposure to the start of the next motion
 
@@ -14,20 +15,28 @@ def move_duration(motion: Motion, travel: float) -> float:
     return float(2 * np.sqrt(travel / motion.acceleration) if travel < ramp else (travel + ramp) / motion.speed)
 
 
-def arrivals(trajectory: Trajectory, planned: list[PlannedView]) -> list[list[float]]:
-    """For each view, the arrival at and the departure from each corner of its path [s]. The last is the end of the session."""
+def arrivals(
+    trajectory: Trajectory, planned: list[PlannedView], turntable: TurntableDescription | None = None
+) -> list[list[float]]:
+    """For each view, the arrival at and the departure from each corner of its path [s]. The last is the end of the session.
+
+    The table turns after the arm has arrived.
+    """
     motion, now, previous, found = trajectory.motion, 0.0, None, []
+    angle = 0.0
     for view in planned:
         times: list[float] = []
         for corner in view.path:
             now += move_duration(motion, 0.0 if previous is None else float(np.abs(corner - previous).max()))
             times += [now, now + motion.settle_time_s]
             now, previous = times[-1], corner
+        turned = angle if view.viewpoint.turntable is None else view.viewpoint.turntable
+        now, angle = now + (0.0 if turntable is None else turntable.duration(turned - angle)), turned
         times[-1] = now = now + trajectory.camera.exposure_us * 1e-6 + READOUT_S
         found.append(times)
     return found
 
 
-def duration(trajectory: Trajectory, planned: list[PlannedView]) -> float:
+def duration(trajectory: Trajectory, planned: list[PlannedView], turntable: TurntableDescription | None = None) -> float:
     """Estimated length of a session [s]."""
-    return arrivals(trajectory, planned)[-1][-1] if planned else 0.0
+    return arrivals(trajectory, planned, turntable)[-1][-1] if planned else 0.0

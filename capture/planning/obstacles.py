@@ -12,6 +12,7 @@ from capture.arms.carrier import Carrier, Mount, carrier_of
 from capture.arms.parts import Shape
 from capture.shapes.distances import box_distance, segment_distance, sight_distance
 from capture.trajectory import Trajectory
+from datasets.core.errors import UsageError
 
 Array = NDArray[np.float64]
 
@@ -36,13 +37,22 @@ class Obstacles:
 
     @classmethod
     def of(cls, trajectory: Trajectory, mount: Mount) -> "Obstacles":
-        """Those of a trajectory, for an arm and its camera."""
-        safety, volume = trajectory.safety, trajectory.object
+        """Those of a trajectory, for an arm and its camera. An object that turns is as wide as all of its turn.
+
+        Raises UsageError: the trajectory needs a turntable, and there is none.
+        """
+        safety, volume, table = trajectory.safety, trajectory.object, carrier_of(mount).turntable
+        corners = None if volume is None else volume.corners
+        if trajectory.turns and table is None:
+            remedy = "describe one under 'turntable' in the rig file, or choose a rig that has one"
+            raise UsageError("the rig has no turntable", where=trajectory.name, why="its views turn one", remedy=remedy)
+        if trajectory.turns and table is not None and corners is not None:
+            corners = table.swept(corners)
         return cls(
             mount,
             safety.clearance_m,
             table_z=safety.table_z,
-            object_corners=None if volume is None else volume.corners,
+            object_corners=corners,
             workspace_corners=None if safety.workspace is None else safety.workspace.corners,
             ceiling_z=safety.ceiling_z,
             up=trajectory.upwards,

@@ -37,6 +37,9 @@ class Solutions:
 
 def solve(viewpoint: Viewpoint, obstacles: Obstacles) -> Solutions:
     """Every configuration that takes the view and is clear of the obstacles; without any, the reason."""
+    table = obstacles.carrier.turntable
+    if table is not None and viewpoint.turntable is not None and (beyond := table.outside(viewpoint.turntable)):
+        return Solutions(viewpoint, np.zeros((0, obstacles.carrier.arm.count)), np.zeros(0, np.int64), beyond)
     if viewpoint.joints is not None:
         return _check_given(viewpoint, viewpoint.joints[None], obstacles)
     assert viewpoint.base_from_camera is not None  # a viewpoint has either

@@ -24,6 +24,8 @@ BLURRED = 0.8  # a picture is blurred below this share of the median sharpness o
 MOVED_M, MOVED_RAD = 1e-4, np.radians(0.01)
 """An arm has moved during an exposure when its poses before and after differ by more: a quarter of a pixel for a camera of
 1300 pixels focal length, 0.4 m from the object. Noise of the encoders makes up a tenth of that."""
+TURNED_RAD = np.radians(0.02)
+"""A turntable has moved during an exposure when its angles before and after differ by more: 0.06 mm at 0.18 m from the axis."""
 GAP, GAP_S = 10.0, 60.0
 """A gap between two frames is reported when it exceeds both this multiple of the median and this time: light and
 temperature drift."""
@@ -115,9 +117,14 @@ def _settings(recording: Recording, trajectory: Trajectory) -> list[Finding]:
 
 
 def _motion(frames: list[Frame]) -> list[Finding]:
-    """Exposures before and after which the arm was in different places."""
+    """Exposures before and after which the arm or the turntable was in different places."""
     findings = []
     for frame in frames:
+        if frame.turntable_angle is not None and frame.turntable_angle_after is not None:
+            turned = abs(frame.turntable_angle_after - frame.turntable_angle)
+            if turned > TURNED_RAD:
+                why = f"by {np.degrees(turned):.3f} degrees"
+                findings.append(Finding("the turntable moved during the exposure", frame.name, why))
         if frame.base_from_flange_after is not None:
             distance, angle = map(float, pose.difference(frame.base_from_flange, frame.base_from_flange_after))
             if distance > MOVED_M or angle > MOVED_RAD:

@@ -35,6 +35,7 @@ def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         "arm": rig.carrier.arm.model_dump(mode="json"),
         "camera": {**rig.camera.description(), "lens": rig.description.camera.lens},
         "robot": rig.robot.description(),
+        "turntable": None if rig.turntable is None else rig.turntable.description(),
         "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
         "board": trajectory.target.to_json() if trajectory.target else None,
         "object": volume and {"centre": list(volume.centre), "size": list(volume.size), "box": volume.corners.tolist()},
@@ -67,7 +68,7 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
 
 
 def _anywhere(rig: RigDescription) -> RigDescription:
-    """The rig without address, client and expected settings of its controller, and without the lens, a device by itself.
+    """The rig without addresses, client and expected settings of its controllers, and without the lens, a device by itself.
 
     The measured response is left out too: the recording keeps its own."""
     plain: dict[str, Any] = {"host": "anywhere", "client": "auto", "installation": InstallationDescription()}
@@ -75,4 +76,5 @@ def _anywhere(rig: RigDescription) -> RigDescription:
         rig.robot.model_copy(update=plain),
         rig.camera.model_copy(update={"lens": "", "firmware": "", "radiometry": ""}),
     )
-    return rig.model_copy(update={"robot": robot, "camera": camera, "simulation": None})
+    table = rig.turntable and rig.turntable.model_copy(update={"address": "anywhere", "baud": 115_200, "settle_time_s": 0.0})
+    return rig.model_copy(update={"robot": robot, "camera": camera, "turntable": table, "simulation": None})

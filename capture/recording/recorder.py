@@ -77,13 +77,24 @@ def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: lis
                 continue
             follows = index > 0 and previous == planned[index - 1].viewpoint.name
             path = view.path if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
-            for joints in path:
+            stays = follows and np.array_equal(view.joints, planned[index - 1].joints)
+            for joints in [] if stays else path:
                 rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+            _turn(rig, view)
             arrived_ns = time.monotonic_ns()
             previous = name
             frame, exposures = _expose(recording, rig, numbers[name], view, arrived_ns, trajectory)
             writer.put(frame, exposures)
     return recording
+
+
+def _turn(rig: Rig, view: PlannedView) -> None:
+    """Turn the table to the angle of a view, where it has one."""
+    if view.viewpoint.turntable is None:
+        return
+    if rig.turntable is None:  # a plan is refused before
+        raise UsageError("the rig has no turntable", where=f"view {view.viewpoint.name}")
+    rig.turntable.turn_to(view.viewpoint.turntable)
 
 
 def _expose(
@@ -93,19 +104,22 @@ def _expose(
     name, split, truth, motion = view.viewpoint.name, view.viewpoint.split, rig.ground_truth, trajectory.motion
     if truth is not None:
         truth.prepare(index)
-    state = rig.robot.state()
+    table = None if view.viewpoint.turntable is None else rig.turntable
+    state, angle = rig.robot.state(), table and table.angle()
     image = rig.camera.grab()
     if motion.settle_difference is not None:
         image, state = _still(rig, image, motion, name)
     taken = [image, *_shorter(rig, trajectory.camera)]
-    after = rig.robot.state(newer_than_ns=time.monotonic_ns())
+    after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), table and table.angle()
     settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
     if truth is not None:
         truth.save_truth(recording.path / TRUTH, name, split)
     arm = (state.base_from_flange, state.joints, state.robot_time_s)
     exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
     then = (after.base_from_flange, after.joints, after.robot_time_s)
-    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then), taken
+    turned = {"turntable_angle": angle, "turntable_angle_after": angle_after}
+    lights = rig.description.lights_on(trajectory.lights)
+    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then, **turned, lights=lights), taken
 
 
 def _shorter(rig: Rig, camera: CameraSettings) -> list[Image]:

@@ -11,6 +11,7 @@ from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
 from capture.geometry import PoseDescription
 from capture.shapes.solids import AnySolid, MeshSolid
 from capture.sim.laboratory.flaws import Flaws
+from capture.turntables.description import LampDescription, TurntableDescription
 from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
@@ -96,6 +97,8 @@ class RigDescription(Schema):
         "calib finds the true pose",
     )
     obstacles: list[AnySolid] = Field(default=[], description="what else stands around the arm")
+    turntable: TurntableDescription | None = Field(default=None, description="what turns the object; null: the object stands")
+    lights: list[LampDescription] = Field(default=[], description="the lamps; empty: nobody says where they stand")
     simulation: SimulationDescription | None = Field(default=None, description="only for a simulated rig; null: a real rig")
 
     @property
@@ -121,7 +124,29 @@ class RigDescription(Schema):
         if len(set(names)) < len(names):
             raise UsageError("two obstacles have the same name", why=", ".join(sorted(names)), remedy="rename one of them")
         body = tuple(self.camera.body)
-        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(self.obstacles), cable)
+        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(self.obstacles), cable, self.turntable)
+
+    def lights_on(self, trajectory_lights: list[str] | None) -> tuple[str, ...] | None:
+        """Names of the lamps that are on in a trajectory; None where the rig file names no lamps.
+
+        Args:
+            trajectory_lights: `Trajectory.lights`.
+
+        Raises UsageError: one of them is no lamp of the rig, two lamps have one name, or one stands on a missing turntable.
+        """
+        names = [lamp.name for lamp in self.lights]
+        if len(set(names)) < len(names):
+            raise UsageError("two lamps have the same name", why=", ".join(sorted(names)), remedy="rename one under 'lights'")
+        riding = [lamp.name for lamp in self.lights if lamp.stands == "turntable"]
+        if riding and self.turntable is None:
+            why = "the rig file describes no turntable"
+            raise UsageError(f"lamp '{riding[0]}' stands on the turntable", where="lights", why=why)
+        for name in trajectory_lights or ():
+            if name not in names:
+                why = f"the rig file has {', '.join(names) or 'none'}"
+                remedy = "correct 'lights' in the trajectory, or add the lamp to the rig file"
+                raise UsageError(f"no lamp called '{name}'", where="lights", why=why, remedy=remedy)
+        return (tuple(names) if trajectory_lights is None else tuple(trajectory_lights)) if names else None
 
 
 def recorded_rig(recording: Recording) -> RigDescription:

@@ -1,7 +1,7 @@
 """Opens a rig: a real one that a file describes, or a simulated one that a seed defines."""
 
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 import configs
 from capture.arms.carrier import Carrier
 from capture.rig.description import RigDescription, load_rig
-from capture.rig.protocols import Camera, GroundTruth, Robot
+from capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
+from capture.rig.turning import open_turntable
 from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.core.errors import UsageError
@@ -39,6 +40,7 @@ class Rig:
     name: str  # "sim", "sim:NAME", or the name or path of the rig file
     ground_truth: GroundTruth | None = None  # only in a simulation
     extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
+    turntable: Turntable | None = None  # connected where the trajectory turns the object
 
     @property
     def carrier(self) -> Carrier:
@@ -136,9 +138,11 @@ def open_rig(
         if controller is None:
             from capture.cameras.basler import Basler
 
-            with Basler(trajectory.camera, serial=description.camera.serial) as camera:
-                with _arm(description, trajectory, None, take_over) as robot:
-                    yield Rig(robot, camera, description, name)
+            with ExitStack() as stack:
+                camera = stack.enter_context(Basler(trajectory.camera, serial=description.camera.serial))
+                table, _ = stack.enter_context(open_turntable(description, trajectory, simulated=False))
+                robot = stack.enter_context(_arm(description, trajectory, None, take_over))
+                yield Rig(robot, camera, description, name, turntable=table)
             return
         from capture.sim.camera import SimulatedCamera
         from capture.sim.truth import RigTruth
@@ -146,9 +150,13 @@ def open_rig(
         simulation = description.simulation
         seed = simulation.seed if simulation is not None and simulation.side_port is not None else seed
         truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
-        with SimulatedCamera(trajectory, scene, truth, controller, seed, flaws_of(description)) as simulated:
-            with _arm(description, trajectory, controller, take_over) as robot:
-                yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed})
+        with ExitStack() as stack:
+            turning = open_turntable(description, trajectory, simulated=True, seed=seed, time_scale=time_scale)
+            table, turned = stack.enter_context(turning)
+            camera = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws_of(description), turned)
+            simulated = stack.enter_context(camera)
+            robot = stack.enter_context(_arm(description, trajectory, controller, take_over))
+            yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed}, table)
 
 
 @contextmanager
@@ -267,7 +275,9 @@ def write_simulated_rig(
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
     rig = rig or RigDescription()
     own = {"host": controller.host, **rig.robot.model_dump(mode="json", include={"model"}, exclude_defaults=True)}
-    rest = rig.model_dump(mode="json", include={"camera", "flange_from_camera", "obstacles"}, exclude_defaults=True)
+    rest = rig.model_dump(
+        mode="json", include={"camera", "flange_from_camera", "obstacles", "turntable", "lights"}, exclude_defaults=True
+    )
     content = {"robot": own, **rest, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))
 

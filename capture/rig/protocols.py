@@ -1,6 +1,6 @@
-"""What a robot and a camera must do. The drivers in `robots/` and `cameras/` implement it for real hardware.
+"""What a robot, a camera and a turntable must do. Drivers in `robots/`, `cameras/` and `turntables/` do it for real hardware.
 
-Both are context managers: entering connects completely or leaves nothing open, leaving closes.
+All are context managers: entering connects completely or leaves nothing open, leaving closes.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from capture.measurements import Image, RobotState
 
-__all__ = ["Camera", "GroundTruth", "Image", "Robot", "RobotState"]
+__all__ = ["Camera", "GroundTruth", "Image", "Robot", "RobotState", "Turntable"]
 
 
 class Robot(Protocol):
@@ -56,6 +56,30 @@ class Camera(Protocol):
 
     def description(self) -> dict[str, Any]:
         """What the manifest stores about the camera: model, serial, full state as read back."""
+        ...
+
+
+class Turntable(Protocol):
+    """A table that turns the object to an angle and holds it there."""
+
+    def __enter__(self) -> Self: ...
+    def __exit__(self, *exception: object) -> None: ...
+
+    def turn_to(self, angle: float) -> None:
+        """Turn to an angle [rad], counted over whole turns, and return when the table stands still.
+
+        Raises a CaptureError that says what happened. The table is always stopped then.
+        """
+
+    def angle(self) -> float:
+        """The angle that the controller reports now [rad]. Raises a CaptureError where it does not answer."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the table now. May be called twice and from another thread."""
+
+    def description(self) -> dict[str, Any]:
+        """What the manifest stores about the table: driver, address, version of the controller."""
         ...
 
 

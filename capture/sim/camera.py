@@ -19,6 +19,7 @@ from capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
 from capture.sim.laboratory.lens import Lens, Sensor
 from capture.sim.laboratory.views import make_view
 from capture.sim.truth import RigTruth
+from capture.sim.turntable import SimulatedTurntable
 from capture.trajectory import Trajectory
 from datasets import pose
 from datasets.camera_model import Camera
@@ -85,15 +86,24 @@ class SimulatedCamera:
         arm: gives the true flange poses.
         seed: of textures, flaws and noise. Noise also depends on the frame number, but not on earlier pictures.
         flaws: of sensor, lens and lamps.
+        table: what turns the object before still lamps; None: it stands.
     """
 
     def __init__(
-        self, trajectory: Trajectory, scene: str, truth: RigTruth, arm: TrueArm, seed: int, flaws: Flaws = PERFECT
+        self,
+        trajectory: Trajectory,
+        scene: str,
+        truth: RigTruth,
+        arm: TrueArm,
+        seed: int,
+        flaws: Flaws = PERFECT,
+        table: SimulatedTurntable | None = None,
     ) -> None:
         self.view = make_view(scene, trajectory, seed)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed
-        self._arm, self._frame = arm, 0
+        self._arm, self._frame, self._table = arm, 0, table
         self._base_from_camera: NDArray[np.float64] | None = None
+        self._base_from_object: NDArray[np.float64] = np.eye(4)
         self._driver = Basler(trajectory.camera, emulated=True)
         self._exposure_us, self.flaws = trajectory.camera.exposure_us, flaws
         self._maps: SensorMaps | None = None
@@ -128,6 +138,7 @@ class SimulatedCamera:
         poses = self._arm.exposed(exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
         poses = poses[blur_moments(self.lens.camera, poses)]
         self._base_from_camera = poses[len(poses) // 2]
+        self._base_from_object = np.eye(4) if self._table is None else self._table.base_from_object()
         light = self._light(poses)
         if self.flaws.flicker:
             light = light * np.float32(lamp_light(self.flaws, moment * 1e-9, exposure_us * 1e-6))
@@ -151,8 +162,9 @@ class SimulatedCamera:
 
     def _light(self, poses: NDArray[np.float64]) -> NDArray[np.float32]:
         """Light on the pixels; that of the previous picture where nothing has moved since, as in a bracket of exposures."""
-        seen = (self._seed, poses.tobytes())
+        seen = (self._seed, poses.tobytes() + self._base_from_object.tobytes())
         if self._seen is None or self._seen[0] != seen:
+            self.view.turn(self._base_from_object)
             self._seen = (seen, self.view.radiance(self.lens, poses, self._seed))
         return self._seen[1]
 
@@ -183,7 +195,7 @@ class SimulatedCamera:
     def save_truth(self, folder: Path, name: str, split: str) -> None:
         """Write the truth about the newest picture: its pose, and for test views the maps of `SUFFIXES`.
 
-        folder/CHANNEL/NAME.*: `normals` (unit, base frame), `depth` (along z [m], 0 outside the object), `alpha` (share of
+        folder/CHANNEL/NAME.*: `normals` (unit, in the object's frame of `datasets.turntable`, the base without a turntable), `depth` (along z [m], 0 outside the object), `alpha` (share of
         the pixel that shows the object), `diffuse` and `specular` (linear light that sums to the picture; 1 is its white).
         """
         if split == "test":
@@ -195,6 +207,8 @@ class SimulatedCamera:
         poses = folder / "poses.json"
         content = files.read_json(poses) if poses.exists() else self._session(folder)
         content["base_from_camera"][name] = self.base_from_camera.tolist()
+        if self._table is not None:
+            content["base_from_object"][name] = self._base_from_object.tolist()
         files.write_json(poses, content)
 
     def _session(self, folder: Path) -> dict[str, Any]:
@@ -213,6 +227,7 @@ class SimulatedCamera:
             "base_from_board": board.matrix().tolist() if board is not None else None,
             "flaws": self.flaws.model_dump(mode="json"),
             "base_from_camera": {},
+            **({} if self._table is None else {"turntable": self._table.truth.axis.to_json(), "base_from_object": {}}),
         }
 
     @property

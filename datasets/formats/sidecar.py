@@ -13,7 +13,7 @@ import numpy as np
 
 from datasets.core import files
 from datasets.core.errors import DatasetError
-from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View, checked_name
+from datasets.scene import CHANNELS, LIGHT_FRAMES, SPLITS, STATED, Scene, View, checked_name
 
 FILE = "koala.json"
 FORMAT, VERSION = "koala-sidecar", 1
@@ -33,6 +33,7 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
 def facts(scene: Scene) -> dict[str, Any]:
     """The values of a whole scene, for JSON; an infinite far is null."""
     keys = ("name", "metric", "background", "near", "far", "box", "bounds_from", "notes", "provenance")
+    keys += ("light_frame", "light_axis") if scene.light_frame is not None else ()
     far = scene.far if np.isfinite(scene.far) else None
     return {key: getattr(scene, key) for key in keys} | {"far": far}
 
@@ -53,8 +54,27 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
         raise DatasetError("box is empty or not finite", where=where, why=str(box.tolist()))
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
-    evidence = str(content.get("bounds_from", STATED))
-    return Scene(name, views, near, far, box, background, metric, notes=notes, provenance=provenance, bounds_from=evidence)
+    evidence, light = str(content.get("bounds_from", STATED)), _light(content, where)
+    more: dict[str, Any] = {"notes": notes, "provenance": provenance, "bounds_from": evidence, **light}
+    return Scene(name, views, near, far, box, background, metric, **more)
+
+
+def _light(content: dict[str, Any], where: object) -> dict[str, Any]:
+    """Where the lamps stand still, of `facts`; nothing where they do not say. Raises DatasetError where it is impossible."""
+    frame, axis = content.get("light_frame"), content.get("light_axis")
+    if frame is None:
+        return {}
+    if frame not in LIGHT_FRAMES:
+        raise DatasetError(f"no light frame called {str(frame)[:80]!r}", where=where, remedy=f"valid: {', '.join(LIGHT_FRAMES)}")
+    if axis is None:
+        return {"light_frame": frame}
+    try:
+        x, y, z = (float(value) for value in axis)
+    except (TypeError, ValueError) as error:
+        raise DatasetError("light_axis is no vector", where=where, why=str(error)) from None
+    if not abs(np.linalg.norm([x, y, z]) - 1) < 1e-3:
+        raise DatasetError("light_axis is no unit vector", where=where, why=str([x, y, z]))
+    return {"light_frame": frame, "light_axis": (x, y, z)}
 
 
 def truth_of(content: Any, folder: Path, *, where: object) -> dict[str, Path]:

@@ -77,7 +77,8 @@ def prepare(
         lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
         skips.append(refined)
         if known is None:
-            light, lamps = decided_light(views, pixels, normalisation, possible, config)
+            stated = (scene.light_frame, scene.light_axis)
+            light, lamps = decided_light(views, pixels, normalisation, possible, config, stated)
             skips.append(lamps)
             if light.moves:
                 hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from capture.sim.laboratory.lens import strips
 from capture.sim.laboratory.materials import Glass, Material, Metal, Plastic
-from capture.sim.laboratory.scenes import Item, Stage
+from capture.sim.laboratory.scenes import STILL, Item, Stage
 from datasets.camera_model import Camera
 
 MAX_DEPTH = 3  # edges of a light path: camera - object - table - light
@@ -51,6 +51,16 @@ class Renderer:
         self._first = mi.load_dict({"type": "aov", "aovs": "normal:sh_normal,place:position,shape:shape_index"})
         identities = [shape.id() for shape in self._scene.shapes()]
         self._object_indices = [identities.index(f"item{part:03d}") + 1 for part in range(stage.parts)]  # 0 is a miss
+
+    def place_room(self, table_from_room: NDArray[np.float64]) -> None:
+        """Move the items that stand still before a turning object, and the surroundings with their lamps, by a (4, 4) motion."""
+        values = mi.traverse(self._scene)
+        values["surroundings.to_world"] = _transform(table_from_room @ BASE_FROM_ROOM)
+        for index, item in enumerate(self.stage.items):
+            if item.name in STILL:
+                places = np.asarray(item.mesh.vertices) @ table_from_room[:3, :3].T + table_from_room[:3, 3]
+                values[f"item{index:03d}.vertex_positions"] = np.asarray(places, np.float32).ravel()
+        values.update()
 
     def radiance(
         self, pinhole: Camera, table_from_camera: NDArray[np.float64], *, samples: int, seed: int

@@ -25,6 +25,8 @@ SCENES = {
 }
 CARDS = {"grey_card": 0.9, "lens_cap": 0.0}  # light that comes from all of the picture; 1.5 fills a pixel in 10 ms
 TABLE_SIZE = 1.8
+STILL = frozenset({"table"})
+"""Items that stand still where a turntable turns the object; what stands around the object turns with it."""
 
 
 @dataclass(frozen=True)

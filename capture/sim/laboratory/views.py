@@ -4,7 +4,7 @@ Both are described in the frame of the table; `InBase` converts them to the base
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -44,21 +44,40 @@ class View(Protocol):
     def mesh(self) -> Any:
         """The object [m], a trimesh; None without an object."""
 
+    def place_room(self, world_from_room: NDArray[np.float64], /) -> None:
+        """Move what does not turn with the object, from where it stood at first, by a (4, 4) motion [m]."""
 
-@dataclass(frozen=True)
+
+@dataclass
 class InBase:
-    """A view described in the table's frame, as a `View` in the robot's base frame."""
+    """A view described in the table's frame, as a `View` in the robot's base frame.
+
+    Where a turntable has turned the object, the view is described in the frame that turns with it. Truth is then in the frame in
+    which the object stands: the base, with the turntable at angle zero.
+    """
 
     view: View
     base_from_table: NDArray[np.float64]
+    _base_from_object: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+    def turn(self, base_from_object: NDArray[np.float64]) -> None:
+        """Turn the object from where it stood at first by a (4, 4) motion in the base [m]; the room and its lamps stay."""
+        if not np.array_equal(base_from_object, self._base_from_object):
+            self._base_from_object = base_from_object
+            self.view.place_room(pose.inverse(self.base_from_table) @ pose.inverse(base_from_object) @ self.base_from_table)
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        return self.view.radiance(lens, pose.inverse(self.base_from_table) @ base_from_camera, seed)
+        return self.view.radiance(lens, self._from_base @ base_from_camera, seed)
+
+    @property
+    def _from_base(self) -> NDArray[np.float64]:
+        """(4, 4) to the frame in which the view is described."""
+        return pose.inverse(self._base_from_object @ self.base_from_table)
 
     def truth(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """See `View`."""
-        maps = self.view.truth(lens, pose.inverse(self.base_from_table) @ base_from_camera, seed)
+        maps = self.view.truth(lens, self._from_base @ base_from_camera, seed)
         if "normals" in maps:
             maps["normals"] = maps["normals"] @ self.base_from_table[:3, :3].T.astype(np.float32)
         return maps
@@ -122,6 +141,10 @@ class ObjectView:
         """See `View`."""
         return self.stage.mesh()
 
+    def place_room(self, table_from_room: NDArray[np.float64]) -> None:
+        """See `View`."""
+        self._renderer.place_room(table_from_room)
+
 
 @dataclass
 class BoardView:
@@ -140,6 +163,9 @@ class BoardView:
     def mesh(self) -> None:
         """None: there is no object."""
 
+    def place_room(self, table_from_room: NDArray[np.float64]) -> None:
+        """See `View`: the board lies on a plate that fills the picture and turns with it."""
+
 
 @dataclass
 class CardView:
@@ -157,6 +183,9 @@ class CardView:
 
     def mesh(self) -> None:
         """None: there is no object."""
+
+    def place_room(self, table_from_room: NDArray[np.float64]) -> None:
+        """See `View`: a card that fills the picture has no room around it."""
 
 
 def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Where the lamps stand still: as a person says, else as the pictures say."""
+"""Where the lamps stand still: as a person says, else as the scene says, else as the pictures say."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,33 +20,44 @@ AGREEING, ON_RINGS = 0.1, 0.9
 """Shares of pairs of views, and of views, from which cameras could have stood before a turntable."""
 
 Decision = tuple[LightFrame, Skip]
+Vector = tuple[float, float, float]
+Stated = tuple[Frame | None, Vector | None]
+"""A scene's `light_frame` and `light_axis`."""
 
 
 def decided_light(
-    views: tuple[View, ...], pixels: Pixels, normalisation: Normalisation, possible: NDArray[np.bool_] | None, config: Config
+    views: tuple[View, ...],
+    pixels: Pixels,
+    normalisation: Normalisation,
+    possible: NDArray[np.bool_] | None,
+    config: Config,
+    stated: Stated = (None, None),
 ) -> Decision:
     """The frame in which the lamps of a scene stand still, and the evidence.
 
     Args:
         possible: cells of the object's cube that masks leave; None: there are no masks.
+        stated: what the scene itself says. The configuration counts for more, the pictures for less.
 
     Raises:
         UsageError: a turntable is asked for, but the cameras tell no axis.
     """
-    wanted = config.light.frame
+    known, known_axis = stated
+    wanted, said = (known, "stated by the scene") if config.light.frame == "auto" and known else (config.light.frame, "forced")
+    axis = config.light.axis or known_axis
     if config.field.appearance != "reflection":
         return STILL, Skip.of(NAME, True, "the model reflects nothing", NOTHING_MORE)
     if wanted == "world":
-        return STILL, Skip.of(NAME, True, "forced", SAVING)
+        return STILL, Skip.of(NAME, True, said, SAVING)
     turned = turning(np.stack([view.world_from_camera[:3, :3] for view in views]))
     if wanted != "auto":
-        return _frame(wanted, turned, views, normalisation, config), Skip.of(NAME, False, f"forced: {wanted}", SAVING)
+        return _frame(wanted, turned, views, normalisation, axis), Skip.of(NAME, False, f"{said}: {wanted}", SAVING)
     if not normalisation.bounded or possible is None:
         return STILL, Skip.of(NAME, True, "without masks lamps are taken to stand still", SAVING)
     kinds: list[Frame] = ["camera"]
-    if config.light.axis or (turned is not None and turned.agreeing >= AGREEING and turned.on_rings >= ON_RINGS):
+    if axis or (turned is not None and turned.agreeing >= AGREEING and turned.on_rings >= ON_RINGS):
         kinds.append("turntable")
-    frames = [_frame(kind, turned, views, normalisation, config) for kind in kinds]
+    frames = [_frame(kind, turned, views, normalisation, axis) for kind in kinds]
     return _explained_best(frames, explained.errors(views, pixels, possible, [STILL, *frames]))
 
 
@@ -64,9 +75,9 @@ def _explained_best(frames: list[LightFrame], errors: list[float] | None) -> Dec
 
 
 def _frame(
-    kind: Frame, turned: Turning | None, views: tuple[View, ...], normalisation: Normalisation, config: Config
+    kind: Frame, turned: Turning | None, views: tuple[View, ...], normalisation: Normalisation, given: Vector | None
 ) -> LightFrame:
-    axis = config.light.axis or (None if turned is None else turned.axis)
+    axis = given or (None if turned is None else turned.axis)
     if kind == "camera":
         axis = (0.0, 0.0, 1.0)
     if axis is None or not np.linalg.norm(axis):

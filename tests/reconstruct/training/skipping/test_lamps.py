@@ -68,7 +68,7 @@ def decided(scene: Scene, config: Config):
     views, normalisation = scene.split("train"), Normalisation.of(scene)
     pixels = Pixels.load(views, normalisation, 1.0, Quiet())
     possible = sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, (0.0, 0.0))
-    return decided_light(views, pixels, normalisation, possible, config)
+    return decided_light(views, pixels, normalisation, possible, config, (scene.light_frame, scene.light_axis))
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +98,19 @@ def test_what_a_person_says_counts(turntable: Scene, small_config: Config) -> No
     assert found.kind == "turntable" and found.axis == (0.0, 0.0, -1.0) and "forced" in skip.evidence
     with pytest.raises(UsageError, match="axis"):
         decided(turntable.with_views(turntable.views[:1]), merged_config(small_config, {"light": {"frame": "turntable"}}))
+
+
+def test_what_the_scene_says_counts_less_than_a_person_and_more_than_pictures(turntable: Scene, small_config: Config) -> None:
+    stated = replace(turntable, light_frame="turntable", light_axis=(0.0, 0.6, 0.8))
+    found, skip = decided(stated, small_config)
+    assert (found.kind, found.axis) == ("turntable", (0.0, 0.6, 0.8)) and skip.evidence == "stated by the scene: turntable"
+    found, skip = decided(replace(stated, background="scene"), small_config)  # without masks too
+    assert found.kind == "turntable"
+    found, skip = decided(replace(turntable, light_frame="world"), small_config)
+    assert found == STILL and skip.evidence == "stated by the scene"
+    assert decided(stated, merged_config(small_config, {"light": {"frame": "world"}}))[0] == STILL
+    said = merged_config(small_config, {"light": {"axis": [0, 0, 1]}})
+    assert decided(stated, said)[0].axis == (0.0, 0.0, 1.0)
 
 
 def test_nothing_is_claimed_without_evidence(turntable: Scene, small_config: Config) -> None:

@@ -1,0 +1,1 @@
+"""Turntables: what a rig file says of one, and its drivers."""

@@ -1,0 +1,153 @@
+"""Scenes of an object that turned on a table: poses in its frame, and where the lamps stand still."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import pose
+from datasets.build import BACKGROUND_STANDS, build
+from datasets.calibration import Calibration, UncertainPose
+from datasets.camera_model import Camera
+from datasets.core import files
+from datasets.core.errors import DatasetError
+from datasets.edit.edit import merge
+from datasets.formats import load_scene, save_scene
+from datasets.imaging import images
+from datasets.imaging.region import Region
+from datasets.recording import Frame, Recording
+from datasets.turntable import Axis
+
+CAMERA = Camera(24, 18, 30.0, 30.0, 12.0, 9.0)
+MOUNT = pose.from_rotation_vector((0.7, 0.02, -0.01), (0.001, 0.06, 0.08))
+AXIS = Axis.of(pose.from_rotation_vector((0.01, -0.02, 0.0), (0.41, 0.003, 0.0)))
+ANGLES = np.radians([0.0, 90.0, 180.0, 270.0])
+ROOM = [{"name": "key", "stands": "room"}]
+
+
+def recorded(path: Path, lamps, lights, *, angles=ANGLES, azimuths=(0.0, 0.0, 0.0, 0.0)) -> Recording:
+    """Frames of a camera that stands still, or at other azimuths about the object, while the table turns."""
+    box = {"centre": [0.41, 0.0, 0.1], "size": [0.2, 0.2, 0.2]}
+    manifest = {"trajectory": {"object": box}, "rig": {"lights": lamps}, "camera": {"region": Region(24, 18).to_json()}}
+    recording = Recording.create(path, manifest)
+    for index, (angle, azimuth) in enumerate(zip(angles, azimuths, strict=True)):
+        eye = (0.41 + 0.4 * np.cos(azimuth), 0.4 * np.sin(azimuth), 0.3)
+        flange = pose.look_at(eye, (0.41, 0, 0.1)) @ pose.inverse(MOUNT)
+        picture = path / "images" / f"{index}.png"
+        images.write(picture, np.full((18, 24, 3), 0.1 * index))
+        line = (index, f"{index}", "train", f"images/{index}.png", flange, np.zeros(6), 1.0, 1, 1, 1e4, 0.3)
+        recording.append(Frame(*line, files.sha256(picture), turntable_angle=angle, turntable_angle_after=angle, lights=lights))
+    return Recording.open(path)
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    found = Calibration(CAMERA, {}, UncertainPose(MOUNT, 1e-8 * np.eye(6)), region=Region(24, 18), turntable=AXIS)
+    found.save(tmp_path / "cal.json")
+    return tmp_path / "cal.json"
+
+
+def test_a_turn_keeps_the_axis_and_composes() -> None:
+    on_axis = AXIS.point + 0.3 * AXIS.direction
+    for angle in (0.3, -2.0, 7.0):
+        moved = AXIS.base_from_object(angle)
+        np.testing.assert_allclose(moved[:3, :3] @ on_axis + moved[:3, 3], on_axis, atol=1e-15)
+        np.testing.assert_allclose(moved @ AXIS.base_from_object(1.1), AXIS.base_from_object(angle + 1.1), atol=1e-14)
+    upright = Axis.of(np.eye(4))
+    np.testing.assert_allclose(upright.base_from_object(np.pi / 2) @ [1, 0, 0, 1], [0, 1, 0, 1], atol=1e-15)  # right-handed
+    shifted = Axis(AXIS.point + [0, 0.002, 0] + 0.1 * AXIS.direction, AXIS.direction, np.zeros((6, 6)))
+    assert AXIS.difference(shifted) == pytest.approx((0.002, 0.0), abs=1e-6)
+
+
+def test_poses_are_in_the_objects_frame(tmp_path: Path, calibration: Path) -> None:
+    recording = recorded(tmp_path / "rec", ROOM, ("key",))
+    assert recording.turns and recording.frames[1].lights == ("key",)
+    build(recording.path, calibration, tmp_path / "scene")
+    scene = load_scene(tmp_path / "scene")
+    spot = np.array([0.45, 0.02, 0.15, 1.0])  # on the object, with the table at zero
+    for view, frame in zip(scene.views, recording.frames, strict=True):
+        moved = AXIS.base_from_object(frame.turntable_angle) @ spot  # where it is in the base
+        seen = pose.inverse(frame.base_from_flange @ MOUNT) @ moved
+        np.testing.assert_allclose(pose.inverse(view.world_from_camera) @ spot, seen, atol=1e-12)
+    np.testing.assert_allclose(scene.views[0].world_from_camera, recording.frames[0].base_from_flange @ MOUNT, atol=1e-12)
+    assert scene.light_frame == "turntable" and np.allclose(scene.light_axis, AXIS.direction)
+    assert scene.notes == (BACKGROUND_STANDS,) and np.allclose(scene.box, [[0.31, -0.1, 0.0], [0.51, 0.1, 0.2]])
+    save_scene(scene, tmp_path / "colmap", "colmap")
+    again = load_scene(tmp_path / "colmap")
+    assert (again.light_frame, again.light_axis) == (scene.light_frame, scene.light_axis)
+    assert merge([scene, scene], "both").light_frame == "turntable"
+
+
+def test_a_calibration_without_axis_is_refused(tmp_path: Path) -> None:
+    Calibration(CAMERA, {}, UncertainPose(MOUNT, np.eye(6)), region=Region(24, 18)).save(tmp_path / "cal.json")
+    recording = recorded(tmp_path / "rec", ROOM, ("key",))
+    with pytest.raises(DatasetError, match=r"no axis of the turntable \(the object turned\).*'calib turntable'"):
+        build(recording.path, tmp_path / "cal.json", tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+RING, PLATE = {"name": "ring", "stands": "flange"}, {"name": "lid", "stands": "turntable"}
+
+
+@pytest.mark.parametrize(
+    ("lamps", "lights", "turned", "frame", "note"),
+    [
+        (ROOM, ("key",), True, "turntable", ""),
+        (ROOM, ("key",), False, "world", ""),
+        ([RING], ("ring",), True, "camera", ""),
+        ([RING], ("ring",), False, "camera", ""),
+        ([PLATE], ("lid",), True, "world", ""),
+        ([*ROOM, RING], ("ring",), True, "camera", ""),
+        ([*ROOM, RING], ("ring", "key"), True, None, "frames of camera and turntable"),
+        ([], None, True, "turntable", "taken to stand in the room"),
+        ([], None, False, None, ""),
+        (ROOM, (), True, None, "every lamp was off"),
+    ],
+)
+def test_lamps_decide_the_light_frame(lamps, lights, turned, frame, note, tmp_path: Path, calibration: Path) -> None:
+    angles = ANGLES if turned else 0 * ANGLES
+    azimuths = (0, 0, 0, 0) if turned else (0, 1.5, 3, 4.5)
+    recording = recorded(tmp_path / "rec", lamps, lights, angles=angles, azimuths=azimuths)
+    scene = build(recording.path, calibration, tmp_path / "scene")
+    assert scene.light_frame == frame
+    assert note in " ".join(scene.notes) and ("lamp" in " ".join(scene.notes)) == bool(note)
+
+
+def test_an_arm_that_goes_around_a_turning_object_has_no_light_frame(tmp_path: Path, calibration: Path) -> None:
+    recording = recorded(tmp_path / "rec", ROOM, ("key",), azimuths=(0.0, 0.3, 0.6, 0.9))
+    scene = build(recording.path, calibration, tmp_path / "scene")
+    assert scene.light_frame is None and "azimuth about the turntable varies by 5" in scene.notes[0]
+
+
+def test_an_unknown_lamp_is_an_error(tmp_path: Path, calibration: Path) -> None:
+    recording = recorded(tmp_path / "rec", ROOM, ("sun",))
+    with pytest.raises(DatasetError, match=r"unknown lamp.*sun; the rig file has key"):
+        build(recording.path, calibration, tmp_path / "scene")
+
+
+def test_calibrations_hold_the_axis_and_damage_is_named(calibration: Path, tmp_path: Path) -> None:
+    found = Calibration.load(calibration).turntable
+    assert found is not None and np.array_equal(found.point, AXIS.point) and np.allclose(found.direction, AXIS.direction)
+    content = files.read_json(calibration)
+    for key, value, message in (("direction", [0, 0, 2.0], "impossible"), ("point_m", [0, 0], "not complete")):
+        files.write_json(tmp_path / "bad.json", {**content, "turntable": {**content["turntable"], key: value}})
+        with pytest.raises(DatasetError, match=rf"turntable.*axis of the turntable is {message}"):
+            Calibration.load(tmp_path / "bad.json")
+
+
+@pytest.mark.parametrize("wrong", [{"turntable_angle": "much"}, {"turntable_angle": 1e9}, {"lights": "key"}, {"lights": [1]}])
+def test_damaged_frames_are_named(wrong, tmp_path: Path) -> None:
+    frame = recorded(tmp_path / "rec", ROOM, ("key",)).frames[0]
+    with pytest.raises(DatasetError, match=rf"frame record is not complete \({next(iter(wrong))} is"):
+        Frame.from_json({**frame.to_json(), **wrong}, where="line 1")
+    old = {key: value for key, value in frame.to_json().items() if not key.startswith(("turntable", "lights"))}
+    assert Frame.from_json(old, where="line 1").turntable_angle is None  # as recordings without a turntable have it
+
+
+@pytest.mark.parametrize(("key", "value"), [("light_frame", "moon"), ("light_axis", [0, 0]), ("light_axis", [0, 0, 3])])
+def test_damaged_scenes_are_named(key, value, tmp_path: Path, calibration: Path) -> None:
+    build(recorded(tmp_path / "rec", ROOM, ("key",)).path, calibration, tmp_path / "scene")
+    path = tmp_path / "scene" / "cameras.json"
+    files.write_json(path, {**files.read_json(path), key: value})
+    with pytest.raises(DatasetError, match=r"cameras.json: (no light frame called 'moon'|light_axis is no)"):
+        load_scene(tmp_path / "scene")
