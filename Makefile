@@ -32,7 +32,7 @@ $(READY): pyproject.toml $(wildcard constraints/*.txt)
 
 demo: $(READY)
 	@rm -rf demo && mkdir demo && date +%s > demo/started
-	$(call step,photograph a calibration board with the simulated arm,$(BIN)/capture run configs/trajectories/calibration_demo.yaml --scene charuco_board --out demo/board)
+	$(call step,photograph a calibration board with the simulated arm,$(BIN)/capture run configs/trajectories/calibration_demo.yaml --scene board --out demo/board)
 	$(call step,calibrate the camera and its place on the arm,$(BIN)/calib handeye demo/board --out demo/calibration.json)
 	$(call step,compare that with the truth of the simulation,$(BIN)/datasets truth demo/board --calibration demo/calibration.json)
 	$(call step,photograph a golden head from all around,$(BIN)/capture run configs/trajectories/koala_demo.yaml --scene gold_head --out demo/recording)

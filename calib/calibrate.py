@@ -44,6 +44,7 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
 
 def _views(session: TargetSession, used: int, left_out: dict[str, str]) -> dict[str, Any]:
     """Views used, without a target and left out, for the calibration file."""
+    left_out = {**session.left_out, **left_out}
     names = {"views_unseen": list(session.unseen), "views_left_out": list(left_out)}
     return {"views_used": used, **names, "why_left_out": left_out}
 
@@ -109,6 +110,8 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     joints.check(session, accuracy)
     first = _first(session, given, lens)
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
+    names = [observation.name for observation in first.session.observations]
+    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names)
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
@@ -135,7 +138,6 @@ def _check_poses(session: TargetSession) -> None:
 
 def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.HandEye, Mask]:
     """A start and the views that agree with it. Raises CalibrationError for weak motion and for mistakes in the arm's poses."""
-    order.explain(session.stand_from_mount, boards, [observation.name for observation in session.observations])
     try:
         uncertainty.check_motion(session.base_from_flange)
         closed, keep = closed_forms.solve_robustly(session.stand_from_mount, boards)

@@ -24,6 +24,9 @@ RecordingPath = Annotated[
 Import = Annotated[
     Path | None, Option("--import", help="How to read a folder of images and poses: a shipped name or a YAML file.")
 ]
+LeaveOut = Annotated[
+    bool, Option("--leave-out", help="Leave out imported pictures without a pose, instead of refusing the session.")
+]
 Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
 Intrinsics = Annotated[
     Path | None, Option("--intrinsics", help="Calibration file with the camera. Default: estimate it as well.")
@@ -62,6 +65,7 @@ class Pictures:
 
     recording: RecordingPath
     description: Import = None
+    leave_out: LeaveOut = False
 
     def observe(self) -> "tuple[TargetSession, Calibration | None]":
         """Find the target in every image, with a progress bar; and the camera, where an imported session brings its own."""
@@ -74,7 +78,7 @@ class Pictures:
                 bar.note(words)
                 bar.advance()
 
-            session, camera = observe_folder(self.recording, self.description, seen=seen)
+            session, camera = observe_folder(self.recording, self.description, seen=seen, leave_out=self.leave_out)
         return session, Calibration(camera, {}) if camera else None
 
 

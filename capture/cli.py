@@ -20,11 +20,11 @@ app = console.make_app("capture", "Move a robot and a camera along a trajectory,
 
 @app.command("list")
 def list_command(as_json: console.Json = False) -> None:
-    """List the installed trajectories, rigs and arms, and the scenes of the simulation."""
+    """List the installed trajectories, calibration targets, rigs and arms, and the scenes of the simulation."""
     import configs
     from capture.sim.laboratory.scenes import SCENES
 
-    found = {kind: configs.shipped(kind) for kind in ("trajectories", "rigs", "arms")} | {"scenes": SCENES}
+    found = {kind: configs.shipped(kind) for kind in ("trajectories", "boards", "rigs", "arms")} | {"scenes": SCENES}
     width = max(len(name) for entries in found.values() for name in entries)
     lines = []
     for kind, entries in found.items():

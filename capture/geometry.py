@@ -1,6 +1,6 @@
 """Points, poses and boxes as a person writes them in trajectory and rig files."""
 
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,19 @@ class PoseDescription(Schema):
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4) transform [m]."""
         return pose.from_rotation_vector(np.radians(self.rotation_deg), self.position)
+
+
+class BoardPlace(Schema):
+    """Where a calibration target is: axes x along its squares_x, y along its squares_y, z into the board."""
+
+    position: Vector = Field(default=(0, 0, 0), description="of the target's first corner or middle, see `at` [m]")
+    rotation_deg: Vector = Field(default=(0, 0, 0), description="rotation vector: axis times angle [degrees]")
+    at: Literal["corner", "middle"] = Field(default="corner", description="what position is that of: first corner or middle")
+
+    def matrix(self, size: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(4, 4) pose [m] of the board frame of a target of (2,) `size` [m]."""
+        placed = pose.from_rotation_vector(np.radians(self.rotation_deg), self.position)
+        return placed if self.at == "corner" else placed @ pose.rigid(np.eye(3), [*(-np.asarray(size) / 2), 0.0])
 
 
 class Box(Schema):

@@ -8,17 +8,18 @@ Positions are in metres in the robot's base frame, and angles that a person writ
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 import configs
-from capture.geometry import Box, PoseDescription
+from capture.geometry import BoardPlace, Box
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
-from datasets.board import Board
+from datasets.board import Board, load_board
+from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
 
@@ -93,6 +94,14 @@ class Safety(Schema):
     workspace: Box | None = Field(default=None, description="box that the camera must stay inside; null: no limit")
 
 
+def _named(board: Any) -> Any:
+    """A board that is given by its name or its file; anything else as it is."""
+    return load_board(configs.find("boards", board)) if isinstance(board, str) else board
+
+
+NamedBoard = Annotated[Board, BeforeValidator(_named)]
+
+
 class Trajectory(Schema):
     """A repeatable session: views, split, camera settings, motion, and where things are."""
 
@@ -109,11 +118,11 @@ class Trajectory(Schema):
     lights: list[str] | None = Field(
         default=None, description="lamps of the rig file that are on, by name; null: all of them. A person switches them"
     )
-    target: Board | None = Field(default=None, description="calibration target, for a calibration session")
-    board: PoseDescription | None = Field(
-        default=None,
-        description="approximate base_from_board. Only the simulator uses it: it puts the board exactly here. "
-        "Board axes: x along squares_x, y along squares_y, z into the board, origin at the first corner",
+    target: NamedBoard | None = Field(
+        default=None, description="calibration target: the name of a shipped board, a board file, or its keys; null: no target"
+    )
+    board: BoardPlace | None = Field(
+        default=None, description="where the target lies, approximately; the simulator puts it exactly here"
     )
 
     @model_validator(mode="after")
@@ -128,8 +137,6 @@ class Trajectory(Schema):
             raise ValueError("a session with a target has no split: remove 'split' or 'target'")
         if self.lights is not None and len(set(self.lights)) < len(self.lights):
             raise ValueError(f"lights: one lamp is listed twice: {', '.join(self.lights)}")
-        if self.target is not None and self.target.kind != "charuco":
-            raise ValueError(f"target: only ChArUco boards can be recorded, not kind {self.target.kind!r}")
         return self
 
     @model_validator(mode="after")
@@ -154,6 +161,20 @@ class Trajectory(Schema):
         """
         up = self.upwards
         return pose.rigid(np.diag([1.0, up, up]), [0.0, 0.0, self.safety.table_z or 0.0])
+
+    @property
+    def base_from_board(self) -> NDArray[np.float64]:
+        """(4, 4) pose [m] at which `board` puts the target. Raises UsageError without `target` or `board`."""
+        if self.target is None or self.board is None:
+            raise UsageError("does not say where which target lies", where=self.name, remedy="state 'target' and 'board'")
+        return self.board.matrix(self.target.size)
+
+    @property
+    def base_from_middle(self) -> NDArray[np.float64] | None:
+        """(4, 4) pose [m] of the target's middle, with the axes of the board frame; None without `target` or `board`."""
+        if self.target is None or self.board is None:
+            return None
+        return self.base_from_board @ pose.rigid(np.eye(3), [*(self.target.size / 2), 0.0])
 
     @property
     def splits(self) -> list[str]:

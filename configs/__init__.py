@@ -1,4 +1,4 @@
-"""Configuration files that are installed with Koala, found by name: models, trajectories, rigs, arms and import descriptions.
+"""Configuration files that are installed with Koala, found by name: models, trajectories, boards, rigs, arms, imports.
 
 `configs/KIND/NAME.yaml` has the name NAME. The first comment line of a file, or its key `about`, says what it is.
 """
@@ -8,7 +8,14 @@ from pathlib import Path
 
 from datasets.core.errors import UsageError, nearest
 
-KINDS = {"models": "model", "trajectories": "trajectory", "rigs": "rig", "arms": "arm", "imports": "import description"}
+KINDS = {
+    "models": "model",
+    "trajectories": "trajectory",
+    "boards": "calibration target",
+    "rigs": "rig",
+    "arms": "arm",
+    "imports": "import description",
+}
 """Folder of each kind, and what one of its files is called in messages."""
 
 

@@ -66,7 +66,7 @@ class Answer(_Line):
     seen: bool = False
     """Whether the newest view shows it."""
     board: NDArray[np.float64] | None = None
-    """(4, 4) base_from_board as far as it is known; None before the first view with the board."""
+    """(4, 4) base_from_board, or flange_from_board, as far as it is known; None before the first view with the board."""
     figures: Figures | None = None
     """None while the views do not allow a calibration."""
     refused: str = ""

@@ -180,11 +180,11 @@ def truth(
 
     found = calibration_error(recording, Calibration.load(calibration))
     text = "error of the hand-eye pose: {hand_eye_mm:.3f} mm, {hand_eye_deg:.4f} deg\n".format(**found)
-    text += (
-        "error of the camera poses: {camera_mm:.3f} mm, {camera_deg:.4f} deg (median of {frames}, arm errors included)".format(
-            **found
-        )
-    )
+    if "board_mm" in found:
+        text += "error of the target on the flange: {board_mm:.3f} mm, {board_deg:.4f} deg".format(**found)
+    else:
+        numbers = "{camera_mm:.3f} mm, {camera_deg:.4f} deg (median of {frames}, arm errors included)".format(**found)
+        text += f"error of the camera poses: {numbers}"
     console.report(found, as_json=as_json, text=text)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets import pose
 from datasets.calibration import Calibration
@@ -24,28 +25,36 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
     """Error of a calibration against the true geometry of the simulated rig.
 
     Returns:
-        `hand_eye_mm` and `hand_eye_deg`: error of flange_from_camera. `camera_mm` and `camera_deg`: median error of the camera
-        poses that a scene of this recording would have, the arm's own error included.
+        `hand_eye_mm` and `hand_eye_deg`: error of flange_from_camera, or of base_from_camera where the camera stands beside the
+        arm. `camera_mm` and `camera_deg`: median error of the camera poses that a scene of this recording would have, the arm's
+        own error included. Beside the arm, `board_mm` and `board_deg` instead: error of flange_from_board. `frames`: their number.
 
     Raises:
         UsageError: the recording is of a real rig, or the calibration holds no hand-eye pose.
     """
     if not has_truth(recording):
         raise UsageError("recording has no ground truth", where=recording, remedy="only simulated recordings have it")
-    if calibration.flange_from_camera is None:
-        raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     source = Path(recording) / TRUTH / POSES
     content = files.read_json(source, kind=FORMAT, version=VERSION)
-    found = calibration.flange_from_camera.matrix
-    true = pose.checked(content["flange_from_camera"], where=f"{source}, flange_from_camera")
-    shift, turn = pose.difference(found, true)
+    beside = content.get("flange_from_board") is not None
+    found = calibration.base_from_camera if beside else calibration.flange_from_camera
+    if found is None:
+        raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     frames = [frame for frame in Recording.open(recording).frames if frame.name in content["base_from_camera"]]
     if not frames:
         raise UsageError("recording holds no frames", where=recording, remedy="record it first")
-    cameras = []
-    for frame in frames:
-        expected = pose.checked(content["base_from_camera"][frame.name], where=source)
-        cameras.append(pose.difference(calibration.camera_pose(frame.base_from_flange, frame.joints), expected))
-    camera_shift, camera_turn = np.median(cameras, axis=0)
-    errors = {"hand_eye_mm": float(1e3 * shift), "hand_eye_deg": float(np.rad2deg(turn)), "frames": len(frames)}
-    return errors | {"camera_mm": float(1e3 * camera_shift), "camera_deg": float(np.rad2deg(camera_turn))}
+    true = {name: pose.checked(matrix, where=source) for name, matrix in content["base_from_camera"].items()}
+    if beside:
+        mount, stand = true[frames[0].name], pose.checked(content["flange_from_board"], where=f"{source}, flange_from_board")
+        others = {} if calibration.flange_from_board is None else _error("board", calibration.flange_from_board.matrix, stand)
+    else:
+        mount = pose.checked(content["flange_from_camera"], where=f"{source}, flange_from_camera")
+        poses = np.stack([calibration.camera_pose(frame.base_from_flange, frame.joints) for frame in frames])
+        others = _error("camera", poses, np.stack([true[frame.name] for frame in frames]))
+    return {**_error("hand_eye", found.matrix, mount), "frames": len(frames), **others}
+
+
+def _error(what: str, found: NDArray[np.float64], true: NDArray[np.float64]) -> dict[str, float]:
+    """Median distance [mm] and angle [deg] of (..., 4, 4) poses from the true ones, under two names."""
+    shift, turn = np.median(pose.difference(found, true), axis=-1) if found.ndim > 2 else pose.difference(found, true)
+    return {f"{what}_mm": float(1e3 * shift), f"{what}_deg": float(np.rad2deg(turn))}

@@ -20,6 +20,10 @@ def loader(folder: str) -> Callable[[Path], Any]:
         from capture.trajectory import load_trajectory
 
         return load_trajectory
+    if folder == "boards":
+        from datasets.board import load_board
+
+        return load_board
     if folder == "rigs":
         from capture.rig.description import load_rig
 

@@ -54,7 +54,7 @@ def test_from_trajectory_to_measured_surface(tmp_path: Path) -> None:
     (tmp_path / "board.yaml").write_text(BOARD)
     (tmp_path / "object.yaml").write_text(OBJECT)
     board, recording, calibration = tmp_path / "board", tmp_path / "recording", tmp_path / "calibration.json"
-    assert run("capture", "run", tmp_path / "board.yaml", "--scene", "charuco_board", "--out", board)["frames"] == 12
+    assert run("capture", "run", tmp_path / "board.yaml", "--scene", "board", "--out", board)["frames"] == 12
     run("calib", "handeye", board, "--out", calibration)
     error = run("datasets", "truth", board, "--calibration", calibration)
     assert error["hand_eye_mm"] < 0.5 and error["hand_eye_deg"] < 0.05

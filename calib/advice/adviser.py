@@ -27,7 +27,7 @@ class Wanted:
     """What the session is for, and what is known beforehand."""
 
     until: Figures  # figures to reach: translation [mm], rotation [deg]
-    mount: Array  # (4, 4) flange_from_camera as known from a drawing
+    mount: Array  # (4, 4) flange_from_camera as known from a drawing; base_from_camera of a camera beside the arm
     accuracy: Accuracy = calibrate.STATED
     given: Calibration | None = None  # intrinsics of another session
     lens: str = "auto"
@@ -60,8 +60,7 @@ class Adviser:
             if views >= PATIENCE and not isinstance(error, TargetError | Unobservable):
                 raise
             self.solution, self.figures, self.refused = None, None, str(error)
-            size, flown = (session.width, session.height), session.base_from_flange
-            self.known = rough.known(session.board, session.observations, flown, size, wanted.mount, wanted.accuracy)
+            self.known = rough.known(session, wanted.mount, wanted.accuracy)
 
     def _refine(self, session: TargetSession, solution: calibrate.Solution) -> None:
         """The refinement of all views, from the last solution.
@@ -80,7 +79,8 @@ class Adviser:
         refined = fit.refined
         uncertainty.covariance(fit.measured, refined)  # refuses what a calibration would refuse
         camera = projection.with_vector(first.camera, refined.state.intrinsics)
-        self.known = Known(camera, session.board, free, refined.state, refined.sigmas, refined.information)
+        found = (refined.state, refined.sigmas, refined.information, session.eye_to_hand)
+        self.known = Known(camera, session.board, free, *found)
         self.figures, self.refused = information.figures(refined.information, refined.state), ""
         self.solution = replace(solution, first=replace(first, free=free, left_out={**left_out, **first.left_out}), fit=fit)
 

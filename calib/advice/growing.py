@@ -23,8 +23,9 @@ class GrowingSession:
     _size: tuple[int, int] | None = None  # height and width of every image [px]
 
     def mount(self) -> np.ndarray:
-        """(4, 4) flange_from_camera as the rig file states it. Raises TargetError where the recording has none."""
-        content = Recording.open(self.path).manifest.get("nominal_flange_from_camera")
+        """(4, 4) flange_from_camera, or base_from_camera, as the rig file states it. Raises TargetError where there is none."""
+        manifest = Recording.open(self.path).manifest
+        content = manifest.get("nominal_base_from_camera", manifest.get("nominal_flange_from_camera"))
         if content is None:
             raise TargetError("recording does not say how the camera is mounted", where=self.path / MANIFEST)
         return np.asarray(content, np.float64).reshape(4, 4)
@@ -56,4 +57,10 @@ class GrowingSession:
         observations = tuple(seen for _, seen in shown)
         found = TargetSession(board, width, height, observations, flown, unseen, provenance_of(self.path, board), joints=joints)
         region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
-        return replace(found, region=region, images={frame.name: recording.image_path(frame) for frame in recording.frames})
+        beside = recording.manifest.get("eye_to_hand") is True
+        return replace(
+            found,
+            region=region,
+            eye_to_hand=beside,
+            images={frame.name: recording.image_path(frame) for frame in recording.frames},
+        )

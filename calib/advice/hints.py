@@ -50,7 +50,8 @@ def _as_now(known: Known, base_from_flange: Array) -> Pattern:
 
 
 def _cameras_in_board(known: Known, base_from_flange: Array) -> Array:
-    return pose.inverse(known.state.stand_from_board) @ base_from_flange @ known.state.mount_from_camera
+    stand_from_mount = pose.inverse(base_from_flange) if known.eye_to_hand else base_from_flange
+    return pose.inverse(known.state.stand_from_board) @ stand_from_mount @ known.state.mount_from_camera
 
 
 def _median_tilt(known: Known, base_from_flange: Array) -> float:
@@ -60,14 +61,14 @@ def _median_tilt(known: Known, base_from_flange: Array) -> float:
 def _changes(board: Board, now: Pattern, tilt_deg: float) -> Iterator[tuple[str, Board, Pattern]]:
     """Changes in words, each with its board and its views."""
     square = board.square_length_m
-    larger = board.model_copy(update={"squares_x": round(1.5 * board.squares_x), "squares_y": round(1.5 * board.squares_y)})
+    larger = board.with_squares(round(1.5 * board.squares_x), round(1.5 * board.squares_y))
     farther = replace(now, distance_m=(1.3 * now.distance_m[0], 1.5 * now.distance_m[1]))
     yield (
         f"a larger board of {larger.squares_x}x{larger.squares_y} squares of {1e3 * square:.0f} mm, from farther away",
         larger,
         farther,
     )
-    finer = larger.model_copy(update={"square_length_m": square / 1.5, "marker_length_m": board.marker_length_m / 1.5})
+    finer = larger.with_squares(larger.squares_x, larger.squares_y, 1 / 1.5)
     yield f"finer squares, {larger.squares_x}x{larger.squares_y} of {1e3 * square / 1.5:.0f} mm", finer, now
     if tilt_deg < STEEP_ENOUGH_DEG:
         yield f"more tilt, {STEEP_DEG[0]:.0f} to {STEEP_DEG[1]:.0f} deg", board, replace(now, tilt_deg=STEEP_DEG)
@@ -86,6 +87,7 @@ def _expected(known: Known, board: Board, pattern: Pattern, views: int) -> Figur
     )
     rig = Rig(known.camera, board, state.mount_from_camera, middle)
     drawn = viewpoints(np.random.default_rng(0), rig, DRAWN, pattern) @ pose.inverse(state.mount_from_camera)
+    drawn = pose.inverse(drawn) if known.eye_to_hand else drawn
     changed = replace(known, board=board, state=replace(state, stand_from_board=middle))
     told = [one for one in information.informations(changed, drawn) if one is not None]
     if len(told) < len(drawn) / 10:

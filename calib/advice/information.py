@@ -20,8 +20,8 @@ from datasets.advice import Figures
 from datasets.board import Board
 from datasets.camera_model import Camera
 
-MIN_SHARE = 0.7  # smallest share of the board's corners in a view
-MIN_CORNERS = 8
+MIN_SHARE = 0.7  # smallest share of the board's corners in a view, and
+MIN_CORNERS = 8  # their smallest number on a checkered board
 MIN_DEPTH_M = 1e-3  # a view with a corner nearer than this, or behind the camera, shows nothing
 CERTAINTY = 0.95  # with which both errors are below the stated figures
 _EACH = (1 + CERTAINTY) / 2  # certainty of each figure: together they miss no more often than 1 - CERTAINTY (Bonferroni)
@@ -39,6 +39,7 @@ class Known:
     state: State  # corrections are not used
     sigmas: Sigmas
     information: Array  # (p, p) of the global unknowns, in the order of `State`
+    eye_to_hand: bool = False  # whether the camera stands beside the arm and the board is on the flange
 
 
 def inside_image(pixels: Array, camera: Camera) -> Mask:
@@ -70,7 +71,9 @@ def _block(known: Known, base_from_flange: Array) -> list[Array | None]:
     state = replace(known.state, corrections=np.zeros((views, 6)))
     view, every = np.repeat(np.arange(views), len(points)), np.tile(points, (views, 1))
     fisheye = known.camera.fisheye
-    session = Session(base_from_flange, view, np.zeros((len(view), 2)), every, known.free, fisheye=fisheye)
+    session = Session(
+        base_from_flange, view, np.zeros((len(view), 2)), every, known.free, fisheye=fisheye, eye_to_hand=known.eye_to_hand
+    )
     in_camera = model.camera_points(session, state)
     before = in_camera[:, 2].reshape(views, -1).min(axis=1) > MIN_DEPTH_M
     if not before.any():
@@ -80,9 +83,16 @@ def _block(known: Known, base_from_flange: Array) -> list[Array | None]:
     part = replace(session.some(chosen), base_from_flange=base_from_flange[before], view=numbers[view[chosen]])
     pixels, by_global, own = model.predict(part, replace(state, corrections=np.zeros((int(before.sum()), 6))))
     inside = visible(in_camera[chosen], pixels, known.camera).reshape(-1, len(points))
-    enough = inside.sum(axis=1) >= max(MIN_CORNERS, MIN_SHARE * len(points))
+    enough = inside.sum(axis=1) >= _needed(known.board)
     totals = _eliminated(by_global, own, inside, known.sigmas)
     return [totals[numbers[i]] if before[i] and enough[numbers[i]] else None for i in range(views)]
+
+
+def _needed(board: Board) -> float:
+    """Corners of a board that a view must show."""
+    if board.is_seen_whole:
+        return len(board.points)
+    return max(1 if board.has_tags else MIN_CORNERS, MIN_SHARE * len(board.points))
 
 
 def _eliminated(by_global: Array, own: Array, inside: Mask, sigmas: Sigmas) -> Array:

@@ -5,6 +5,7 @@ of what these views do not show.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,9 +15,9 @@ from calib.arrays import Array
 from calib.handeye.model import Accuracy, State
 from calib.handeye.refine import Sigmas
 from calib.intrinsics import estimate, projection
+from calib.sessions.session import TargetSession
 from calib.targets.detection import Observation
 from datasets import conventions
-from datasets.board import Board
 from datasets.camera_model import Camera
 
 SIGMA_PX = 0.2  # usual standard deviation of a corner per axis
@@ -29,25 +30,22 @@ FOCAL_RANGE = (0.3, 5.0)  # believable focal lengths, as shares of the width
 USUAL_FOCAL = 0.8  # share of the width that is taken where the views do not tell
 
 
-def known(
-    board: Board, seen: Sequence[Observation], base_from_flange: Array, size: tuple[int, int], mount: Array, accuracy: Accuracy
-) -> Known:
+def known(session: TargetSession, mount: Array, accuracy: Accuracy) -> Known:
     """What one or more views say, with priors for the rest.
 
     Args:
-        seen: the board's corners in each view.
-        base_from_flange: (views, 4, 4) as reported.
-        size: width and height of every image [px].
-        mount: (4, 4) flange_from_camera as known from a drawing.
+        mount: (4, 4) flange_from_camera as known from a drawing; base_from_camera of a camera beside the arm.
     """
-    camera = _camera(seen, size)
-    boards = base_from_flange @ mount @ estimate.camera_from_boards(camera, seen)
+    seen, flown = session.observations, session.base_from_flange
+    camera = _camera(seen, (session.width, session.height))
+    boards = session.stand_from_mount @ mount @ estimate.camera_from_boards(camera, seen)
     state = State(projection.vector(camera), mount, boards[-1], np.zeros((1, 6)))
     free = estimate.USUAL.free
     sigmas = Sigmas(SIGMA_PX, accuracy.translation_m, accuracy.rotation_rad)
-    first = Known(camera, board, free, state, sigmas, np.diag(_deviations(camera, free) ** -2.0))
-    told = [information for information in informations(first, base_from_flange) if information is not None]
-    return Known(camera, board, free, state, sigmas, first.information + np.sum(told, axis=0))
+    prior = np.diag(_deviations(camera, free) ** -2.0)
+    first = Known(camera, session.board, free, state, sigmas, prior, session.eye_to_hand)
+    told = [information for information in informations(first, flown) if information is not None]
+    return replace(first, information=prior + np.sum(told, axis=0))
 
 
 def _camera(seen: Sequence[Observation], size: tuple[int, int]) -> Camera:

@@ -16,6 +16,11 @@ from datasets import pose
 from datasets.core.errors import KoalaError
 
 
+def readings(session: TargetSession, camera_from_board: Array) -> list[Array]:
+    """The (views, 4, 4) poses as given; of a board that looks the same after half a turn, those of the other reading too."""
+    return [camera_from_board, camera_from_board @ half_turn(session)][: 1 + session.board.is_ambiguous]
+
+
 def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSession, Array]:
     """The session with all views read the same way round, and their (views, 4, 4) poses; other boards as given.
 
@@ -23,7 +28,7 @@ def resolve(session: TargetSession, camera_from_board: Array) -> tuple[TargetSes
     """
     if not session.board.is_ambiguous:
         return session, camera_from_board
-    both = np.stack([camera_from_board, camera_from_board @ half_turn(session)])  # (2, views, 4, 4)
+    both = np.stack(readings(session, camera_from_board))  # (2, views, 4, 4)
     views = np.arange(len(camera_from_board))
     best, best_score = None, np.inf
     for reference in views[: min(len(views), 5)]:
@@ -52,7 +57,7 @@ def as_placed(
     """The same where the calibration is known: every view is read as its poses have the board."""
     if not session.board.is_ambiguous:
         return session, camera_from_board
-    both = np.stack([camera_from_board, camera_from_board @ half_turn(session)])
+    both = np.stack(readings(session, camera_from_board))
     chosen = _by_place(session.stand_from_mount, both, mount_from_camera, stand_from_board)
     return _turned(session, chosen), both[chosen, np.arange(len(camera_from_board))]
 

@@ -1,7 +1,8 @@
 """Poses and pictures that are listed in different orders, recognised without knowing where the camera is on the arm.
 
 Between two views arm and camera turn by the same angle, whatever the pose of the camera on the arm: A X = X B makes A and B
-similar. So two lists in the right order agree in the angle between each two of their views.
+similar. So two lists in the right order agree in the angle between each two of their views. A board that looks the same after
+half a turn has two such angles, and either will do.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,37 +26,43 @@ FEWEST = 6
 Order = NDArray[np.intp]
 
 
-def explain(stand_from_mount: Array, camera_from_board: Array, names: Sequence[str]) -> None:
-    """Raise a CalibrationError that names the view from which on lists are out of step, if that is why views disagree."""
-    found = recognise(stand_from_mount, camera_from_board, names)
+def explain(stand_from_mount: Array, readings: Sequence[Array], names: Sequence[str]) -> None:
+    """Raise a CalibrationError that names the view from which on lists are out of step, if that is why views disagree.
+
+    Args:
+        readings: (views, 4, 4) camera_from_board, once for each way in which the board may have been read.
+    """
+    found = recognise(stand_from_mount, readings, names)
     if found:
         raise CalibrationError("pictures and arm poses do not fit together", why=found, remedy="correct the list and run again")
 
 
-def recognise(stand_from_mount: Array, camera_from_board: Array, names: Sequence[str]) -> str:
-    """The mistake in the order of views that explains why some disagree, in words; empty where none does."""
-    arm, camera = (angles_between(poses) for poses in (stand_from_mount, camera_from_board))
+def recognise(stand_from_mount: Array, readings: Sequence[Array], names: Sequence[str]) -> str:
+    """The mistake in the order of views that explains why some disagree, in words; empty where none does. See `explain`."""
+    arm, cameras = angles_between(stand_from_mount), [angles_between(readings[0], other) for other in readings]
     every = np.arange(len(names))
-    if len(names) < FEWEST or not (suspects := np.flatnonzero(_agreement_of_views(arm, camera) < SUSPECT)).size:
+    if len(names) < FEWEST or not (suspects := np.flatnonzero(_agreement_of_views(arm, cameras) < SUSPECT)).size:
         return ""
     best, words = EXPLAINS, ""
     for pictures, poses, said in _hypotheses(every, suspects, names):
-        share = _agreement_of_views(arm[np.ix_(poses, poses)], camera[np.ix_(pictures, pictures)]).mean()
+        chosen = [camera[np.ix_(pictures, pictures)] for camera in cameras]
+        share = _agreement_of_views(arm[np.ix_(poses, poses)], chosen).mean()
         if share > best:
             best, words = float(share), said
     return words
 
 
-def angles_between(poses: Array) -> Array:
-    """(views, views) angle of the rotation between each two of (views, 4, 4) poses [rad]."""
+def angles_between(poses: Array, others: Array | None = None) -> Array:
+    """(views, views) angle of the rotation between each of (views, 4, 4) poses and each of the same or of others [rad]."""
     rotations = poses[:, :3, :3]
-    trace = np.einsum("aij,bij->ab", rotations, rotations)
+    trace = np.einsum("aij,bij->ab", rotations, rotations if others is None else others[:, :3, :3])
     return np.arccos(np.clip((trace - 1) / 2, -1, 1))
 
 
-def _agreement_of_views(arm: Array, camera: Array) -> Array:
-    """(views,) share of the other views to which each turns alike."""
-    alike = np.abs(arm - camera) < ALIKE
+def _agreement_of_views(arm: Array, cameras: Sequence[Array]) -> Array:
+    """(views,) share of the other views to which each turns alike by one of the readings."""
+    alike = np.any([np.abs(arm - camera) < ALIKE for camera in cameras], axis=0)
+    np.fill_diagonal(alike, True)
     return (alike.sum(1) - 1) / (len(alike) - 1)
 
 
@@ -80,6 +87,8 @@ def _hypotheses(every: Order, suspects: Order, names: Sequence[str]) -> Iterator
 
 
 def _shifted(shift: int, name: str) -> str:
-    place, lost = ("after", "poses") if shift > 0 else ("before", "pictures")
+    place = "after" if shift > 0 else "before"
     number = "one" if abs(shift) == 1 else "two"
-    return f"from view {name} on, each picture has the pose of the {number} {place} it: {number} of the {lost} may be missing"
+    lost = {1: f"the pose of view {name}", 2: f"two poses from view {name} on", -1: "a picture", -2: "two pictures"}[shift]
+    missing = f"{lost} may be missing" + ("" if shift > 0 else f" before view {name}")
+    return f"from view {name} on, each picture has the pose of the {number} {place} it: {missing}"

@@ -46,7 +46,7 @@ def refine_without(
     """
     allowed, left_out = int(MAX_SHARE * len(session.observations)), {}
     while True:
-        check_enough(session.observations, 0 if not free else MIN_TOTAL_CORNERS)
+        check_enough(session.observations, MIN_TOTAL_CORNERS if free and known is None else 0)
         uncertainty.check_motion(session.base_from_flange)
         measured = model.measured(session, free, known, accuracy, fisheye)
         refined = refine.refine(measured, start, sigma_px=sigma_px)

@@ -25,7 +25,9 @@ from datasets.core.errors import KoalaError
 from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import WIDTH, bytes_of
+from datasets.pattern import Pattern
 
+DISC_CORNERS = 24  # of the polygons that stand for circles
 THUMBNAIL = 96  # width of the pictures on the cameras [px]
 ARROW = 0.03  # length of the arrow of a large residual, as a share of the picture's width
 WORST_PX = 0.5  # residual that is drawn fully red [px]
@@ -84,7 +86,9 @@ class CalibrationView:
         """Add what the recording holds; where it is missing or cannot be used, say so."""
         try:
             path = recording_of(self.calibration, recording)
-            session, _ = observe_folder(path, description, seen=self._seen)
+            session, _ = observe_folder(
+                path, description, seen=self._seen, leave_out=self.calibration.provenance.get("leave_out") is True
+            )
             self.evidence = evidence = gather(self.calibration, session)
         except KoalaError as error:
             self._state.content = f"*{error}*"
@@ -200,25 +204,42 @@ def _point(place: Array) -> tuple[int, int]:
 
 
 def add_board(page: Page, name: str, board: Board, base_from_board: Array) -> None:
-    """A target as a light plate with its dark squares, at a (4, 4) pose."""
-    side = board.square_length_m
-    columns, rows = np.meshgrid(np.arange(board.squares_x), np.arange(board.squares_y))
-    dark = (columns + rows) % 2 == 0
-    squares = _squares(np.stack([columns[dark], rows[dark]], -1).astype(np.float64) * side, side, -1e-4)
-    plate = _squares(np.zeros((1, 2)), np.array([board.squares_x, board.squares_y]) * side, 0.0)
+    """A target as a light plate with what is printed on it, at a (4, 4) pose."""
+    pattern = Pattern(board)
+    parts = [("plate", _rectangles(np.array([[0, 0, *board.size]]), 0.0), 235)]
+    if len(pattern.rectangles):
+        parts.append(("squares", _rectangles(pattern.rectangles, -1e-4), 30))
+    if len(pattern.circles):
+        parts.append(("circles", _discs(pattern.circles, -1e-4), 30))
     rotation, place = shapes.placed(base_from_board)
-    for part, mesh, grey in (("squares", squares, 30), ("plate", plate, 235)):
+    for part, mesh, grey in parts:
         colour = (grey, grey, grey)
         page.scene.add_mesh_simple(f"{name}/{part}", *mesh, color=colour, side="double", wxyz=rotation, position=place)
 
 
-def _squares(origins: Array, side: float | Array, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Vertices and faces of rectangles with a corner at each of (n, 2) `origins`, in the plane z = `height`."""
-    steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * side
-    flat = (origins[:, None] + steps[None]).reshape(-1, 2)
+Mesh = tuple[NDArray[np.float32], NDArray[np.uint32]]
+"""Vertices and faces."""
+
+
+def _rectangles(places: Array, height: float) -> Mesh:
+    """Rectangles (n, 4), x, y, width and height each, in the plane z = `height`."""
+    steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    return _fans(places[:, None, :2] + steps * places[:, None, 2:], height)
+
+
+def _discs(places: Array, height: float) -> Mesh:
+    """Discs (n, 3), middle and diameter each, in the plane z = `height`."""
+    turn = 2 * np.pi * np.arange(DISC_CORNERS) / DISC_CORNERS
+    return _fans(places[:, None, :2] + np.stack([np.cos(turn), np.sin(turn)], -1) * places[:, None, 2:] / 2, height)
+
+
+def _fans(corners: Array, height: float) -> Mesh:
+    """Convex polygons with (n, m, 2) corners, as triangles from each one's first corner."""
+    count = corners.shape[1]
+    flat = corners.reshape(-1, 2)
     vertices = np.concatenate([flat, np.full((len(flat), 1), height)], axis=1)
-    first = 4 * np.arange(len(origins))[:, None]
-    faces = np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))])
+    first = count * np.arange(len(corners))[:, None]
+    faces = np.concatenate([first + np.array([0, k, k + 1]) for k in range(1, count - 1)])
     return vertices.astype(np.float32), faces.astype(np.uint32)
 
 

@@ -11,17 +11,19 @@ A description states the conventions. It is used only where a person names it, a
     board: {type: chessboard, squares_x: 10, squares_y: 7, square_length_m: 0.0236}
 
 One file for all views is a CSV with a column `image` and a column for each word of the layout (m00 m01 ... for a matrix), a
-YAML or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers.
+YAML or JSON list of entries {image: NAME, pose: NUMBERS}, or a mapping of image names to numbers. A CSV without that column, and
+a list of nothing but numbers, are in the order of the images.
 """
 
 import csv
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 import configs
 from calib.arrays import Array
@@ -29,7 +31,7 @@ from calib.errors import CalibrationError
 from calib.sessions.session import TargetSession, observe, observe_recording
 from calib.targets.detection import check_markers
 from datasets import conventions, pose
-from datasets.board import Board
+from datasets.board import Board, load_board
 from datasets.camera_model import Camera
 from datasets.core import files, plain_yaml
 from datasets.core.errors import DatasetError, UsageError
@@ -42,6 +44,16 @@ Layout = Literal["x y z rx ry rz", "x y z qw qx qy qz", "x y z qx qy qz qw", "ma
 LAYOUTS = {"x y z rx ry rz": 6, "x y z qw qx qy qz": 7, "x y z qx qy qz qw": 7, "matrix": 16, "matrix by columns": 16}
 """How many numbers each layout has; a matrix may also be given by its upper three rows."""
 MAX_CSV_BYTES = 2**24
+Seen = Callable[[str], None]
+"""Called after each image with a few words."""
+
+
+def _named(board: Any) -> Any:
+    """A board that is given by its name or its file; anything else as it is."""
+    return load_board(configs.find("boards", board)) if isinstance(board, str) else board
+
+
+NamedBoard = Annotated[Board, BeforeValidator(_named)]
 
 
 class CameraNumbers(Schema):
@@ -75,7 +87,7 @@ class Description(Schema):
     angle: Literal["rad", "deg"] = Field(default="rad", description="unit of rotation vectors")
     inverse: bool = Field(default=False, description="true where the poses are flange_from_base; else base_from_flange")
     eye_to_hand: bool = Field(default=False, description="true where the camera stands beside the arm and holds still")
-    board: Board = Field(description="the target: type, squares_x, squares_y, square_length_m, ...")
+    board: NamedBoard = Field(description="the target: name of a shipped board, a board file, or type, squares_x, ...")
     camera: CameraNumbers | None = Field(default=None, description="a camera calibrated elsewhere; null: estimated along")
 
     @model_validator(mode="after")
@@ -91,16 +103,19 @@ def load_description(description: Path) -> Description:
 
 
 def observe_folder(
-    folder: Path, description: Path | None = None, *, seen: Callable[[str], None] = lambda words: None
+    folder: Path, description: Path | None = None, *, seen: Seen = lambda words: None, leave_out: bool = False
 ) -> tuple[TargetSession, Camera | None]:
     """Find the target in a recording or, as `description` says, in a folder to import; and the camera that the import brings.
+
+    With `leave_out`, images without a pose are left out instead of refusing the session.
 
     Raises UsageError where the folder is no recording and no description is given, and what the two functions for them raise.
     """
     imported = _imported(folder, description)
     if imported is None:
         return observe_recording(folder, seen=seen), None
-    return import_session(folder, imported, seen=seen), imported.camera.camera() if imported.camera else None
+    session = import_session(folder, imported, seen=seen, leave_out=leave_out)
+    return session, imported.camera.camera() if imported.camera else None
 
 
 def count_views(folder: Path, description: Path | None = None) -> int:
@@ -121,11 +136,13 @@ def _imported(folder: Path, description: Path | None) -> Description | None:
     return None
 
 
-def import_session(folder: Path, description: Description, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
+def import_session(
+    folder: Path, description: Description, *, seen: Seen = lambda words: None, leave_out: bool = False
+) -> TargetSession:
     """Find the target in the images of a folder, and read the arm's pose of each.
 
     Raises:
-        UsageError: no image or no pose of an image is there.
+        UsageError: no image is there; or no pose of an image, unless these are left out; or more poses than images.
         DatasetError, CalibrationError: a pose cannot be what the description says, or a path leaves the folder.
         TargetError: the target is in no image.
     """
@@ -135,11 +152,19 @@ def import_session(folder: Path, description: Description, *, seen: Callable[[st
     if not images:
         why = f"nothing matches {description.images!r}"
         raise UsageError("no images found", where=folder, why=why, remedy="correct 'images'")
-    numbers = _numbers(folder, description, images).items()
+    known = _numbers(folder, description, images)
+    numbers = {name: known[name] for name in images if name in known}.items()
+    without = {name: f"it has no pose; there are {len(known)} for {len(images)} pictures" for name in images if name not in known}
+    if without and (not leave_out or not known):
+        why = ", ".join(list(without)[:5]) + (", ..." if len(without) > 5 else "")
+        remedy = f"correct 'poses' ({description.poses}), or leave them out with --leave-out"
+        raise UsageError("images without a pose", where=folder, why=why, remedy=remedy)
     views = [(name, images[name], as_pose(n, description, where=f"{folder}, pose of view {name}")) for name, n in numbers]
     hashes = "+".join(files.sha256(path)[:12] for path in images.values())
     provenance = {"folder": str(folder.resolve()), "board": board.to_json(), "frames_sha256": hashes}
-    return observe(board, views, provenance=provenance, seen=seen, eye_to_hand=description.eye_to_hand)
+    provenance |= {"leave_out": True} if without else {}
+    found = observe(board, views, provenance=provenance, seen=seen, eye_to_hand=description.eye_to_hand)
+    return replace(found, left_out=without)
 
 
 def matching(folder: Path, pattern: str) -> dict[str, Path]:
@@ -153,26 +178,37 @@ def matching(folder: Path, pattern: str) -> dict[str, Path]:
 
 
 def _numbers(folder: Path, description: Description, images: dict[str, Path]) -> dict[str, list[float]]:
-    """The numbers of each view's pose."""
+    """The numbers of the poses by name of the view; those of other names are left out."""
     if "*" in description.poses:
         paths = matching(folder, description.poses)
         found = {name: _at(description.key, path) for name, path in paths.items() if name in images}
     else:
         path = files.inside(folder, description.poses, where="description, poses")
-        by_image = _csv(path, description) if path.suffix.lower() == ".csv" else _table(_at(description.key, path), path)
-        views = {file.name: name for name, file in images.items()}
-        found = {views.get(Path(image).name, image): numbers for image, numbers in by_image.items()}
-    if missing := [name for name in images if name not in found]:
-        why = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
-        raise UsageError("images without a pose", where=folder, why=why, remedy=f"correct 'poses' ({description.poses})")
+        poses = _csv(path, description) if path.suffix.lower() == ".csv" else _table(_at(description.key, path), path)
+        found = _in_order(poses, images, path) if isinstance(poses, list) else _by_name(poses, images)
     result = {}
-    for name in images:
+    for name in found:
         try:
             result[name] = np.asarray(found[name], np.float64).ravel().tolist()
         except (TypeError, ValueError, OverflowError):
             why = str(found[name])[:80]
             raise DatasetError("pose is not made of numbers", where=f"{folder}, view {name}", why=why) from None
     return result
+
+
+def _by_name(poses: dict[str, Any], images: dict[str, Path]) -> dict[str, Any]:
+    """Poses by name of the view, out of poses by name of the image or of the view."""
+    views = {file.name: name for name, file in images.items()}
+    found = {views.get(Path(image).name, image): numbers for image, numbers in poses.items()}
+    return {name: found[name] for name in images if name in found}
+
+
+def _in_order(poses: list[Any], images: dict[str, Path], path: Path) -> dict[str, Any]:
+    """Poses by name of the view, out of a list in the order of the images. The last images may have none."""
+    if len(poses) > len(images):
+        why, remedy = f"{len(poses)} for {len(images)} pictures", "remove those whose pictures are missing, or name the images"
+        raise UsageError("there are more poses than pictures", where=path, why=why, remedy=remedy)
+    return dict(zip(images, poses, strict=False))
 
 
 def _at(key: str, path: Path) -> Any:
@@ -186,10 +222,12 @@ def _at(key: str, path: Path) -> Any:
     return content
 
 
-def _table(content: Any, path: Path) -> dict[str, Any]:
-    """Numbers by image name from a list of entries or from a mapping."""
+def _table(content: Any, path: Path) -> dict[str, Any] | list[Any]:
+    """Numbers by image name from a list of entries or from a mapping; from a list of numbers alone, numbers in order."""
     if isinstance(content, dict):
         return {str(name): values for name, values in content.items()}
+    if isinstance(content, list) and content and all(isinstance(entry, list) for entry in content):
+        return content
     try:
         return {str(entry["image"]): entry["pose"] for entry in content}
     except (TypeError, KeyError) as error:
@@ -197,8 +235,8 @@ def _table(content: Any, path: Path) -> dict[str, Any]:
         raise DatasetError("is no list of poses", where=path, why=why, remedy=remedy) from None
 
 
-def _csv(path: Path, description: Description) -> dict[str, list[str]]:
-    """Numbers by image name from a CSV file with a header."""
+def _csv(path: Path, description: Description) -> dict[str, Any] | list[Any]:
+    """Numbers by image name from a CSV file with a header; in order where it has no column of images."""
     names = description.layout.split() if "matrix" not in description.layout else [f"m{r}{c}" for r in range(4) for c in range(4)]
     try:
         text = files.read_regular(path, MAX_CSV_BYTES, suffixes=(".csv",)).decode("utf-8")
@@ -208,8 +246,10 @@ def _csv(path: Path, description: Description) -> dict[str, list[str]]:
         raise DatasetError("is not a CSV file", where=path, why=str(error)) from None
     if "m33" not in columns:
         names = [name for name in names if not name.startswith("m3")]
-    if absent := [name for name in ["image", *names] if name not in columns]:
+    if absent := [name for name in names if name not in columns]:
         raise DatasetError(f"no column {absent[0]!r}", where=path, why=f"it has {', '.join(columns) or 'none'}")
+    if "image" not in columns:
+        return [[row[name] for name in names] for row in rows]
     return {str(row["image"]): [row[name] for name in names] for row in rows}
 
 

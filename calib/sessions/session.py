@@ -36,6 +36,7 @@ class TargetSession:
     joints: Array | None = None  # (views, n) joint angles as reported [rad], where the session holds them
     links: Links = UR5E  # the arm's nominal chain, where it has joint angles
     region: Region | None = None  # of the sensor that every image shows, where the recording states it
+    left_out: dict[str, str] = field(default_factory=dict)  # pictures that were not searched, with the reason
     images: dict[str, Path] = field(default_factory=dict)  # by name of the view, where there are any
 
     @property
@@ -105,7 +106,8 @@ def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words:
     views = [(f.name, recording.image_path(f), f.base_from_flange) for f in recording.frames]  # paths are checked on opening
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
-    session = observe(board, views, provenance=provenance_of(path, board), seen=seen)
+    beside = recording.manifest.get("eye_to_hand") is True
+    session = observe(board, views, provenance=provenance_of(path, board), seen=seen, eye_to_hand=beside)
     joints = {frame.name: frame.joints for frame in recording.frames}
     region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
     angles = np.stack([joints[o.name] for o in session.observations])

@@ -1,4 +1,4 @@
-"""Finds a calibration target's corners in a picture: of ChArUco boards, chessboards and grids of tags, through OpenCV."""
+"""Finds a calibration target in a picture: corners of ChArUco boards, chessboards and tags, middles of circles."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array, Indices
 from calib.errors import TargetError
-from calib.targets import corners
+from calib.targets import circles, corners, tags
 from datasets import conventions
 from datasets.board import Board
 from datasets.core.errors import UsageError, nearest
 from datasets.core.schema import validate
+from datasets.imaging.images import linear_from_srgb
+from datasets.pattern import dictionary_of
 
 MIN_CORNERS = 8  # a view of a checkered target with fewer corners is left out; of tags, one whole tag will do
 _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
@@ -34,7 +36,7 @@ class Observation:
 def read_board(content: Any, *, where: object) -> Board:
     """The board that a recording's manifest describes under `board`. Unknown keys are ignored. Raises TargetError."""
     if not isinstance(content, dict):
-        remedy = "record a target session, for instance with --scene charuco_board"
+        remedy = "record a target session, for instance with --scene board"
         raise TargetError("recording describes no calibration target", where=where, remedy=remedy)
     known = {k: v for k, v in content.items() if k in (*Board.model_fields, "type") and v is not None}
     try:
@@ -46,23 +48,18 @@ def read_board(content: Any, *, where: object) -> Board:
 
 def check_markers(board: Board, *, where: object) -> Board:
     """`board` as given. Raises TargetError if OpenCV lacks its marker dictionary, or the dictionary has too few markers."""
-    if board.kind == "chessboard":
+    if not board.has_markers:
         return board
     names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
     if board.dictionary not in names:
         remedy = nearest(board.dictionary, names)
         raise TargetError("unknown marker dictionary", where=where, why=repr(board.dictionary), remedy=remedy)
     squares, available = board.squares_x * board.squares_y, len(dictionary_of(board).bytesList)
-    needed = board.first_id + squares if board.kind == "tags" else squares // 2
+    needed = board.first_id + squares if board.has_tags else squares // 2
     if needed > available:
         why = f"{needed} markers are needed, {board.dictionary} has {available}"
         raise TargetError("marker dictionary is too small", where=where, why=why, remedy="choose a larger dictionary")
     return board
-
-
-def dictionary_of(board: Board) -> cv2.aruco.Dictionary:
-    """OpenCV's marker dictionary of a board."""
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
 
 
 def detect(board: Board, grey: NDArray[np.float32], name: str) -> Observation | None:
@@ -75,34 +72,24 @@ def detect(board: Board, grey: NDArray[np.float32], name: str) -> Observation | 
         The corners, or None where fewer than `MIN_CORNERS` are seen or all of them lie on one line.
     """
     picture = np.ascontiguousarray(np.rint(np.clip(grey, 0, 1) * 255), np.uint8)
-    search = {"charuco": _charuco_corners, "chessboard": _chessboard_corners, "tags": _tag_corners}
+    search = {"charuco": _charuco_corners, "chessboard": _chessboard_corners}
+    search |= {"tags": tags.find, "aprilgrid": tags.find, "circles": circles.find, "asymmetric_circles": circles.find}
     found = search[board.kind](board, picture)
-    if found is None or len(found[0]) < (4 if board.kind == "tags" else MIN_CORNERS):
+    if found is None or len(found[0]) < (4 if board.has_tags else MIN_CORNERS):
         return None
     ids, places = found
     points = board.points[ids]
     if np.linalg.matrix_rank(points - points.mean(0), tol=1e-9) < 2:
         return None
-    if board.kind == "tags":
-        places = places.astype(np.float64)
+    light = np.ascontiguousarray(grey, np.float32)
+    if board.has_circles:
+        exact = circles.refined(board, linear_from_srgb(light), places)
     else:
-        places = _refined(board, np.ascontiguousarray(grey, np.float32), ids, places)
-    return Observation(name, ids, conventions.pixels_from_opencv(places), points)
-
-
-def _tag_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    quads, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(board), parameters).detectMarkers(picture)
-    if ids is None:
+        exact = _refined(board, light, ids, places)
+    good = np.isfinite(exact).all(axis=1)
+    if not good.any():
         return None
-    numbers = ids.ravel() - board.first_id
-    chosen = [i for i, n in enumerate(numbers) if 0 <= n < board.squares_x * board.squares_y]
-    if not chosen or len(set(numbers[chosen])) < len(chosen):
-        return None
-    chosen.sort(key=lambda i: numbers[i])
-    corner = (4 * numbers[chosen][:, None] + np.arange(4)).ravel().astype(np.int64)
-    return corner, np.concatenate([quads[i].reshape(4, 2) for i in chosen]).astype(np.float32)
+    return Observation(name, ids[good], conventions.pixels_from_opencv(exact[good]), points[good])
 
 
 def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
@@ -131,19 +118,29 @@ def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
 
 
 def _refined(board: Board, grey: NDArray[np.float32], ids: Indices, found: NDArray[np.float32]) -> Array:
-    """(n, 2) corners to a few hundredths of a pixel: `cornerSubPix` brings them near, a fit of the picture there."""
-    points = board.points[ids, :2]
+    """(n, 2) corners to a few hundredths of a pixel: `cornerSubPix` brings them near, a fit of the picture there.
+
+    NaN for those of an AprilGrid that could not be fitted.
+    """
+    points, clear_m = board.points[ids, :2], _clear_m(board)
     metres, pixels = np.linalg.norm(points[:, None] - points, axis=-1), np.linalg.norm(found[:, None] - found, axis=-1)
-    neighbours = (metres > 0) & (metres < 1.01 * board.square_length_m)
+    neighbours = (metres > 0) & (metres < 1.01 * (board.marker_length_m if board.has_tags else board.square_length_m))
     scale = np.percentile(pixels[neighbours] / metres[neighbours], 10) if neighbours.any() else 0.0
-    half = int(np.clip(0.8 * scale * _clear_m(board) / np.sqrt(2), 2, 10))
+    half = int(np.clip(0.8 * scale * clear_m / np.sqrt(2), 2, 10))
     near = cv2.cornerSubPix(grey, found.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), _SUBPIXEL).reshape(-1, 2)
-    return corners.fit(grey, near.astype(np.float64), points, 0.9 * _clear_m(board))
+    inwards = None
+    if board.kind == "tags":  # an edge in encoded brightness lies on the dark side of its place; at other corners this cancels
+        inwards, grey = -np.sign(points - board.centres[ids // 4]), linear_from_srgb(grey)
+    or_start = board.kind != "aprilgrid"  # its tags are found among squares that touch them, a pixel or two off
+    return corners.fit(grey, near.astype(np.float64), points, 0.9 * clear_m, inwards, or_start=or_start)
 
 
 def _clear_m(board: Board) -> float:
-    """Radius around a corner in which only its own two edges are seen: to the nearest marker, or half a square [m]."""
+    """Radius around a corner in which only its own two edges are seen: to the nearest marker, cell or corner [m]."""
     margin = board.square_length_m - board.marker_length_m
+    if board.has_tags:
+        cell = board.marker_length_m / (dictionary_of(board).markerSize + 2 * board.border_bits)
+        return min(board.border_bits * cell, margin or np.inf)
     return margin / np.sqrt(2) if board.kind == "charuco" else board.square_length_m / 2
 
 

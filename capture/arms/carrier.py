@@ -13,6 +13,8 @@ from capture.arms.parts import Part, Shape
 from capture.geometry import Vector
 from capture.shapes.solids import Solid
 from capture.turntables.description import TurntableDescription
+from datasets import pose
+from datasets.core.errors import UsageError
 from datasets.core.schema import Schema
 
 Array = NDArray[np.float64]
@@ -51,22 +53,47 @@ class Cable(Schema):
         return np.asarray(np.abs(joints[..., winding] - rest).sum(-1) / (2 * np.pi))
 
 
+PLATE_RADIUS = 0.02  # of the capsules that make up a plate on the flange [m]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A camera that stands beside the arm, and the plate with a calibration target that the arm turns before it."""
+
+    base_from_camera: Array  # (4, 4) nominal place of the camera [m]
+    flange_from_plate: Array  # (4, 4) nominal place of the target's middle, with the axes of the board frame [m]
+    plate: tuple[float, float]  # extent of the plate along these axes [m]
+
+    @property
+    def parts(self) -> list[tuple[Array, Array]]:
+        """Ends in the frame of the flange of the axes of capsules, PLATE_RADIUS wide, that cover the plate."""
+        half = np.maximum(np.array(self.plate) / 2 - PLATE_RADIUS, 0.0)
+        rows = np.linspace(-half[1], half[1], max(int(np.ceil(self.plate[1] / (2 * PLATE_RADIUS))), 2))
+        rotation, middle = self.flange_from_plate[:3, :3], self.flange_from_plate[:3, 3]
+        return [(rotation @ [-half[0], y, 0.0] + middle, rotation @ [half[0], y, 0.0] + middle) for y in rows]
+
+
 @dataclass(frozen=True)
 class Carrier:
-    """An arm and the camera that it carries."""
+    """An arm and the camera that it carries; or the target that it carries, where the camera stands `beside` it."""
 
     arm: ArmModel
-    flange_from_camera: Array  # (4, 4) nominal mount [m]
+    flange_from_camera: Array  # (4, 4) nominal mount [m]; without meaning where the camera stands beside the arm
     body: tuple[CameraCapsule, ...] = BODY
     solids: tuple[Solid, ...] = ()  # what stands around the arm
     cable: Cable | None = None  # None: the cable is no limit
     turntable: TurntableDescription | None = None  # what turns the object; None: it stands
+    beside: Beside | None = None  # None: the camera is on the flange
 
     @cached_property
     def shape(self) -> Shape:
-        """The parts of the arm, the bracket, and the parts of the camera."""
-        last, mount = self.arm.count, np.asarray(self.flange_from_camera, np.float64)
+        """The parts of the arm, the bracket, and the parts of the camera or of the plate."""
+        last, mount = self.arm.count, self.flange_from_carried
         origin = np.zeros(3)
+        if self.beside is not None:
+            holder = Part("bracket", BRACKET_RADIUS, last, origin, mount[:3, 3], can_hide=False)
+            plate = [Part("target", PLATE_RADIUS, last, *ends, neighbours=0, can_hide=False) for ends in self.beside.parts]
+            return Shape((*self.arm.parts, holder, *plate))
         bracket = Part("bracket", BRACKET_RADIUS, last, origin, mount[:3, 3], can_hide=False)
         camera = [
             Part(
@@ -82,9 +109,39 @@ class Carrier:
         ]
         return Shape((*self.arm.parts, bracket, *camera))
 
+    @property
+    def flange_from_carried(self) -> Array:
+        """(4, 4) nominal place on the flange [m] of the camera, or of the target's middle."""
+        carried = self.flange_from_camera if self.beside is None else self.beside.flange_from_plate
+        return np.asarray(carried, np.float64)
+
+    def base_from_carried(self, joints: ArrayLike) -> Array:
+        """(..., 4, 4) nominal pose [m] of the camera, or of the target's middle, at (..., n) joint angles [rad]."""
+        return np.asarray(self.arm.forward(joints) @ self.flange_from_carried)
+
     def base_from_camera(self, joints: ArrayLike) -> Array:
         """(..., 4, 4) nominal camera pose [m] at (..., n) joint angles [rad]."""
-        return np.asarray(self.arm.forward(joints) @ self.flange_from_camera)
+        return self.camera_at(self.arm.forward(joints))
+
+    def camera_at(self, base_from_flange: Array) -> Array:
+        """(..., 4, 4) nominal camera pose [m] while the flange is at (..., 4, 4) poses [m]."""
+        if self.beside is None:
+            return np.asarray(base_from_flange @ self.flange_from_camera)
+        return np.broadcast_to(self.beside.base_from_camera, base_from_flange.shape)
+
+    def flange_for(self, base_from_camera: Array, base_from_middle: Array | None = None) -> Array:
+        """(4, 4) flange pose [m] for a wanted camera pose [m].
+
+        With the camera beside the arm, that pose is meant for a target whose middle lies at `base_from_middle`: the arm brings
+        the target to where the camera sees it so. Raises UsageError where nothing says where the target lies.
+        """
+        if self.beside is None:
+            return np.asarray(base_from_camera @ pose.inverse(self.flange_from_camera))
+        if base_from_middle is None:
+            remedy = "use a trajectory with 'target' and 'board', such as calibration"
+            raise UsageError("the camera stands beside the arm and sees only a target on the flange", remedy=remedy)
+        seen = pose.inverse(base_from_camera) @ base_from_middle
+        return np.asarray(self.beside.base_from_camera @ seen @ pose.inverse(self.beside.flange_from_plate))
 
     def segments(self, joints: ArrayLike) -> Array:
         """(..., parts, 2, 3) ends of the axes of the parts of `shape` in the base [m], at (..., n) joint angles [rad]."""

@@ -55,7 +55,6 @@ def reach_of(trajectory: Trajectory, carrier: Carrier, base_from_board: Array) -
 def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int, count: int = COUNT) -> list[Candidate]:
     """Up to `count` views of the board that the arm can take; none where it can take none."""
     rng, found = np.random.default_rng([seed, 19]), []
-    camera_from_flange = pose.inverse(reach.obstacles.flange_from_camera)
     for _ in range(TRIES * count):
         if len(found) == count:
             break
@@ -65,7 +64,7 @@ def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int
             continue
         solved = solve(Viewpoint(base_from_camera), reach.obstacles)
         if not solved.reason:
-            found.append(Candidate(base_from_camera @ camera_from_flange, solved.joints))
+            found.append(Candidate(reach.obstacles.flange_for(base_from_camera), solved.joints))
     return found
 
 
@@ -97,7 +96,7 @@ def _sides(trajectory: Trajectory) -> Array:
     """(2,) sides of the board [m]."""
     board = trajectory.target
     assert board is not None  # the command asks for a trajectory with a target
-    return board.square_length_m * np.array([board.squares_x, board.squares_y], np.float64)
+    return board.size
 
 
 def _drawn(rng: np.random.Generator, trajectory: Trajectory, reach: Reach, base_from_board: Array) -> Array:

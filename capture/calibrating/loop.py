@@ -137,8 +137,10 @@ class _Pool:
     def draw(self, answer: Answer) -> None:
         """Draw the candidates anew around the board."""
         assert answer.board is not None  # the loop looks for it first
-        reach = candidates.reach_of(self.trajectory, self.carrier, answer.board)
-        self.found = candidates.draw(self.trajectory, reach, answer.board, self.seed)
+        # beside the arm the views are meant for a board on the table, see `Carrier.flange_for`
+        board = answer.board if self.carrier.beside is None else self.trajectory.base_from_board
+        reach = candidates.reach_of(self.trajectory, self.carrier, board)
+        self.found = candidates.draw(self.trajectory, reach, board, self.seed)
         self.well, self.drawn = answer.figures is not None, True
 
 

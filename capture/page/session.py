@@ -58,7 +58,7 @@ class CaptureView:
         self.page.look(np.add(centre, [0.9, -1.3, 0.8 * up]), centre * [0.6, 0.6, 1.0], up=(0, 0, up), size=1.0)
 
     def _surroundings(self) -> None:
-        """Table, ceiling, object volume, safety volume, and the path of the camera."""
+        """Table, ceiling, object volume, safety volume, and the path of what the arm carries."""
         page, obstacles = self.page, self.obstacles
         for name, z, side in (("/table", obstacles.table_z, -obstacles.up), ("/ceiling", obstacles.ceiling_z, obstacles.up)):
             if z is not None:
@@ -75,7 +75,7 @@ class CaptureView:
         if len(self.timeline.seconds) > 1:
             times = np.linspace(0, self.timeline.end, 12 * len(self.timeline.stops))
             joints = np.stack([self.timeline.at(when) for when in times])
-            track = obstacles.carrier.base_from_camera(joints)[:, :3, 3]
+            track = obstacles.carrier.base_from_carried(joints)[:, :3, 3]
             shapes.add_lines(page, "/path", np.stack([track[:-1], track[1:]], axis=1), colour=(150, 150, 150), thickness=1.0)
 
     def _views(self) -> None:

@@ -106,7 +106,7 @@ def of_recording(recording: Recording, mount: Mount) -> Timeline:
     seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory)
     stops = []
     for frame, when in zip(frames, seconds, strict=True):
-        base_from_camera, image = frame.base_from_flange @ carrier.flange_from_camera, recording.image_path(frame)
+        base_from_camera, image = carrier.camera_at(frame.base_from_flange), recording.image_path(frame)
         measured = f"exposed for {1e-3 * frame.exposure_us:g} ms, {frame.settle_s:.2f} s after the motion"
         if frame.turntable_angle is not None:
             measured += f", turntable at {np.degrees(frame.turntable_angle):.1f} degrees"

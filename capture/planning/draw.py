@@ -131,7 +131,7 @@ def _side(panel: "Axes", planned: list[PlannedView], obstacles: Obstacles, axes:
 
 
 def _camera_track(path: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np.float64]:
-    return obstacles.carrier.base_from_camera(path)[:, :3, 3]
+    return obstacles.carrier.base_from_carried(path)[:, :3, 3]
 
 
 def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:

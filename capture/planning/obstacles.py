@@ -31,6 +31,7 @@ class Obstacles:
     workspace_corners: Array | None = None
     ceiling_z: float | None = None
     up: int = 1  # 1 where the base's z axis points up, -1 where the arm hangs
+    base_from_middle: Array | None = None  # (4, 4) where the views have the middle of the target [m]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mount", carrier_of(self.mount))
@@ -56,6 +57,7 @@ class Obstacles:
             workspace_corners=None if safety.workspace is None else safety.workspace.corners,
             ceiling_z=safety.ceiling_z,
             up=trajectory.upwards,
+            base_from_middle=trajectory.base_from_middle,
         )
 
     @property
@@ -63,10 +65,9 @@ class Obstacles:
         """The arm and its camera."""
         return carrier_of(self.mount)
 
-    @property
-    def flange_from_camera(self) -> Array:
-        """(4, 4) nominal mount of the camera [m]."""
-        return self.carrier.flange_from_camera
+    def flange_for(self, base_from_camera: Array) -> Array:
+        """(4, 4) flange pose [m] for a wanted camera pose; see `Carrier.flange_for`."""
+        return self.carrier.flange_for(base_from_camera, self.base_from_middle)
 
     @property
     def shape(self) -> Shape:

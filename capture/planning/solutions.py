@@ -44,8 +44,7 @@ def solve(viewpoint: Viewpoint, obstacles: Obstacles) -> Solutions:
         return _check_given(viewpoint, viewpoint.joints[None], obstacles)
     assert viewpoint.base_from_camera is not None  # a viewpoint has either
     carrier = obstacles.carrier
-    camera_from_flange = pose.inverse(carrier.flange_from_camera)
-    flanges = [_turned(viewpoint.base_from_camera, roll) @ camera_from_flange for roll in viewpoint.rolls]
+    flanges = [obstacles.flange_for(_turned(viewpoint.base_from_camera, roll)) for roll in viewpoint.rolls]
     branches = [carrier.arm.inverse(base_from_flange) for base_from_flange in flanges]
     joints = np.concatenate(branches)
     rolls = np.repeat(np.arange(len(branches)), [len(b) for b in branches])

@@ -98,7 +98,7 @@ def settle_curve(
     starts = [target + 0.25 * np.where(np.arange(6) % 2, 1, -1) * (-1) ** turn for turn in range(repeats)]
     points = []
     with SimulatedController.start(time_scale=1.0) as controller:
-        camera = SimulatedCamera(trajectory, "charuco_board", RigTruth.draw(mount, 0), controller, 0)
+        camera = SimulatedCamera(trajectory, "board", RigTruth.draw(mount, 0), controller, 0)
         with camera, UniversalRobot(controller.host, deadlines=PATIENT) as robot:
 
             def look(start: NDArray[np.float64], delay_s: float) -> tuple[float, float, NDArray[np.float64]]:

@@ -4,6 +4,7 @@ from datetime import datetime
 from importlib.metadata import version
 from typing import Any
 
+from capture.arms.carrier import Carrier
 from capture.rig.description import InstallationDescription, RigDescription, recorded_rig
 from capture.rig.opening import Rig
 from capture.trajectory import Trajectory, recorded_trajectory
@@ -36,10 +37,17 @@ def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         "camera": {**rig.camera.description(), "lens": rig.description.camera.lens},
         "robot": rig.robot.description(),
         "turntable": None if rig.turntable is None else rig.turntable.description(),
-        "nominal_flange_from_camera": rig.flange_from_camera.tolist(),
+        **_mounting(rig.carrier),
         "board": trajectory.target.to_json() if trajectory.target else None,
         "object": volume and {"centre": list(volume.centre), "size": list(volume.size), "box": volume.corners.tolist()},
     }
+
+
+def _mounting(carrier: Carrier) -> dict[str, Any]:
+    """Where the camera is by the rig file: on the flange, or beside the arm with the target on the flange."""
+    if carrier.beside is None:
+        return {"eye_to_hand": False, "nominal_flange_from_camera": carrier.flange_from_camera.tolist()}
+    return {"eye_to_hand": True, "nominal_base_from_camera": carrier.beside.base_from_camera.tolist()}
 
 
 def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig) -> None:

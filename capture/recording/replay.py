@@ -75,6 +75,8 @@ def _true_poses(recording: Recording) -> dict[str, Any]:
     if not path.exists():
         return {}
     content = files.read_json(path)
+    if content["flange_from_camera"] is None:  # the camera stands beside the arm
+        return {name: np.asarray(matrix) for name, matrix in content["base_from_flange"].items()}
     camera_from_flange = pose.inverse(content["flange_from_camera"])
     return {name: np.asarray(matrix) @ camera_from_flange for name, matrix in content["base_from_camera"].items()}
 

@@ -26,7 +26,7 @@ def sim(
     from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
     from capture.sim.laboratory.scenes import check_name
 
-    check_name(scene)
+    scene = check_name(scene)
     description = describe(rig)
     model = controller_model(description)
     with SimulatedController.as_built(seed=seed, time_scale=time_scale, hangs=hangs, host=host, model=model) as controller:

@@ -4,14 +4,16 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from capture.arms.carrier import BODY, Cable, CameraCapsule, Carrier
+from capture.arms.carrier import BODY, Beside, Cable, CameraCapsule, Carrier
 from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
 from capture.geometry import PoseDescription
-from capture.shapes.solids import AnySolid, MeshSolid
+from capture.shapes.solids import AnySolid, CylinderSolid, MeshSolid
 from capture.sim.laboratory.flaws import Flaws
 from capture.turntables.description import LampDescription, TurntableDescription
+from datasets import pose
 from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
@@ -71,6 +73,21 @@ class CameraDescription(Schema):
     )
 
 
+class BesideDescription(Schema):
+    """A camera that stands beside the arm and looks at a calibration target on the flange."""
+
+    base_from_camera: PoseDescription = Field(
+        description="nominal camera pose in the base, by a ruler. 1 cm and 5 degrees are enough: calib finds the true pose"
+    )
+    flange_from_plate: PoseDescription = Field(
+        default=PoseDescription(position=(0.0, 0.0, 0.02), rotation_deg=(180.0, 0.0, 0.0)),
+        description="nominal place of the target's middle on the flange: x along its squares_x, y along squares_y, z into it",
+    )
+    plate: tuple[float, float] = Field(
+        default=(0.3, 0.24), description="extent of the plate that bears the target, along its x and y, for collision checks [m]"
+    )
+
+
 class SimulationDescription(Schema):
     """A simulated rig. A real rig has none."""
 
@@ -95,6 +112,9 @@ class RigDescription(Schema):
         default=PoseDescription(position=(0.0, 0.06, 0.08), rotation_deg=(45.0, 0.0, 0.0)),
         description="nominal camera pose on the flange, from a drawing or a ruler. 1 cm and 5 degrees are enough: "
         "calib finds the true pose",
+    )
+    beside: BesideDescription | None = Field(
+        default=None, description="the camera stands beside the arm; null: it is on the flange, at flange_from_camera"
     )
     obstacles: list[AnySolid] = Field(default=[], description="what else stands around the arm")
     turntable: TurntableDescription | None = Field(default=None, description="what turns the object; null: the object stands")
@@ -123,8 +143,13 @@ class RigDescription(Schema):
         names = [solid.name for solid in self.obstacles]
         if len(set(names)) < len(names):
             raise UsageError("two obstacles have the same name", why=", ".join(sorted(names)), remedy="rename one of them")
-        body = tuple(self.camera.body)
-        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(self.obstacles), cable, self.turntable)
+        body, beside = tuple(self.camera.body), None
+        solids = list(self.obstacles)
+        if self.beside is not None:
+            stated = self.beside
+            beside = Beside(stated.base_from_camera.matrix(), stated.flange_from_plate.matrix(), stated.plate)
+            solids.append(_camera_as_solid(body, beside.base_from_camera))
+        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(solids), cable, self.turntable, beside)
 
     def lights_on(self, trajectory_lights: list[str] | None) -> tuple[str, ...] | None:
         """Names of the lamps that are on in a trajectory; None where the rig file names no lamps.
@@ -147,6 +172,17 @@ class RigDescription(Schema):
                 remedy = "correct 'lights' in the trajectory, or add the lamp to the rig file"
                 raise UsageError(f"no lamp called '{name}'", where="lights", why=why, remedy=remedy)
         return (tuple(names) if trajectory_lights is None else tuple(trajectory_lights)) if names else None
+
+
+def _camera_as_solid(body: tuple[CameraCapsule, ...], base_from_camera: NDArray[np.float64]) -> CylinderSolid:
+    """The cylinder along the view that encloses the body of a camera beside the arm."""
+    ends = np.array([[part.start, part.end] for part in body])
+    radii = np.array([part.radius for part in body])
+    low, high = (ends[..., 2].min(axis=1) - radii).min(), (ends[..., 2].max(axis=1) + radii).max()
+    radius = float((np.linalg.norm(ends[..., :2], axis=-1).max(axis=1) + radii).max())
+    placed = base_from_camera @ pose.rigid(np.eye(3), [0.0, 0.0, (low + high) / 2])
+    where = PoseDescription(position=tuple(placed[:3, 3]), rotation_deg=tuple(np.degrees(pose.rotation_vector(placed))))
+    return CylinderSolid(kind="cylinder", name="camera beside the arm", radius=radius, height=float(high - low), pose=where)
 
 
 def recorded_rig(recording: Recording) -> RigDescription:

@@ -6,16 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 import configs
 from capture.arms.carrier import Carrier
 from capture.rig.description import RigDescription, load_rig
 from capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
 from capture.rig.turning import open_turntable
 from capture.trajectory import Trajectory
-from datasets import pose
 from datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -46,11 +42,6 @@ class Rig:
     def carrier(self) -> Carrier:
         """The arm with its camera and what stands around it."""
         return self.description.carrier()
-
-    @property
-    def flange_from_camera(self) -> NDArray[np.float64]:
-        """(4, 4) nominal mount [m]."""
-        return self.description.flange_from_camera.matrix()
 
 
 def describe(name: str) -> RigDescription:
@@ -149,7 +140,7 @@ def open_rig(
 
         simulation = description.simulation
         seed = simulation.seed if simulation is not None and simulation.side_port is not None else seed
-        truth = RigTruth.draw(description.flange_from_camera.matrix(), seed)
+        truth = RigTruth.of(description.carrier(), trajectory, seed)
         with ExitStack() as stack:
             turning = open_turntable(description, trajectory, simulated=True, seed=seed, time_scale=time_scale)
             table, turned = stack.enter_context(turning)
@@ -175,13 +166,14 @@ def open_camera(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0,
         with Basler(trajectory.camera, serial=description.camera.serial) as camera:
             yield camera
         return
+    from capture.planning import Obstacles
     from capture.sim.camera import SimulatedCamera, StillArm
     from capture.sim.truth import RigTruth
 
     carrier = description.carrier()
-    mount = carrier.flange_from_camera
-    arm = StillArm(trajectory.viewpoints()[view].camera_pose(carrier) @ pose.inverse(mount))
-    with SimulatedCamera(trajectory, scene, RigTruth.draw(mount, seed), arm, seed, flaws_of(description)) as simulated:
+    arm = StillArm(Obstacles.of(trajectory, carrier).flange_for(trajectory.viewpoints()[view].camera_pose(carrier)))
+    truth = RigTruth.of(carrier, trajectory, seed)
+    with SimulatedCamera(trajectory, scene, truth, arm, seed, flaws_of(description)) as simulated:
         yield simulated
 
 
@@ -275,9 +267,8 @@ def write_simulated_rig(
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
     rig = rig or RigDescription()
     own = {"host": controller.host, **rig.robot.model_dump(mode="json", include={"model"}, exclude_defaults=True)}
-    rest = rig.model_dump(
-        mode="json", include={"camera", "flange_from_camera", "obstacles", "turntable", "lights"}, exclude_defaults=True
-    )
+    kept = {"camera", "flange_from_camera", "beside", "obstacles", "turntable", "lights"}
+    rest = rig.model_dump(mode="json", include=kept, exclude_defaults=True)
     content = {"robot": own, **rest, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))
 
@@ -296,6 +287,5 @@ def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
     from capture.sim.laboratory.views import check_scene
 
     if not scene:
-        scene = "charuco_board" if trajectory.target is not None else "gold_head" if simulation is None else simulation.scene
-    check_scene(scene, trajectory)
-    return scene
+        scene = "board" if trajectory.target is not None else "gold_head" if simulation is None else simulation.scene
+    return check_scene(scene, trajectory)

@@ -99,10 +99,10 @@ class SimulatedCamera:
         flaws: Flaws = PERFECT,
         table: SimulatedTurntable | None = None,
     ) -> None:
-        self.view = make_view(scene, trajectory, seed)
+        self.view = make_view(scene, trajectory, seed, truth.beside.flange_from_board if truth.beside is not None else None)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed
         self._arm, self._frame, self._table = arm, 0, table
-        self._base_from_camera: NDArray[np.float64] | None = None
+        self._world_from_camera: NDArray[np.float64] | None = None
         self._base_from_object: NDArray[np.float64] = np.eye(4)
         self._driver = Basler(trajectory.camera, emulated=True)
         self._exposure_us, self.flaws = trajectory.camera.exposure_us, flaws
@@ -135,9 +135,9 @@ class SimulatedCamera:
         """See `capture.rig.protocols.Camera`. `device_ticks` are nanoseconds of the host clock, as for a USB camera."""
         settings, moment = self.trajectory.camera, time.monotonic_ns()
         exposure_us = self._exposure_us
-        poses = self._arm.exposed(exposure_us * 1e-6, MOMENTS) @ self.truth.flange_from_camera
+        poses = self.truth.seen_from(self._arm.exposed(exposure_us * 1e-6, MOMENTS))
         poses = poses[blur_moments(self.lens.camera, poses)]
-        self._base_from_camera = poses[len(poses) // 2]
+        self._world_from_camera = poses[len(poses) // 2]
         self._base_from_object = np.eye(4) if self._table is None else self._table.base_from_object()
         light = self._light(poses)
         if self.flaws.flicker:
@@ -200,7 +200,7 @@ class SimulatedCamera:
         """
         if split == "test":
             white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)
-            for channel, values in self.view.truth(self.lens, self.base_from_camera, self._seed).items():
+            for channel, values in self.view.truth(self.lens, self.world_from_camera, self._seed).items():
                 if channel in LIGHT:
                     values = (values @ GREY if self.is_grey else values) / white
                 images.write(folder / channel / f"{name}{SUFFIXES[channel]}", values)
@@ -209,6 +209,9 @@ class SimulatedCamera:
         content["base_from_camera"][name] = self.base_from_camera.tolist()
         if self._table is not None:
             content["base_from_object"][name] = self._base_from_object.tolist()
+        if self.truth.beside is not None:
+            base_from_flange = self.base_from_camera @ pose.inverse(self.world_from_camera)
+            content.setdefault("base_from_flange", {})[name] = base_from_flange.tolist()
         files.write_json(poses, content)
 
     def _session(self, folder: Path) -> dict[str, Any]:
@@ -217,14 +220,16 @@ class SimulatedCamera:
         if mesh is not None:
             with files.atomic_path(folder / "object.ply") as temporary:
                 mesh.export(temporary, file_type="ply", vertex_normal=True)
-        board = self.trajectory.board
+        lying = self.trajectory.board is not None and self.truth.beside is None
+        carried = None if self.truth.beside is None else self.truth.beside.flange_from_board.tolist()
         return {
             "format": "koala-truth",
             "version": 1,
             "camera": self.lens.camera.to_json(),
             "sensor_camera": self.truth.sensor_camera.to_json(),
-            "flange_from_camera": self.truth.flange_from_camera.tolist(),
-            "base_from_board": board.matrix().tolist() if board is not None else None,
+            "flange_from_camera": self.truth.flange_from_camera.tolist() if self.truth.beside is None else None,
+            "flange_from_board": carried,
+            "base_from_board": self.trajectory.base_from_board.tolist() if lying else None,
             "flaws": self.flaws.model_dump(mode="json"),
             "base_from_camera": {},
             **({} if self._table is None else {"turntable": self._table.truth.axis.to_json(), "base_from_object": {}}),
@@ -240,9 +245,14 @@ class SimulatedCamera:
     @property
     def base_from_camera(self) -> NDArray[np.float64]:
         """(4, 4) true camera pose in the middle of the newest exposure [m]."""
-        if self._base_from_camera is None:
+        return self.world_from_camera if self.truth.beside is None else self.truth.beside.base_from_camera
+
+    @property
+    def world_from_camera(self) -> NDArray[np.float64]:
+        """(4, 4) the same in the frame of what is seen: the base, or the flange that carries the target [m]."""
+        if self._world_from_camera is None:
             raise SimulationError("no picture has been taken yet")
-        return self._base_from_camera
+        return self._world_from_camera
 
     @property
     def _seed(self) -> int:

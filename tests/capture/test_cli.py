@@ -128,7 +128,7 @@ def test_ctrl_c_keeps_the_frames_and_says_how_to_resume(tmp_path):
     [
         (("binning", "binnning"), [], "line 9: unknown key 'camera.binnning'; did you mean 'binning'?"),
         (("", ""), ["--scene", "gold_hed"], "unknown scene 'gold_hed'; did you mean 'gold_head'?"),
-        (("", ""), ["--scene", "charuco_board"], "needs a trajectory with 'target'"),
+        (("", ""), ["--scene", "board"], "needs a trajectory with 'target'"),
         (("", ""), ["--rig", "nowhere.yaml"], "nowhere.yaml: no such file; --rig takes sim, a name"),
         (("distance: 0.4", "distance: 2.0"), [], "views cannot be taken"),
         (("width: 48", "width: wide"), [], "camera.width"),
@@ -179,7 +179,7 @@ def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """`capture sim` by itself, and the rig file that it has written."""
     rig = tmp_path / "rig.yaml"
     host = f"127.77.{os.getpid() % 200 + 1}.1"
-    options = {"--scene": "charuco_board", "--out": str(rig), "--host": host, "--time-scale": "20", "--seed": "3"}
+    options = {"--scene": "board", "--out": str(rig), "--host": host, "--time-scale": "20", "--seed": "3"}
     command = [sys.executable, "-m", "capture.cli", "sim", *(word for option in options.items() for word in option)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         assert process.stdout is not None
@@ -201,7 +201,7 @@ def test_sim_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path):
         "recording": str(tmp_path / "rec"),
         "frames": 25,
         "seconds": 0,
-        "scene": "charuco_board",
+        "scene": "board",
     }
     assert Recording.open(tmp_path / "rec").manifest["seed"] == 3
     host = Recording.open(tmp_path / "rec").manifest["robot"]["host"]

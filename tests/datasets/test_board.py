@@ -25,6 +25,32 @@ def test_corners_of_a_tag_go_clockwise_from_the_upper_left_one() -> None:
     np.testing.assert_allclose(tags.points[4], [0.06, 0.01, 0])
 
 
+def test_circles_lie_in_the_middle_of_their_squares_and_every_other_row_is_shifted() -> None:
+    np.testing.assert_allclose(Board.of("circles", 4, 3, 0.03, 0.02).points[[0, 4], :2], [[0.015, 0.015], [0.015, 0.045]])
+    shifted = Board.of("asymmetric_circles", 4, 5, 0.02, 0.015)
+    np.testing.assert_allclose(shifted.points[[0, 1, 4], :2], [[0.01, 0.01], [0.05, 0.01], [0.03, 0.03]])
+    np.testing.assert_allclose(shifted.size, [0.16, 0.1])
+    assert (shifted.points[:, :2] < shifted.size).all()
+
+
+@pytest.mark.parametrize(("kind", "x", "y"), [("circles", 4, 3), ("asymmetric_circles", 4, 6), ("chessboard", 5, 3)])
+def test_what_is_ambiguous_looks_the_same_after_half_a_turn(kind: str, x: int, y: int) -> None:
+    board = Board.model_validate(
+        {"kind": kind, "squares_x": x, "squares_y": y, "square_length_m": 0.02, "marker_length_m": 0.015}
+    )
+    assert board.is_ambiguous
+    np.testing.assert_allclose(
+        board.points[::-1, :2], board.points[:, :2].min(0) + board.points[:, :2].max(0) - board.points[:, :2]
+    )
+
+
+def test_an_aprilgrid_has_kalibrs_tags_unless_it_says_otherwise() -> None:
+    grid = Board.of("aprilgrid", 6, 6, 0.1144, 0.088)
+    assert (grid.dictionary, grid.border_bits) == ("DICT_APRILTAG_36h11", 2)
+    assert Board.model_validate({**grid.to_json(), "border_bits": 1}).border_bits == 1
+    assert Board.of("tags", 2, 2, 0.1, 0.08).border_bits == 1
+
+
 def test_chessboards_with_both_numbers_even_or_odd_are_ambiguous() -> None:
     found = [Board.of("chessboard", x, y, 0.03).is_ambiguous for x, y in ((9, 7), (8, 6), (9, 6))]
     assert found == [True, True, False] and not Board.of("charuco", 9, 7, 0.03, 0.02).is_ambiguous
@@ -33,7 +59,9 @@ def test_chessboards_with_both_numbers_even_or_odd_are_ambiguous() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"kind": "charucco"}, "'charuco', 'chessboard' or 'tags'"),
+        ({"kind": "charucco"}, "'charuco', 'chessboard', 'tags', 'aprilgrid', 'circles' or 'asymmetric_circles'"),
+        ({"kind": "circles", "squares_x": 6}, "6x6 circles look the same after a quarter turn"),
+        ({"kind": "asymmetric_circles", "marker_length_m": 0.05}, "smaller than 1.414 x square_length_m"),
         ({"squares_x": 2}, "2x6 squares are too few"),
         ({"squares_x": "many"}, "squares_x.*'many'"),
         ({"square_length_m": float("nan")}, "square_length_m"),

@@ -31,7 +31,7 @@ camera: {exposure_us: 10000, binning: 4, width: 64, height: 48}
 """
 """A board at 64 x 48 pixels, cheap to render. The arm settles for longer than it oscillates (`arm.QUIET_S`), so that images are
 the same bit for bit however few states a busy computer receives."""
-RIG = "robot: {host: HOST, client: CLIENT}\nsimulation: {side_port: PORT, scene: charuco_board, seed: 4}\n"
+RIG = "robot: {host: HOST, client: CLIENT}\nsimulation: {side_port: PORT, scene: board, seed: 4}\n"
 
 
 @dataclass

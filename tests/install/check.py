@@ -101,7 +101,7 @@ class Installation:
     def calibrate(self) -> str:
         """Record a session with the simulated arm and calibrate the camera from it."""
         small = ["--set", f"views.0.count={VIEWS}", "--time-scale", "50"]
-        self.koala("capture", "run", "calibration_demo", "--scene", "charuco_board", *small, "--out", "board")
+        self.koala("capture", "run", "calibration_demo", "--scene", "board", *small, "--out", "board")
         robot = json.loads((self.folder / "board" / "manifest.json").read_text(encoding="utf-8"))["robot"]
         self.koala("calib", "handeye", "board", "--out", "calibration.json")
         truth = json.loads(self.koala("datasets", "truth", "board", "--calibration", "calibration.json", "--json"))

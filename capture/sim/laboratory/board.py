@@ -1,4 +1,4 @@
-"""The calibration board as a camera sees it, computed exactly for each ray: a plane needs no renderer."""
+"""A calibration target as a camera sees it, computed exactly for each ray: a plane needs no renderer."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -11,9 +11,11 @@ from capture.sim.laboratory.lens import Lens
 from capture.sim.laboratory.scenes import TABLE_SIZE
 from datasets import pose
 from datasets.board import Board
+from datasets.pattern import Pattern
 
 INK, PAPER = 0.04, 0.95  # radiance of black and white, relative to the lamps
-BORDER = 0.012  # white paper around the squares [m]
+DARK = 0.1  # radiance where nothing is
+BORDER = 0.012  # white paper around the print [m]
 
 
 @cache
@@ -23,45 +25,16 @@ def _table(seed: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class BoardPicture:
-    """A ChArUco board on the table."""
+    """A calibration target on the table, or before a dark room."""
 
     target: Board
     table_from_board: NDArray[np.float64]
     seed: int
-    centre: tuple[float, float]  # middle of the table [m]
+    centre: tuple[float, float] | None  # middle of the table [m]; None: there is no table, and even light
 
     @cached_property
-    def _markers(self) -> NDArray[np.float32]:
-        """(squares_y, squares_x, cells, cells) the pattern inside each white square: 1 is white."""
-        import cv2
-
-        target = self.target
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, target.dictionary))
-        cells = dictionary.markerSize + 2
-        patterns = np.ones((target.squares_y, target.squares_x, cells, cells), np.float32)
-        identity = 0
-        for row in range(target.squares_y):
-            for column in range(target.squares_x):
-                if (row + column) % 2:
-                    patterns[row, column] = dictionary.generateImageMarker(identity, cells, borderBits=1) / 255
-                    identity += 1
-        return patterns
-
-    def whiteness(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(...) 1 where the board is white, 0 where black, at (..., 2) board coordinates [m]; white outside the squares."""
-        target = self.target
-        squares = places / target.square_length_m
-        column, row = np.moveaxis(np.floor(squares).astype(np.int64), -1, 0)
-        inside = (column >= 0) & (row >= 0) & (column < target.squares_x) & (row < target.squares_y)
-        column, row = np.where(inside, column, 0), np.where(inside, row, 0)
-        cells = self._markers.shape[-1]
-        local = (squares - np.stack([column, row], -1) - 0.5) * target.square_length_m / target.marker_length_m + 0.5
-        cell = np.floor(local * cells).astype(np.int64)
-        in_marker = inside & ((cell >= 0) & (cell < cells)).all(-1)
-        cell = np.where(in_marker[..., None], cell, 0)
-        square = np.where(inside & ((column + row) % 2 == 0), 0.0, 1.0)
-        white = np.where(in_marker & (square > 0), self._markers[row, column, cell[..., 1], cell[..., 0]], square)
-        return white.astype(np.float32)
+    def _pattern(self) -> Pattern:
+        return Pattern(self.target)
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
         """(height, width, 3) linear light on each pixel of the lens camera, averaged over its area."""
@@ -83,12 +56,14 @@ class BoardPicture:
         start, heading = board_from_camera[:3, 3], rays @ board_from_camera[:3, :3].T
         facing = heading[..., 2] > 1e-9
         places = start[:2] - heading[..., :2] * (start[2] / np.where(facing, heading[..., 2], 1.0))[..., None]
-        extent = np.array([self.target.squares_x, self.target.squares_y]) * self.target.square_length_m
-        on_board = ((places > -BORDER) & (places < extent + BORDER)).all(-1) & facing & (start[2] < 0)
-        return on_board, self.whiteness(places[on_board])
+        border = BORDER + self._pattern.overhang
+        on_board = ((places > -border) & (places < self.target.size + border)).all(-1) & facing & (start[2] < 0)
+        return on_board, self._pattern.whiteness(places[on_board])
 
     def _table_light(self, table_from_camera: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
         """(h, w, 4) colour of the table, and brightness of the lamps above it, where (h, w, 3) rays hit it."""
+        if self.centre is None:
+            return np.broadcast_to([DARK, DARK, DARK, 1.0], (*rays.shape[:2], 4))
         heading = rays @ table_from_camera[:3, :3].T
         down = np.minimum(heading[..., 2:], -1e-9)
         places = (table_from_camera[:3, 3] - heading * (table_from_camera[2, 3] / down))[..., :2] - self.centre
@@ -97,7 +72,7 @@ class BoardPicture:
         resolution = table.shape[0]
         column, row = np.moveaxis((np.clip(cell, 0, 1 - 1e-9) * resolution).astype(np.int64), -1, 0)
         seen = ((cell > 0) & (cell < 1)).all(-1) & (heading[..., 2] < 0)
-        colour = np.where(seen[..., None], table[row, column], 0.1)
+        colour = np.where(seen[..., None], table[row, column], DARK)
         lamp = 1.0 - 0.35 * np.clip(np.linalg.norm(places, axis=-1, keepdims=True), 0, 1)
         return np.concatenate([colour, lamp], -1)
 

@@ -19,10 +19,11 @@ SCENES = {
     "shiny_ball": "a mirror ball among coloured blocks",
     "lidar_guts": "the inside of a lidar: machined metal, circuit boards, a lens",
     "crystal_capture": "clear crystals on a stone",
-    "charuco_board": "the calibration board",
+    "board": "the calibration target of the trajectory",
     "grey_card": "an evenly lit grey card that fills the picture",
     "lens_cap": "darkness",
 }
+OLD_NAMES = {"charuco_board": "board"}  # in rig files and scripts of earlier versions
 CARDS = {"grey_card": 0.9, "lens_cap": 0.0}  # light that comes from all of the picture; 1.5 fills a pixel in 10 ms
 TABLE_SIZE = 1.8
 STILL = frozenset({"table"})
@@ -61,7 +62,8 @@ class Stage:
 
 
 def check_name(name: str) -> str:
-    """Return `name` if it is a scene; otherwise raise UsageError with the nearest one."""
+    """Return the present name of a scene; raise UsageError with the nearest one where there is no such scene."""
+    name = OLD_NAMES.get(name, name)
     if name not in SCENES:
         raise UsageError(f"unknown scene '{name}'", remedy=nearest(name, SCENES))
     return name
@@ -71,7 +73,7 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
     """The stage of a scene. The object stands in the middle of the bottom of the object volume.
 
     Args:
-        name: a scene other than "charuco_board".
+        name: a scene other than "board".
         centre: (3,) centre of the object volume in the frame of the table [m].
         size: (3,) its edges [m].
         seed: of the textures.
@@ -98,7 +100,7 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
         return objects.lidar_guts(rng)
     if name == "crystal_capture":
         return objects.crystal_capture(rng)
-    known = ", ".join(other for other in SCENES if other != "charuco_board" and other not in CARDS)
+    known = ", ".join(other for other in SCENES if other != "board" and other not in CARDS)
     raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {known}")
 
 

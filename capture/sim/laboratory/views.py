@@ -148,7 +148,7 @@ class ObjectView:
 
 @dataclass
 class BoardView:
-    """The calibration board on the table."""
+    """A calibration target."""
 
     board: BoardPicture
 
@@ -194,32 +194,37 @@ def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.flo
     return np.asarray(total if count == 1 else total / np.float32(count), np.float32)
 
 
-def check_scene(scene: str, trajectory: Trajectory) -> None:
-    """Raise UsageError if there is no such scene, or if the trajectory lacks what the scene needs."""
-    if check_name(scene) in CARDS:
-        return
-    if scene == "charuco_board":
+def check_scene(scene: str, trajectory: Trajectory) -> str:
+    """The present name of a scene. Raises UsageError if there is none, or if the trajectory lacks what the scene needs."""
+    scene = check_name(scene)
+    if scene in CARDS:
+        return scene
+    if scene == "board":
         good, needed = trajectory.target is not None and trajectory.board is not None, "'target' and 'board'"
         remedy = "use the trajectory calibration_demo, or another --scene"
     else:
         good, needed = trajectory.object is not None, "'object'"
-        remedy = "use the trajectory koala_demo, or --scene charuco_board"
+        remedy = "use the trajectory koala_demo, or --scene board"
     if not good:
         raise UsageError(f"scene '{scene}' needs a trajectory with {needed}", where=trajectory.name, remedy=remedy)
+    return scene
 
 
-def make_view(scene: str, trajectory: Trajectory, seed: int) -> InBase:
-    """The view of a scene; raises as `check_scene` does."""
-    check_scene(scene, trajectory)
-    return InBase(_on_table(scene, trajectory, seed), trajectory.base_from_table)
+def make_view(scene: str, trajectory: Trajectory, seed: int, flange_from_board: NDArray[np.float64] | None = None) -> InBase:
+    """The view of a scene in the base frame; raises as `check_scene` does.
+
+    Where the arm carries the target at `flange_from_board`, the view is that of the target before a dark room, in the flange.
+    """
+    if flange_from_board is not None and trajectory.target is not None:
+        return InBase(BoardView(BoardPicture(trajectory.target, flange_from_board, seed, None)), np.eye(4))
+    return InBase(_on_table(check_scene(scene, trajectory), trajectory, seed), trajectory.base_from_table)
 
 
 def _on_table(scene: str, trajectory: Trajectory, seed: int) -> View:
     table_from_base = pose.inverse(trajectory.base_from_table)
-    if trajectory.target is not None and trajectory.board is not None and scene == "charuco_board":
-        table_from_board, target = table_from_base @ trajectory.board.matrix(), trajectory.target
-        extent = np.array([target.squares_x, target.squares_y, 0]) * target.square_length_m
-        middle = table_from_board[:3, :3] @ extent / 2 + table_from_board[:3, 3]
+    if trajectory.target is not None and trajectory.board is not None and scene == "board":
+        table_from_board, target = table_from_base @ trajectory.base_from_board, trajectory.target
+        middle = table_from_board @ [*target.size / 2, 0, 1]
         return BoardView(BoardPicture(target, table_from_board, seed, (float(middle[0]), float(middle[1]))))
     if scene in CARDS:
         return CardView(CARDS[scene])

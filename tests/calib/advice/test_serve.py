@@ -66,6 +66,6 @@ def simulated_board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small = ["camera.binning=4", "camera.width=480", "camera.height=270", "views.0.count=8"]
     trajectory = load_trajectory("calibration", overrides=small)
     out = tmp_path_factory.mktemp("board") / "recording"
-    with open_rig("sim", trajectory, scene="charuco_board", seed=0, time_scale=50.0) as rig:
+    with open_rig("sim", trajectory, scene="board", seed=0, time_scale=50.0) as rig:
         record(trajectory, rig, out, planned=plan(trajectory, rig.flange_from_camera))
     return out

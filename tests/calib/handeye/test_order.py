@@ -8,6 +8,7 @@ from calib.errors import CalibrationError
 from calib.handeye import order
 from calib.intrinsics import estimate
 from calib.sessions.session import TargetSession
+from datasets import pose
 
 VIEWS = 18
 NAMES = [f"{number:03d}" for number in range(VIEWS)]
@@ -38,40 +39,64 @@ def swapped(poses, first, second):
 @pytest.mark.parametrize("at", [0, 4, 9, 13])
 def test_a_missing_pose_is_named_with_its_view(honest, at):
     simulated, boards = honest
-    found = order.recognise(missing_pose(simulated.reported, at), boards, NAMES)
-    assert f"from view {NAMES[at]} on, each picture has the pose of the one after it" in found
+    found = order.recognise(missing_pose(simulated.reported, at), [boards], NAMES)
+    assert found.startswith(
+        f"from view {NAMES[at]} on, each picture has the pose of the one after it: the pose of view {NAMES[at]}"
+    )
+
+
+@pytest.mark.parametrize("at", [0, 7, 12])
+def test_a_pose_less_than_pictures_is_named_with_its_view(honest, at):
+    """The poses are taken for those of the first pictures, and the last picture has none."""
+    simulated, boards = honest
+    fewer = np.concatenate([simulated.reported[:at], simulated.reported[at + 1 :]])
+    found = order.recognise(fewer, [boards[:-1]], NAMES[:-1])
+    assert found.endswith(f"the pose of view {NAMES[at]} may be missing")
+
+
+@pytest.mark.parametrize("at", [0, 9])
+def test_it_is_named_for_boards_that_look_the_same_upside_down(honest, at):
+    simulated, boards = honest
+    middle = np.append(simulated.board.size / 2, 0.0)
+    upside_down = boards @ pose.from_rotation_vector([0, 0, np.pi], 2 * middle)
+    mixed = np.where((np.arange(VIEWS) % 3 == 0)[:, None, None], upside_down, boards)
+    other = np.where((np.arange(VIEWS) % 3 == 0)[:, None, None], boards, upside_down)
+    assert order.recognise(simulated.reported, [mixed, other], NAMES) == ""
+    assert f"the pose of view {NAMES[at]} may be missing" in order.recognise(
+        missing_pose(simulated.reported, at), [mixed, other], NAMES
+    )
 
 
 @pytest.mark.parametrize("at", [4, 9, 13])
 def test_a_pose_that_is_there_twice_is_named_with_its_view(honest, at):
     simulated, boards = honest
-    found = order.recognise(doubled_pose(simulated.reported, at), boards, NAMES)
+    found = order.recognise(doubled_pose(simulated.reported, at), [boards], NAMES)
     assert "each picture has the pose of the one before it" in found
     assert any(f"from view {NAMES[start]} on" in found for start in (at, at + 1))  # view `at` fits either way
 
 
 def test_two_views_that_changed_places_are_named(honest):
     simulated, boards = honest
-    assert order.recognise(swapped(simulated.reported, 3, 11), boards, NAMES) == "views 003 and 011 have each other's pose"
+    assert order.recognise(swapped(simulated.reported, 3, 11), [boards], NAMES) == "views 003 and 011 have each other's pose"
 
 
 def test_reverse_order_is_named(honest):
     simulated, boards = honest
-    assert order.recognise(simulated.reported[::-1], boards, NAMES) == "the poses are in reverse order"
+    assert order.recognise(simulated.reported[::-1], [boards], NAMES) == "the poses are in reverse order"
 
 
 def test_nothing_is_suspected_of_honest_lists_nor_of_single_bad_views(honest):
     simulated, boards = honest
-    assert order.recognise(simulated.reported, boards, NAMES) == ""
+    assert order.recognise(simulated.reported, [boards], NAMES) == ""
     bad = simulated.reported.copy()
     bad[5] = bad[5] @ np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    assert order.recognise(bad, boards, NAMES) == ""
+    assert order.recognise(bad, [boards], NAMES) == ""
 
 
 def test_random_order_is_not_explained(honest):
     simulated, boards = honest
     mixed = np.random.default_rng(0).permutation(VIEWS)
-    assert order.recognise(simulated.reported[mixed], boards, NAMES) == ""
+    assert order.recognise(simulated.reported[mixed], [boards], NAMES) == ""
 
 
 def test_the_command_says_so_instead_of_counting_outliers(honest):

@@ -6,7 +6,9 @@ import yaml
 
 from calib.calibrate import calibrate_handeye
 from calib.errors import CalibrationError
+from calib.page.summary import notes
 from calib.sessions import importer
+from calib.sessions.session import TargetSession
 from datasets import pose
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 
@@ -102,8 +104,8 @@ def write_poses(folder, names, reported, kind):
 @pytest.mark.parametrize("kind", ["csv", "list", "mapping", "files"])
 def test_poses_are_found_however_they_are_stored(folder, kind, monkeypatch):
     path, names, truth = folder
-    monkeypatch.setattr(importer, "observe", lambda board, views, **options: views)
-    views = importer.import_session(path, described(**write_poses(path, names, truth.reported, kind)))
+    monkeypatch.setattr(importer, "observe", lambda board, views, **options: TargetSession(board, 1, 1, views, np.zeros(0)))
+    views = importer.import_session(path, described(**write_poses(path, names, truth.reported, kind))).observations
     assert [v[0] for v in views] == names
     np.testing.assert_allclose([v[2] for v in views], truth.reported, atol=1e-9)
 
@@ -125,6 +127,53 @@ def test_an_imported_session_is_calibrated_as_a_recorded_one(folder):
     assert session.unseen == ("011",)
     found = calibrate_handeye(session)
     assert pose.difference(found.flange_from_camera.matrix, truth.flange_from_camera)[0] < 2.5e-4
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json"])
+def test_poses_without_names_are_in_the_order_of_the_pictures(folder, suffix, monkeypatch):
+    path, names, truth = folder
+    monkeypatch.setattr(importer, "observe", lambda board, views, **options: TargetSession(board, 1, 1, views, np.zeros(0)))
+    said = write_unnamed(path, truth.reported, suffix)
+    views = importer.import_session(path, described(**said)).observations
+    np.testing.assert_allclose([v[2] for v in views], truth.reported, atol=1e-9)
+    with pytest.raises(UsageError, match=r"images without a pose.*010, 011.*--leave-out"):
+        importer.import_session(path, described(**write_unnamed(path, truth.reported[:-2], suffix)))
+    session = importer.import_session(path, described(**said), leave_out=True)
+    assert [v[0] for v in session.observations] == names[:-2]
+    assert session.left_out == dict.fromkeys(names[-2:], "it has no pose; there are 10 for 12 pictures")
+    more = np.concatenate([truth.reported, truth.reported[:1]])
+    with pytest.raises(UsageError, match=r"more poses than pictures.*13 for 12"):
+        importer.import_session(path, described(**write_unnamed(path, more, suffix)))
+
+
+def write_unnamed(path, poses, suffix):
+    """A file of poses in order; returns what the description says of it."""
+    rows = [numbers("x y z rx ry rz", matrix) for matrix in poses]
+    if suffix == "json":
+        (path / "unnamed.json").write_text(json.dumps({"poses": [list(map(float, row)) for row in rows]}))
+        return {"poses": "unnamed.json", "key": "poses"}
+    lines = [",".join(map(repr, map(float, row))) for row in rows]
+    (path / "unnamed.csv").write_text("\n".join(["x,y,z,rx,ry,rz", *lines, ""]))
+    return {"poses": "unnamed.csv"}
+
+
+def test_a_pose_missing_in_the_middle_is_named_once_the_last_picture_is_left_out(folder):
+    path, names, truth = folder
+    fewer = np.delete(truth.reported, 4, axis=0)
+    session = importer.import_session(path, described(**write_unnamed(path, fewer, "csv")), leave_out=True)
+    with pytest.raises(CalibrationError, match=f"the pose of view {names[4]} may be missing"):
+        calibrate_handeye(session)
+
+
+def test_pictures_without_a_pose_are_left_out_with_a_note(folder, tmp_path):
+    path, names, truth = folder
+    write_poses(path, names[1:], truth.reported[1:], "csv")
+    with pytest.raises(UsageError, match=r"images without a pose.*--leave-out"):
+        importer.import_session(path, described())
+    session = importer.import_session(path, described(), leave_out=True)
+    found = calibrate_handeye(session)
+    assert f"view {names[0]} is left out: it has no pose; there are 11 for 12 pictures" in notes(found)
+    assert found.provenance["leave_out"] is True and found.residuals["views_used"] == 10  # the last shows no target
 
 
 def test_what_is_missing_is_named(folder):

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from scipy.special import erf
 
 from calib.targets import corners
@@ -54,12 +55,14 @@ def test_a_corner_at_the_rim_of_the_picture_does_no_harm():
     np.testing.assert_allclose(found[[0, 2]], PLACES[[0, 2]], atol=1e-3)
 
 
-def test_model_derivative_agrees_with_central_differences():
+@pytest.mark.parametrize("offset", [0.0, 1.0], ids=["two dark squares", "one tag"])
+def test_model_derivative_agrees_with_central_differences(offset):
     rng = np.random.default_rng(3)
     parameters = rng.normal(0, 0.3, (4, 9)) + np.array([0, 0, 0.2, 1.7, -0.2, 0.4, 0.5, 0, 0])
     offsets = rng.uniform(-4, 4, (4, 50, 2))
-    _, jacobian = corners._model(parameters, offsets)
+    _, jacobian = corners._model(parameters, offsets, offset)
     for index in range(9):
         step = 1e-6 * np.eye(9)[index]
-        numeric = (corners._model(parameters + step, offsets)[0] - corners._model(parameters - step, offsets)[0]) / 2e-6
+        ahead, behind = (corners._model(parameters + sign * step, offsets, offset)[0] for sign in (1, -1))
+        numeric = (ahead - behind) / 2e-6
         np.testing.assert_allclose(jacobian[..., index], numeric, atol=1e-7)

@@ -31,7 +31,6 @@ def test_corners_of_tags_are_where_they_were_put(photograph):
             assert found is not None and len(found.ids) == 48
             truth = CAMERA.project(found.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
             errors = found.pixels - truth
-            # outer corners of tags are found by their gradients alone: a third of a pixel, and towards the dark side
             assert np.sqrt((errors**2).sum(1).mean()) < 0.6 and np.abs(errors.mean(0)).max() < 0.1
 
 
@@ -104,7 +103,7 @@ def test_a_board_is_read_from_a_manifest():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"type": "charucco"}, "'charuco', 'chessboard' or 'tags'"),
+        ({"type": "charucco"}, "'charuco', 'chessboard', 'tags', 'aprilgrid', 'circles' or 'asymmetric_circles'"),
         ({"dictionary": "DICT_5X5_10"}, "did you mean 'DICT_5X5_100'"),
         ({"squares_x": 2}, "2x6 squares"),
         ({"squares_x": None}, "squares_x"),

@@ -72,14 +72,14 @@ def test_the_file_of_a_running_simulation_reads_back_and_is_not_overwritten(runn
 
 def test_the_scene_fits_the_trajectory(koala: Trajectory, running_rig: Path) -> None:
     board = load_trajectory("calibration_demo")
-    assert (scene_for("sim", "", koala), scene_for("sim", "", board)) == ("gold_head", "charuco_board")
+    assert (scene_for("sim", "", koala), scene_for("sim", "", board)) == ("gold_head", "board")
     assert scene_for("sim", "crystal_capture", koala) == "crystal_capture"
     assert scene_for(str(running_rig), "", koala) == "shiny_ball"  # what the running simulation shows
     assert scene_for("ur5e_basler", "", koala) == ""
     with pytest.raises(UsageError, match="--scene is only for simulated rigs"):
         scene_for("ur5e_basler", "gold_head", koala)
     with pytest.raises(UsageError, match="needs a trajectory with 'target'"):
-        scene_for("sim", "charuco_board", koala)
+        scene_for("sim", "board", koala)
     with pytest.raises(UsageError, match="needs a trajectory with 'object'"):
         scene_for("sim", "gold_head", board)
 

@@ -121,10 +121,10 @@ def test_noise_depends_on_seed_and_frame_and_on_nothing_before(trajectory):
 def test_scene_and_trajectory_must_suit_each_other(trajectory):
     calibration = load_trajectory("calibration_demo")
     with pytest.raises(UsageError, match="needs a trajectory with 'target'"):
-        check_scene("charuco_board", trajectory)
+        check_scene("board", trajectory)
     with pytest.raises(UsageError, match="needs a trajectory with 'object'"):
         check_scene("gold_head", calibration)
-    check_scene("charuco_board", calibration)
+    check_scene("board", calibration)
 
 
 def test_motion_during_the_exposure_blurs_the_picture():
@@ -134,7 +134,7 @@ def test_motion_during_the_exposure_blurs_the_picture():
 
     def picture(speed: float) -> np.ndarray:
         above = pose.look_at((0.39, 0.01, 0.35), (0.40, 0.0, 0.0)) @ pose.inverse(TRUTH.flange_from_camera)
-        with SimulatedCamera(trajectory, "charuco_board", TRUTH, ArmAt(above, speed), 0) as camera:
+        with SimulatedCamera(trajectory, "board", TRUTH, ArmAt(above, speed), 0) as camera:
             pixels = camera.grab().pixels
             truth.append(camera.base_from_camera)
         return pixels
@@ -159,7 +159,7 @@ def above_the_board(pixel_format: str) -> np.ndarray:
     changes = ["camera.width=160", "camera.height=120", f"camera.pixel_format={pixel_format}"]
     trajectory = load_trajectory("calibration_demo", overrides=changes)
     above = pose.look_at((0.39, 0.01, 0.35), (0.40, 0.0, 0.0)) @ pose.inverse(TRUTH.flange_from_camera)
-    with SimulatedCamera(trajectory, "charuco_board", TRUTH, ArmAt(above), 0) as camera:
+    with SimulatedCamera(trajectory, "board", TRUTH, ArmAt(above), 0) as camera:
         return camera.grab().pixels
 
 

@@ -61,7 +61,7 @@ def test_unknown_scene_names_the_nearest():
 
 def test_board_has_no_object():
     with pytest.raises(KoalaError, match="no object"):
-        stage("charuco_board", centre=CENTRE, size=SIZE, seed=0)
+        stage("board", centre=CENTRE, size=SIZE, seed=0)
 
 
 def test_textures_are_physical():
@@ -76,3 +76,7 @@ def test_noise_covers_its_range_without_jumps():
     noise = textures.noise(100, 120, 6, np.random.default_rng(3))
     assert noise.shape == (100, 120) and noise.min() >= 0 and noise.max() <= 1 and np.ptp(noise) > 0.6
     assert np.abs(np.diff(noise, axis=0)).max() < 0.2
+
+
+def test_a_scene_is_known_by_its_name_in_earlier_versions() -> None:
+    assert check_name("charuco_board") == check_name("board") == "board"

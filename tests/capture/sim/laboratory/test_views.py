@@ -73,5 +73,5 @@ def test_there_is_no_truth_before_a_picture(ball):
 
 
 def test_the_board_is_no_object():
-    found = make_view("charuco_board", load_trajectory("calibration_demo"), 0)
+    found = make_view("board", load_trajectory("calibration_demo"), 0)
     assert isinstance(found.view, BoardView) and found.mesh() is None and found.truth(Lens(CAMERA), ABOVE, 0) == {}
