@@ -29,3 +29,4 @@ class Image:
     device_ticks: int  # the camera's own time stamp at exposure
     host_time_ns: int  # monotonic host clock when the exposure was triggered [ns]
     raw: NDArray[np.uint16] | None = None  # (height, width) values of 12 bits, in raw formats of 12 bits
+    depth: NDArray[np.uint16] | None = None  # (height, width) of a depth sensor beside the picture, in its own units and pixels

@@ -18,10 +18,10 @@ import configs
 from capture.geometry import BoardPlace, Box
 from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
 from datasets import pose
-from datasets.board import Board, load_board
 from datasets.core.errors import UsageError
 from datasets.core.schema import Schema, load_yaml, validate
 from datasets.recording import MANIFEST, Recording
+from datasets.targets.board import Board, load_board
 
 FORMAT, VERSION = "koala-trajectory", 1
 

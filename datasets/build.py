@@ -2,7 +2,7 @@
 
 world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint offsets applied where the calibration has them
 
-Where the object turned on a table, the world is the object's frame of `datasets.turntable`: the base with the table at angle zero.
+Where the object turned on a table, the world is the object's frame of `datasets.turntable`: the base at the table's angle zero.
 """
 
 from dataclasses import replace
@@ -23,12 +23,14 @@ from datasets.formats import koala
 from datasets.formats.assemble import CAMERAS_ALONE
 from datasets.imaging import images
 from datasets.imaging.region import Region
-from datasets.recording import FORMAT, MANIFEST, TRUTH, Frame, Recording
+from datasets.recording import DEPTH, FORMAT, MANIFEST, TRUTH, Frame, Recording
 from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from datasets.structure import bounds
 from datasets.structure.lamps import light_of
 from datasets.structure.measure import measured
 
+SENSOR = "sensor"
+"""Folder of a scene for what devices have measured beside the pictures."""
 NEAR_SHARE = 0.25
 """Where the images do not show what is nearest, near is this share of the nearest depth of the object's box: the table may be
 closer than the object."""
@@ -73,6 +75,7 @@ def build(
         remedy = "record a trajectory with an object"
         raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
     camera, notes = camera_for(recording, calibration)
+    notes += depth_notes(frames)
     views, maps, response = [], truth_maps(recording.path), recording.response(radiometry)
     with developing(recording, response, out) as developed:
         for frame, world_from_camera in zip(frames, calibration.camera_poses(frames), strict=True):
@@ -82,7 +85,7 @@ def build(
             done()
         views, notes = [developed.finished(view, white) for view in views], notes + developed.notes
         scene = _scene(recording, calibration, calibration_path, tuple(views), tuple(notes), Path(out).resolve().name)
-        koala.save(scene, out, extra=extra_truth(recording.path), sizes=sizes)
+        koala.save(scene, out, extra=extra_truth(recording.path) | measured_depth(recording, frames), sizes=sizes)
     return koala.load(Path(out)) if developed.is_needed else scene
 
 
@@ -195,6 +198,34 @@ def truth_maps(recording: Path) -> dict[str, dict[str, Path]]:
 def extra_truth(folder: Path) -> dict[str, Path]:
     """Ground-truth meshes of a recording or scene, by their relative path in a scene; links are left out."""
     return {f"{TRUTH}/{path.name}": path for path in regular_files(folder / TRUTH, "*.ply")}
+
+
+def measured_depth(recording: Recording, frames: list[Frame]) -> dict[str, Path]:
+    """Depth that the camera measured, by its path in the scene, with the manifest that says how to read it; empty without any.
+
+    Raises DatasetError: a file is missing or altered.
+    """
+    found = {}
+    for frame in frames:
+        if frame.depth is None:
+            continue
+        where = f"{recording.path}, frame {frame.name}"
+        path = files.inside(recording.path, frame.depth.file, where=where)
+        if not path.is_file() or files.sha256(path) != frame.depth.sha256:
+            why = "its SHA-256 differs from frames.jsonl" if path.is_file() else "it is missing"
+            raise DatasetError(
+                "depth is not what was recorded", where=path, why=why, remedy="restore it, or record the frame again"
+            )
+        found[f"{SENSOR}/{DEPTH}/{frame.name}.png"] = path
+    return {**found, f"{SENSOR}/{MANIFEST}": recording.path / MANIFEST} if found else {}
+
+
+def depth_notes(frames: list[Frame]) -> list[str]:
+    """What a scene says about measured depth."""
+    count = sum(frame.depth is not None for frame in frames)
+    if not count:
+        return []
+    return [f"{SENSOR}/{DEPTH} holds what the camera measured of {count} views; it is no truth, and nothing uses it"]
 
 
 def regular_files(folder: Path, pattern: str) -> list[Path]:

@@ -4,6 +4,7 @@
     RECORDING/frames.jsonl     one line per exposure, appended and flushed to the disk after its image
     RECORDING/images/*.png     lossless images
     RECORDING/raw/*.png        of cameras with 12 bits: their raw values
+    RECORDING/depth/*.png      of cameras that measure depth: 16 bits, see `DEPTH_KEYS`; a measurement, not truth
     RECORDING/radiometry.npz   where it was measured: the response of the sensor, see `datasets.radiometry.response`
     RECORDING/truth/           of a simulation only; read by evaluation and nothing else
 
@@ -39,6 +40,10 @@ LEAST_TURN = float(np.radians(0.1))
 """Angles of a turntable that differ by less are one [rad]."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 RADIOMETRY = "radiometry.npz"
+DEPTH = "depth"
+DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
+"""What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth
+pictures, their distortion as the camera's maker models it, and the (4, 4) pose of the depth sensor in the camera [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,24 @@ class Exposure:
         found = cls(content["file"], float(content["exposure_us"]), content["sha256"])
         if not (isinstance(found.file, str) and isinstance(found.sha256, str) and 0 < found.exposure_us < LARGEST):
             raise ValueError(f"exposure is {content!r:.80}")
+        return found
+
+
+@dataclass(frozen=True)
+class DepthPicture:
+    """Depth that a sensor measured beside a picture."""
+
+    file: str
+    """Path relative to the recording."""
+    sha256: str
+    """Of the file."""
+
+    @classmethod
+    def from_json(cls, content: Any) -> Self:
+        """From its dictionary; raises ValueError, KeyError or TypeError where it is not valid."""
+        found = cls(content["file"], content["sha256"])
+        if not (isinstance(found.file, str) and isinstance(found.sha256, str)):
+            raise ValueError(f"depth is {content!r:.80}")
         return found
 
 
@@ -103,11 +126,21 @@ class Frame:
     """The same after the exposure [rad]."""
     lights: tuple[str, ...] | None = None
     """Names of the lamps of the rig that were on; None where nobody said."""
+    depth: DepthPicture | None = None
+    """Depth that the camera measured; None where it measures none."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All its files, relative to the recording; the image first."""
+        beside = (exposure.file for exposure in self.exposures)
+        return (self.image, *beside, *(() if self.depth is None else (self.depth.file,)))
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary of the fields, arrays as lists."""
         content = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
-        return {**content, "exposures": [vars(one) for one in self.exposures]}
+        depth = {} if self.depth is None else {"depth": vars(self.depth)}
+        del content["depth"]
+        return {**content, "exposures": [vars(one) for one in self.exposures], **depth}
 
     @classmethod
     def from_json(cls, content: Any, *, where: object, joints: int = UR5E.count) -> Self:
@@ -123,6 +156,8 @@ class Frame:
             taken: dict[str, Any] = {"exposures": tuple(Exposure.from_json(one) for one in content.get("exposures", ()))}
             taken |= {name: _angle(content, name) for name in ("turntable_angle", "turntable_angle_after")}
             taken["lights"] = _names(content.get("lights"))
+            if content.get("depth") is not None:
+                taken["depth"] = DepthPicture.from_json(content["depth"])
             for one in fields(cls):
                 if one.default is not MISSING:
                     continue
@@ -174,7 +209,7 @@ class Recording:
             except (ValueError, RecursionError) as error:
                 raise DatasetError("frame record is not valid JSON", where=where, why=str(error)) from None
             frame = Frame.from_json(content, where=where, joints=joints)
-            for name in (frame.image, *(exposure.file for exposure in frame.exposures)):
+            for name in frame.files:
                 files.inside(path, name, where=where)
             frames.append(frame)
         return cls(path, manifest, frames)
@@ -207,7 +242,7 @@ class Recording:
             files.write_text(self.path / FRAMES, "".join(f"{line}\n" for line, frame in lines if frame.name not in names))
         self.frames[:] = [frame for frame in self.frames if frame.name not in names]
         for frame in removed:
-            for name in (frame.image, *(exposure.file for exposure in frame.exposures)):
+            for name in frame.files:
                 (self.path / name).unlink(missing_ok=True)
         return [frame.name for frame in removed]
 

@@ -27,7 +27,7 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
     Returns:
         `hand_eye_mm` and `hand_eye_deg`: error of flange_from_camera, or of base_from_camera where the camera stands beside the
         arm. `camera_mm` and `camera_deg`: median error of the camera poses that a scene of this recording would have, the arm's
-        own error included. Beside the arm, `board_mm` and `board_deg` instead: error of flange_from_board. `frames`: their number.
+        own error included. Beside the arm `board_mm` and `board_deg`: error of flange_from_board. `frames`: their number.
 
     Raises:
         UsageError: the recording is of a real rig, or the calibration holds no hand-eye pose.

@@ -21,7 +21,7 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return load_trajectory
     if folder == "boards":
-        from datasets.board import load_board
+        from datasets.targets.board import load_board
 
         return load_board
     if folder == "rigs":
@@ -98,7 +98,11 @@ def test_a_path_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (
             "rigs",
             "arm2",
-            ["no rig 'arm2'", "known: franka_basler, sim_flawed, ur10e_gige, ur5e_basler", "the path of a file"],
+            [
+                "no rig 'arm2'",
+                "known: franka_basler, franka_realsense, sim_flawed, ur10e_gige, ur5e_basler, ur5e_beside, ur5e_turntable",
+                "the path of a file",
+            ],
         ),
         ("imports", "franka_charco", ["no import description", "did you mean 'franka_charuco'?"]),
     ],

@@ -24,7 +24,7 @@ SMALL = ["views.0.count=1", "views.0.turntable.steps=4", "camera.binning=4", "ca
 @pytest.mark.slow
 def test_the_axis_of_the_simulated_table_is_found(tmp_path):
     trajectory = load_trajectory("calibration_turntable", overrides=SMALL)
-    with open_rig("sim:ur5e_turntable", trajectory, scene="charuco_board", seed=4, time_scale=200.0) as rig:
+    with open_rig("sim:ur5e_turntable", trajectory, scene="board", seed=4, time_scale=200.0) as rig:
         record(trajectory, rig, tmp_path / "rec")
     truth = files.read_json(tmp_path / "rec" / "truth" / "poses.json")
     mount = UncertainPose(np.array(truth["flange_from_camera"]), np.diag(np.repeat([1e-5, 1e-5], 3) ** 2))

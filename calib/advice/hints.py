@@ -14,7 +14,7 @@ from calib.advice.patterns import Pattern, Rig, viewpoints
 from calib.arrays import Array
 from datasets import pose
 from datasets.advice import Figures
-from datasets.board import Board
+from datasets.targets.board import Board
 
 DRAWN = 150  # views per change; of them about half show the board
 WORTH = 0.85  # a change is named if it lowers the worse figure to this share

@@ -17,8 +17,8 @@ from calib.handeye import model
 from calib.handeye.model import Session, State
 from calib.handeye.refine import Sigmas
 from datasets.advice import Figures
-from datasets.board import Board
 from datasets.camera_model import Camera
+from datasets.targets.board import Board
 
 MIN_SHARE = 0.7  # smallest share of the board's corners in a view, and
 MIN_CORNERS = 8  # their smallest number on a checkered board

@@ -6,8 +6,8 @@ import numpy as np
 
 from calib.arrays import Array
 from datasets import pose
-from datasets.board import Board
 from datasets.camera_model import Camera
+from datasets.targets.board import Board
 
 Generator = np.random.Generator
 

@@ -19,13 +19,13 @@ from calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording
 from calib.page.summary import describe_calibration
 from calib.sessions.importer import observe_folder
 from calib.targets.detection import read_board
-from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
 from datasets.page import Page, PicturePanel, shapes
 from datasets.page.panel import WIDTH, bytes_of
-from datasets.pattern import Pattern
+from datasets.targets.board import Board
+from datasets.targets.pattern import Pattern
 
 DISC_CORNERS = 24  # of the polygons that stand for circles
 THUMBNAIL = 96  # width of the pictures on the cameras [px]

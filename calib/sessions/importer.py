@@ -31,12 +31,12 @@ from calib.errors import CalibrationError
 from calib.sessions.session import TargetSession, observe, observe_recording
 from calib.targets.detection import check_markers
 from datasets import conventions, pose
-from datasets.board import Board, load_board
 from datasets.camera_model import Camera
 from datasets.core import files, plain_yaml
 from datasets.core.errors import DatasetError, UsageError
 from datasets.core.schema import Schema, load_yaml
 from datasets.recording import MANIFEST, Recording
+from datasets.targets.board import Board, load_board
 
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -13,12 +13,12 @@ from calib.arrays import Array, Mask
 from calib.errors import TargetError
 from calib.targets.detection import Observation, detect, read_board
 from datasets import pose
-from datasets.board import Board
 from datasets.core import files
 from datasets.imaging import images
 from datasets.imaging.region import Region
 from datasets.kinematics import UR5E, Links
 from datasets.recording import FRAMES, MANIFEST, Recording
+from datasets.targets.board import Board
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from calib.solver.geometry import rms_difference
 from calib.study import ratios
 from calib.study.ratios import Ratio
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets.board import Board
 from datasets.calibration import UncertainPose
 from datasets.core.errors import KoalaError
+from datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))  # the Koala rig with a board of 30 corners, seen whole
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"

@@ -16,8 +16,8 @@ from calib.handeye.model import Accuracy, Session, State
 from calib.intrinsics import projection
 from calib.targets.detection import Observation
 from datasets import pose
-from datasets.board import Board
 from datasets.camera_model import Camera
+from datasets.targets.board import Board
 
 __all__ = ["KOALA", "Pattern", "Rig", "Simulated", "simulate", "viewpoints"]
 Generator = np.random.Generator

@@ -18,7 +18,7 @@ from calib.sessions.session import TargetSession
 from calib.solver.geometry import rms_difference
 from calib.study import next_views
 from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets.board import Board
+from datasets.targets.board import Board
 
 SIGMA_PX = 0.1
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))  # per axis: what a UR5e repeats to

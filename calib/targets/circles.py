@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array, Indices
-from datasets.board import Board
+from datasets.targets.board import Board
 
 RIM = 32  # points on the rim of a circle from which the centroid of its picture is computed
 ROUNDS = 3

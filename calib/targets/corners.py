@@ -2,7 +2,7 @@
 
 Around a corner c, where two edges with unit normals n1, n2 cross, a picture blurred by s pixels is
 
-    brightness(u) = level + slope . (u - c) + contrast * (o + erf(n1 . (u - c) / (s sqrt 2))) * (o + erf(n2 . (u - c) / (s sqrt 2)))
+    brightness(u) = level + slope . v + contrast * (o + erf(n1 . v / (s sqrt 2))) * (o + erf(n2 . v / (s sqrt 2))),  v = u - c
 
 with o = 0 where two dark squares touch. At the corner of a single dark tag, where one of the four quarters is dark, o = 1 and
 both normals point into the tag.
@@ -94,7 +94,7 @@ def _initial(values: Array, weight: Array, scale: Array, inwards: Array | None) 
     parameters[:, 2:4], parameters[:, 4], parameters[:, 6] = edges[:, ::-1] + np.pi / 2, np.log(0.5), level
     parameters[:, 5] = np.sqrt(((values - level[:, None]) ** 2 * weight).sum(1) / count)
     if inwards is not None:
-        # a quarter dark: of the brightness's range, which is 4 contrasts, the mean lies 1/4 below white, and the deviation is 0.43
+        # a quarter dark: of the range, which is 4 contrasts, the mean lies 1/4 below white, and the deviation is 0.43
         parameters[:, 5] *= -0.577
         parameters[:, 6] -= parameters[:, 5]
         x, y = inwards.T

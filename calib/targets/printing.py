@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import Array
-from datasets.board import Board
 from datasets.core import files
 from datasets.core.errors import UsageError
-from datasets.pattern import Pattern
+from datasets.targets.board import Board
+from datasets.targets.pattern import Pattern
 
 MARGIN_MM = 10.0
 FOOTER_MM = 14.0

@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Indices
-from datasets.board import Board
-from datasets.pattern import dictionary_of
+from datasets.targets.board import Board
+from datasets.targets.pattern import dictionary_of
 
 WIDENED_PX = (0, 1, 2, 3)
 """By how much white is widened to part tags from the squares that touch them: of an AprilGrid each is tried."""

@@ -5,11 +5,12 @@ With `emulated=True` the same code drives the emulated camera of pylon, which sh
 
 import os
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Self
 
 from capture.cameras.genicam_lock import release_abandoned
+from capture.cameras.nodes import put_all
 from capture.cameras.pixels import choose_format, colours
 from capture.cameras.start_state import load_default, set_colour_space, set_plain
 from capture.errors import CaptureError, RigConnectionError
@@ -33,7 +34,7 @@ class Basler:
     """One Basler camera with constant exposure and gain, triggered by software.
 
     Lifecycle: the constructor does no I/O. Entering opens the camera, writes every setting, reads each back and compares.
-    On any failure the camera is closed again. Use as a context manager.
+    On any failure the camera is closed again. Use as a context manager. `own` are more settings by pylon's names, written last.
 
     Time: `device_ticks` come from the camera: 1 ns each on USB, 8 ns on GigE without PTP. The emulation has none (0).
 
@@ -42,8 +43,15 @@ class Basler:
         CaptureError: a setting was rejected (requested and actual value), or no complete image arrived in time.
     """
 
-    def __init__(self, settings: CameraSettings, *, serial: str = "", emulated: bool = False) -> None:
-        self.settings, self.serial, self.emulated = settings, serial, emulated
+    def __init__(
+        self,
+        settings: CameraSettings,
+        *,
+        serial: str = "",
+        emulated: bool = False,
+        own: Mapping[str, bool | int | float | str] | None = None,
+    ) -> None:
+        self.settings, self.serial, self.emulated, self.own = settings, serial, emulated, dict(own or {})
         self._camera: Any = None
         self._pylon: Any = None
 
@@ -74,6 +82,7 @@ class Basler:
 
     def grab(self) -> Image:
         """Trigger one exposure and wait for it; retries damaged images up to `TRIES` times."""
+        self._require_open()
         reasons = []
         try:
             for _ in range(TRIES):
@@ -91,10 +100,12 @@ class Basler:
 
     def set_exposure(self, exposure_us: float) -> None:
         """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera rejects it."""
+        self._require_open()
         self._set(self._exposure_name, exposure_us, tolerance=0.01 * exposure_us + 1)
 
     def feed(self, picture: str) -> None:
         """Emulation only: show a picture file in the next exposures."""
+        self._require_open()
         self._camera.StopGrabbing()
         self._camera.TestImageSelector.Value = "Off"
         self._camera.ImageFileMode.Value = "On"
@@ -115,6 +126,7 @@ class Basler:
 
     def description(self) -> dict[str, Any]:
         """Model, serial number, region, exposure, and the complete state as pylon saves it."""
+        self._require_open()
         info, binning = self._camera.GetDeviceInfo(), self.region.binning
         state = self._pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
         pairs = (line.rsplit("\t", 1) for line in state.splitlines() if "\t" in line and not line.startswith("#"))
@@ -132,6 +144,10 @@ class Basler:
             "pixel_format": self._camera.PixelFormat.Value,
             "state": dict(pairs),
         }
+
+    def _require_open(self) -> None:
+        if self._camera is None:
+            raise self._fault("camera is closed", "", "open it first")
 
     def _find(self) -> Any:
         every = self._pylon.TlFactory.GetInstance().EnumerateDevices()
@@ -169,6 +185,7 @@ class Basler:
         self._set("Gain", wanted.gain_db, tolerance=0.05)
         for name, value in (("Selector", "FrameStart"), ("Mode", "On"), ("Source", "Software")):
             self._set(f"Trigger{name}", value)
+        put_all(nodes, self.own, self._name())
 
     def _sensor_edge(self, name: str) -> int:
         """Binned width or height of the sensor [px]. The emulation has no fixed sensor size; we use that of the simulated rig."""

@@ -1,6 +1,6 @@
-"""Settings of a camera by their GenICam names, each read back where it is written."""
+"""Settings of a camera by the names that it gives them, in most cases those of GenICam; each is read back where it is written."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 from capture.errors import CaptureError
@@ -32,6 +32,16 @@ def put(nodes: Nodes, name: str, value: Any, *, tolerance: float = 0.0) -> None:
     actual = nodes.read(name)
     if actual != value and not (tolerance and abs(actual - value) <= tolerance):
         raise CaptureError(f"camera changed {name}", why=f"requested {value}, actual {actual}", remedy="use another setting")
+
+
+def put_all(nodes: Nodes, settings: Mapping[str, bool | int | float | str], where: str) -> None:
+    """Write the settings of a rig file in the given order. Raises CaptureError: one does not exist, is rejected or changed."""
+    for name, value in settings.items():
+        if not nodes.has(name):
+            why, remedy = f"{value} was requested", "look up its name in the camera's manual, or remove it from camera.settings"
+            raise CaptureError(f"camera has no setting {name}", where=where, why=why, remedy=remedy)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        put(nodes, name, value, tolerance=1e-3 * abs(float(value)) + 1e-6 if is_number else 0.0)
 
 
 def first(nodes: Nodes, names: Collection[str], suits: Callable[[str], bool] = lambda name: True) -> str | None:

@@ -10,7 +10,8 @@ from capture.measurements import Pixels
 from datasets.imaging.images import srgb_from_linear
 from datasets.radiometry.mosaic import interpolated, pattern_of
 
-RGB8 = ("RGB8", "RGB8Packed")  # eight-bit colour in USB cameras, and in GigE cameras and the emulation
+RGB8 = ("RGB8", "RGB8Packed", "RGBa8", "BGR8")
+"""Eight-bit colour in USB cameras, in GigE cameras and the emulation, and what other makers send."""
 PATTERNS = ("RG", "GB", "BG", "GR")  # colours of the first two pixels of the mosaic's first row
 CANDIDATES = {"rgb8": RGB8} | {f"bayer{bits}": tuple(f"Bayer{pattern}{bits}" for pattern in PATTERNS) for bits in (8, 12)}
 CANDIDATES |= {"mono8": ("Mono8",), "mono12": ("Mono12",)}
@@ -33,12 +34,14 @@ def choose_format(wanted: str, offered: Collection[str], *, where: str) -> str:
 def colours(raw: Pixels, name: str) -> Pixels:
     """(height, width, 3 or 1) sRGB picture from the data of a camera in the format `name`.
 
-    Colour formats are returned without a copy. A raw mosaic (height, width) is linear: it is demosaiced with the edge-aware
-    method of OpenCV, then encoded as sRGB. Grey values are linear as well. 8 bits stay 8 bits, 12 bits become 16.
+    Colours in the order red, green, blue are returned without a copy. A raw mosaic (height, width) is linear: it is demosaiced
+    with the edge-aware method of OpenCV, then encoded as sRGB. Grey values are linear as well. 8 bits stay 8 bits, 12 become 16.
     """
     pattern = pattern_of(name)
     if not pattern and not name.startswith("Mono"):
-        return np.ascontiguousarray(raw)
+        if name.startswith("BGR"):
+            return np.ascontiguousarray(raw[..., ::-1])
+        return np.ascontiguousarray(raw if raw.shape[-1] == 3 else raw[..., :3])
     linear = interpolated(raw, pattern) if pattern else raw[..., None]
     if name.endswith("12"):
         return _encode(4095, 65535)[np.minimum(linear, 4095)].astype(np.uint16)

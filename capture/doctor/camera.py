@@ -1,5 +1,7 @@
 """Checks of a camera: which it is, how it is connected, how warm it is, and whether it takes a known state."""
 
+from collections.abc import Callable
+
 from capture.cameras.nodes import Nodes, first
 from capture.cameras.start_state import load_default, set_colour_space, set_plain
 from capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
@@ -30,6 +32,10 @@ def missing(why: str) -> list[Line]:
 
 def check(nodes: Nodes, serial: str, stated: CameraDescription, *, encoded: bool) -> list[Line]:
     """The lines; sets the camera to its known state. `encoded`: whether it must send sRGB."""
+
+    def encode() -> object:
+        return set_colour_space(nodes, encoded=encoded)
+
     firmware = str(nodes.read("DeviceFirmwareVersion")) if nodes.has("DeviceFirmwareVersion") else ""
     return [
         compared(NAMES[0], serial, stated.serial, "camera.serial"),
@@ -38,9 +44,9 @@ def check(nodes: Nodes, serial: str, stated: CameraDescription, *, encoded: bool
         else unknown(NAMES[1], "it does not say", "see pylon Viewer"),
         _link(nodes),
         _temperature(nodes),
-        _tried(NAMES[4], lambda: load_default(nodes), "loaded"),
-        _tried(NAMES[5], lambda: set_plain(nodes), "not reversed, black level 0, gamma 1, no light-source preset"),
-        _tried(NAMES[6], lambda: set_colour_space(nodes, encoded=encoded), "sRGB" if encoded else "linear"),
+        _left(stated, "factory_settings", lambda: tried(NAMES[4], lambda: load_default(nodes), "loaded"), NAMES[4]),
+        tried(NAMES[5], lambda: set_plain(nodes), "not reversed, black level 0, gamma 1, no light-source preset"),
+        _left(stated, "colour_space", lambda: tried(NAMES[6], encode, "sRGB" if encoded else "linear"), NAMES[6]),
     ]
 
 
@@ -62,9 +68,17 @@ def _temperature(nodes: Nodes) -> Line:
     return judged(NAMES[3], word == "Ok" and warm < WARMEST_C, found, "mount it on metal, or give it air", blocks=False)
 
 
-def _tried(name: str, act: object, done: str) -> Line:
+def _left(stated: CameraDescription, what: str, line: Callable[[], Line], name: str) -> Line:
+    """The line, or that the rig file leaves this as it is."""
+    if what in stated.leave:
+        return unknown(name, "left as it is", f"the rig file says so: {what} in camera.leave")
+    return line()
+
+
+def tried(name: str, act: Callable[[], object], done: str) -> Line:
+    """Whether the camera takes what `act` sets."""
     try:
-        act()  # type: ignore[operator]
+        act()
     except CaptureError as error:
         return wrong(name, f"{error.what} ({error.why})", error.remedy or "use another camera")
     return ok(name, done)

@@ -7,12 +7,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from capture.cameras.nodes import Nodes
-from capture.doctor import arm, camera, computer, pendant, safety
+from capture.doctor import arm, camera, computer, other_camera, pendant, safety
 from capture.doctor.answers import Answers, ask
 from capture.doctor.lines import Line, Verdict, ok, unknown, wrong
-from capture.errors import NotReady, RigConnectionError
+from capture.errors import CaptureError, NotReady
+from capture.rig.cameras import Seen
 from capture.rig.description import RigDescription
 from capture.robots.timing import Deadlines
+from capture.sim.camera_nodes import SimulatedNodes
 
 log = logging.getLogger(__name__)
 BRIEFLY_S = 0.3  # how long samples are watched before a session
@@ -70,9 +72,11 @@ def examine(
     up: int | None = None,
     encoded: bool = True,
 ) -> list[Line]:
-    """Arm, computer and camera. A simulated camera is an ace USB over pylon's emulation; arguments as in the two above."""
-    from capture.cameras.basler import opened
-    from capture.sim.camera_nodes import SimulatedNodes
+    """Arm, computer and camera; arguments as in the two above.
+
+    A simulated camera is librealsense's software device, or for all other drivers an ace USB over pylon's emulation.
+    """
+    from capture.rig.cameras import seen
 
     gap_s = Deadlines().stale_s * (SIMULATED_PATIENCE if simulated else 1)
     rate = None if simulated else 1.0
@@ -83,10 +87,17 @@ def examine(
         lines = [unknown("controller", found, "simulate it by '--rig sim:NAME'; only arms of Universal Robots are driven")]
     with ExitStack() as stack:
         try:
-            nodes, serial = stack.enter_context(opened("" if simulated else rig.camera.serial, emulated=simulated))
-        except RigConnectionError as error:
+            found = stack.enter_context(seen(rig.camera, simulated=simulated))
+        except CaptureError as error:
             return [*lines, *camera.missing(f"{error.what} ({error.why})" if error.why else error.what)]
-        return [*lines, *examine_camera(SimulatedNodes(nodes, "ace USB") if simulated else nodes, serial, rig, encoded=encoded)]
+        return [*lines, *_camera(found, rig, simulated=simulated, encoded=encoded)]
+
+
+def _camera(found: Seen, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:
+    if rig.camera.model == "realsense" or (rig.camera.model in ("opencv", "gphoto2") and not simulated):
+        return other_camera.check(found.nodes, found.serial, found.facts, rig.camera)
+    nodes = SimulatedNodes(found.nodes, "ace USB") if simulated else found.nodes
+    return examine_camera(nodes, found.serial, rig, encoded=encoded)
 
 
 def examination(out: Path, up: int, encoded: bool, take_over: bool) -> Callable[[RigDescription, str, bool], None]:

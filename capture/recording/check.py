@@ -63,7 +63,7 @@ def check(path: Path, *, done: Callable[[int, int], None] = lambda count, total:
     sharp: dict[str, float] = {}
     for count, frame in enumerate(recording.frames, 1):
         pixels, found = _picture(recording, frame)
-        findings += found + _exposures(recording, frame)
+        findings += found + _exposures(recording, frame) + _depth(recording, frame)
         if pixels is not None:
             findings += _exposure(frame.name, pixels)
             sharp[frame.name] = sharpness(pixels)
@@ -163,6 +163,18 @@ def _exposures(recording: Recording, frame: Frame) -> list[Finding]:
                 Finding("a file of its exposures has changed", frame.name, f"{one.file}: its hash is not the recorded one")
             )
     return findings
+
+
+def _depth(recording: Recording, frame: Frame) -> list[Finding]:
+    """What is wrong with the file of the measured depth."""
+    if frame.depth is None:
+        return []
+    path = recording.path / frame.depth.file
+    if not path.is_file():
+        return [Finding("its depth is missing", frame.name, frame.depth.file)]
+    if files.sha256(path) != frame.depth.sha256:
+        return [Finding("its depth has changed", frame.name, f"{frame.depth.file}: its hash is not the recorded one")]
+    return []
 
 
 def exposure(pixels: NDArray[Any]) -> tuple[float, float]:

@@ -171,7 +171,7 @@ def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool, planned: li
         old.discard(lost)
     taken = {frame.name for frame in old.frames} if old else set()
     missing = [view.viewpoint.split for view in planned if view.viewpoint.name not in taken]
-    require_room(out, _size(trajectory, missing, truth=rig.ground_truth is not None), "the pictures")
+    require_room(out, _size(trajectory, missing, rig), "the pictures")
     return old or _created(out, manifest_of(trajectory, rig), rig)
 
 
@@ -187,13 +187,14 @@ def _created(out: Path, manifest: dict[str, Any], rig: Rig) -> Recording:
     return recording
 
 
-def _size(trajectory: Trajectory, splits: list[str], *, truth: bool) -> int:
-    """Largest number of bytes that pictures take, and with `truth` the maps of test views."""
-    camera = trajectory.camera
+def _size(trajectory: Trajectory, splits: list[str], rig: Rig) -> int:
+    """Largest number of bytes that pictures take, with depth where the camera measures it, and in a simulation with truth."""
+    camera, depth = trajectory.camera, rig.description.camera.depth
     developed, read = BYTES[camera.pixel_format]
     beside = camera.brackets if camera.keeps_raw else camera.brackets - 1  # else the image is the first exposure
     picture = camera.width * camera.height * (developed + read * beside) + FRAME_BYTES
-    maps = camera.width * camera.height * TRUTH_BYTES * truth
+    picture += 0 if depth is None else 2 * depth.width * depth.height
+    maps = 0 if rig.ground_truth is None else camera.width * camera.height * TRUTH_BYTES
     return len(splits) * picture + splits.count("test") * maps
 
 

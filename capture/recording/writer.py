@@ -11,7 +11,7 @@ from capture.measurements import Image
 from datasets.core import files
 from datasets.imaging import images
 from datasets.radiometry.stored import RAW_FOLDER, packed
-from datasets.recording import Exposure, Frame, Recording
+from datasets.recording import DEPTH, DepthPicture, Exposure, Frame, Recording
 
 Advance = Callable[[str], None]
 WAITING = 2  # frames that may be queued for the disk; if it is slower than the arm, the arm waits
@@ -60,8 +60,17 @@ class Writer:
         images.write(path, taken[0].pixels)
         exposures = tuple(self._exposure(frame, number, image) for number, image in enumerate(taken))
         needed = len(taken) > 1 or taken[0].raw is not None  # else the image is all there is
-        self.recording.append(replace(frame, sha256=files.sha256(path), exposures=exposures if needed else ()))
+        depth = self._depth(frame, taken[0])
+        self.recording.append(replace(frame, sha256=files.sha256(path), exposures=exposures if needed else (), depth=depth))
         self.advance(frame.name)
+
+    def _depth(self, frame: Frame, image: Image) -> DepthPicture | None:
+        """Write the depth that the camera measured with the first exposure."""
+        if image.depth is None:
+            return None
+        name = f"{DEPTH}/{frame.name}.png"
+        images.write(self.recording.path / name, image.depth[..., None])
+        return DepthPicture(name, files.sha256(self.recording.path / name))
 
     def _exposure(self, frame: Frame, number: int, image: Image) -> Exposure:
         """Write what the sensor read; the developed picture of the first exposure is the image, which is there already."""

@@ -1,12 +1,13 @@
-"""The command that starts only the simulated controller of a rig."""
+"""The commands that start only the simulated controller of a rig, and that check its camera's driver."""
 
 import time
 from pathlib import Path
 from typing import Annotated
 
-from typer import Option
+from typer import Exit, Option
 
 from capture.errors import SimulationError
+from capture.options import RigName, Settings, TrajectoryName
 from datasets.core import console
 
 
@@ -43,3 +44,41 @@ def sim(
         except KeyboardInterrupt:
             return
         raise SimulationError("the simulated controller has ended", why=controller.last_line(), remedy="start it again")
+
+
+def check_camera(
+    trajectory: TrajectoryName = Path("koala_demo"),
+    rig: RigName = "sim",
+    other_exposure_us: Annotated[
+        float | None, Option("--other-exposure-us", help="Another exposure time to try [us]. Default: half of the trajectory's.")
+    ] = None,
+    settings: Settings = None,
+    as_json: console.Json = False,
+) -> None:
+    """Check that the driver of a rig's camera keeps the contract of all drivers; some pictures are taken, the arm is not used.
+
+    The camera takes the settings of the trajectory. The exit status is 1 where a clause is broken.
+    """
+    from capture.rig.contract import CONTRACT, Subject, check
+    from capture.rig.opening import camera_for, describe, is_simulated
+    from capture.trajectory import load_trajectory
+
+    session, description = load_trajectory(trajectory, overrides=settings), describe(rig)
+    scene = "grey_card" if is_simulated(rig, description) else ""
+    exposure_us = other_exposure_us or session.camera.exposure_us / 2
+    other = None if "exposure_us" in description.camera.leave else exposure_us
+    subject = Subject(
+        lambda wanted: camera_for(rig, session.model_copy(update={"camera": wanted}), scene=scene),
+        session.camera,
+        other_exposure_us=other,
+    )
+    broken = check(subject)
+    lines = [f"{'broken' if name in broken else 'kept':6}  {name.replace('_', ' ')}" for name in CONTRACT]
+    lines = [line if name not in broken else f"{line}: {broken[name]}" for name, line in zip(CONTRACT, lines, strict=True)]
+    console.report(
+        {"rig": rig, "kept": [name for name in CONTRACT if name not in broken], "broken": broken},
+        as_json=as_json,
+        text="\n".join(lines),
+    )
+    if broken:
+        raise Exit(1)

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from capture.arms.carrier import BODY, Beside, Cable, CameraCapsule, Carrier
 from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
+from capture.cameras.device import Device
 from capture.geometry import PoseDescription
 from capture.shapes.solids import AnySolid, CylinderSolid, MeshSolid
 from capture.sim.laboratory.flaws import Flaws
@@ -57,11 +58,9 @@ class RobotDescription(Schema):
     )
 
 
-class CameraDescription(Schema):
+class CameraDescription(Device):
     """The camera. Exposure, gain and region belong to the trajectory."""
 
-    model: Literal["basler"] = Field(default="basler", description="kind of camera")
-    serial: str = Field(default="", description="serial number; empty: the only connected camera")
     firmware: str = Field(default="", description="firmware version; empty: not compared")
     radiometry: str = Field(
         default="",
@@ -208,6 +207,8 @@ def load_rig(path: Path | str) -> RigDescription:
         robot = robot.model_copy(update={"model": str(folder / model)})
     if camera.radiometry:
         camera = camera.model_copy(update={"radiometry": str(folder / camera.radiometry)})
+    if (folder / camera.source).parent.is_dir() and Path(camera.source).suffix:
+        camera = camera.model_copy(update={"source": str(folder / camera.source)})
     rig = rig.model_copy(update={"obstacles": placed, "robot": robot, "camera": camera})
     try:
         rig.carrier()

@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import configs
 from capture.arms.carrier import Carrier
 from capture.rig.description import RigDescription, load_rig
@@ -42,6 +45,11 @@ class Rig:
     def carrier(self) -> Carrier:
         """The arm with its camera and what stands around it."""
         return self.description.carrier()
+
+    @property
+    def flange_from_camera(self) -> NDArray[np.float64]:
+        """(4, 4) nominal mount [m]; without meaning where the camera stands beside the arm."""
+        return self.description.flange_from_camera.matrix()
 
 
 def describe(name: str) -> RigDescription:
@@ -127,10 +135,10 @@ def open_rig(
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
         examine(description, host_of(description, controller), controller is not None)
         if controller is None:
-            from capture.cameras.basler import Basler
+            from capture.rig.cameras import camera_of
 
             with ExitStack() as stack:
-                camera = stack.enter_context(Basler(trajectory.camera, serial=description.camera.serial))
+                camera = stack.enter_context(camera_of(description.camera, trajectory.camera))
                 table, _ = stack.enter_context(open_turntable(description, trajectory, simulated=False))
                 robot = stack.enter_context(_arm(description, trajectory, None, take_over))
                 yield Rig(robot, camera, description, name, turntable=table)
@@ -144,15 +152,15 @@ def open_rig(
         with ExitStack() as stack:
             turning = open_turntable(description, trajectory, simulated=True, seed=seed, time_scale=time_scale)
             table, turned = stack.enter_context(turning)
-            camera = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws_of(description), turned)
+            flaws, device = flaws_of(description), description.camera
+            camera = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws, device=device, table=turned)
             simulated = stack.enter_context(camera)
             robot = stack.enter_context(_arm(description, trajectory, controller, take_over))
             yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed}, table)
 
 
-@contextmanager
-def open_camera(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Iterator[Camera]:
-    """Connect only the camera; the arm is left alone.
+def camera_for(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Camera:
+    """The camera of a rig, not connected; entering it connects it and leaves the arm alone.
 
     Args:
         scene: what a simulated camera looks at.
@@ -161,20 +169,24 @@ def open_camera(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0,
     """
     description = describe(name)
     if not is_simulated(name, description):
-        from capture.cameras.basler import Basler
+        from capture.rig.cameras import camera_of
 
-        with Basler(trajectory.camera, serial=description.camera.serial) as camera:
-            yield camera
-        return
+        return camera_of(description.camera, trajectory.camera)
     from capture.planning import Obstacles
     from capture.sim.camera import SimulatedCamera, StillArm
     from capture.sim.truth import RigTruth
 
     carrier = description.carrier()
     arm = StillArm(Obstacles.of(trajectory, carrier).flange_for(trajectory.viewpoints()[view].camera_pose(carrier)))
-    truth = RigTruth.of(carrier, trajectory, seed)
-    with SimulatedCamera(trajectory, scene, truth, arm, seed, flaws_of(description)) as simulated:
-        yield simulated
+    truth, flaws = RigTruth.of(carrier, trajectory, seed), flaws_of(description)
+    return SimulatedCamera(trajectory, scene, truth, arm, seed, flaws, device=description.camera)
+
+
+@contextmanager
+def open_camera(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Iterator[Camera]:
+    """Connect only the camera; arguments as in `camera_for`."""
+    with camera_for(name, trajectory, scene=scene, seed=seed, view=view) as camera:
+        yield camera
 
 
 @contextmanager

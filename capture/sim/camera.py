@@ -1,4 +1,4 @@
-"""The simulated camera: renders what the lens sees from the true pose of the arm, and delivers it through pylon's emulation.
+"""The simulated camera: renders what the lens sees from the true pose of the arm, and delivers it through a vendor's emulation.
 
 The driver is therefore the one for real cameras; only the light is computed.
 """
@@ -6,15 +6,15 @@ The driver is therefore the one for real cameras; only the light is computed.
 import time
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.cameras.basler import Basler
+from capture.cameras.device import Device
 from capture.errors import SimulationError
 from capture.measurements import Image
+from capture.sim.emulated import camera_from_depth, emulated
 from capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
 from capture.sim.laboratory.lens import Lens, Sensor
 from capture.sim.laboratory.views import make_view
@@ -77,7 +77,7 @@ def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArr
 
 
 class SimulatedCamera:
-    """A Basler camera whose light is computed; implements `capture.rig.protocols.Camera` and `GroundTruth`.
+    """A camera whose light is computed; implements `capture.rig.protocols.Camera` and `GroundTruth`.
 
     Args:
         trajectory: camera settings, and positions of object, board and table.
@@ -86,6 +86,7 @@ class SimulatedCamera:
         arm: gives the true flange poses.
         seed: of textures, flaws and noise. Noise also depends on the frame number, but not on earlier pictures.
         flaws: of sensor, lens and lamps.
+        device: the camera of the rig.
         table: what turns the object before still lamps; None: it stands.
     """
 
@@ -97,6 +98,8 @@ class SimulatedCamera:
         arm: TrueArm,
         seed: int,
         flaws: Flaws = PERFECT,
+        *,
+        device: Device | None = None,
         table: SimulatedTurntable | None = None,
     ) -> None:
         self.view = make_view(scene, trajectory, seed, truth.beside.flange_from_board if truth.beside is not None else None)
@@ -104,20 +107,15 @@ class SimulatedCamera:
         self._arm, self._frame, self._table = arm, 0, table
         self._world_from_camera: NDArray[np.float64] | None = None
         self._base_from_object: NDArray[np.float64] = np.eye(4)
-        self._driver = Basler(trajectory.camera, emulated=True)
+        self._driver = emulated(trajectory.camera, device or Device(), truth.sensor_camera)
         self._exposure_us, self.flaws = trajectory.camera.exposure_us, flaws
         self._maps: SensorMaps | None = None
         self._seen: tuple[tuple[int, bytes], NDArray[np.float32]] | None = None
         self._lens: Lens | None = None
 
     def __enter__(self) -> Self:
-        self._folder = TemporaryDirectory(prefix="koala-camera-")
-        try:
-            self._driver.__enter__()
-        except BaseException:
-            self._folder.cleanup()
-            raise
-        self._lens = Lens(self._driver.region.camera(self.truth.sensor_camera))
+        self._driver.__enter__()
+        self._lens = Lens(self._driver.camera(self.truth.sensor_camera))
         if self.flaws != PERFECT:
             sensor = self.truth.sensor_camera
             self._maps = SensorMaps.of(self.flaws, self._driver.region, (sensor.width, sensor.height), self.seed)
@@ -125,7 +123,6 @@ class SimulatedCamera:
 
     def __exit__(self, *exception: object) -> None:
         self._driver.__exit__(*exception)
-        self._folder.cleanup()
 
     def prepare(self, frame: int) -> None:
         """Set the frame number of the next exposure, on which its noise depends."""
@@ -151,11 +148,7 @@ class SimulatedCamera:
             raw_bits=RAW_BITS[settings.pixel_format],
             maps=self._maps,
         )
-        picture = Path(self._folder.name) / f"{self._frame}.png"
-        images.write(picture, pixels)
-        self._driver.feed(str(picture))
-        image = self._driver.grab()
-        picture.unlink()
+        image = self._driver.expose(pixels, self._depth(), np.random.default_rng([self.seed, self._frame, 5]))
         if settings.pixel_format == "rgb8" and not np.array_equal(image.pixels, pixels):
             raise SimulationError("the emulated camera changed the picture", why="pixels differ from what it was fed")
         return replace(image, host_time_ns=moment, device_ticks=moment)
@@ -167,6 +160,13 @@ class SimulatedCamera:
             self.view.turn(self._base_from_object)
             self._seen = (seen, self.view.radiance(self.lens, poses, self._seed))
         return self._seen[1]
+
+    def _depth(self) -> NDArray[np.float32] | None:
+        """(height, width) true depth [m] where the camera measures it; None without a depth sensor."""
+        camera = self._driver.depth_camera
+        if camera is None:
+            return None
+        return self.view.depth(camera, self.world_from_camera @ camera_from_depth(), self._seed)
 
     def set_exposure(self, exposure_us: float) -> None:
         """See `capture.rig.protocols.Camera`."""
@@ -195,8 +195,9 @@ class SimulatedCamera:
     def save_truth(self, folder: Path, name: str, split: str) -> None:
         """Write the truth about the newest picture: its pose, and for test views the maps of `SUFFIXES`.
 
-        folder/CHANNEL/NAME.*: `normals` (unit, in the object's frame of `datasets.turntable`, the base without a turntable), `depth` (along z [m], 0 outside the object), `alpha` (share of
-        the pixel that shows the object), `diffuse` and `specular` (linear light that sums to the picture; 1 is its white).
+        folder/CHANNEL/NAME.*: `normals` (unit, in the object's frame of `datasets.turntable`, the base without a turntable),
+        `depth` (along z [m], 0 outside the object), `alpha` (share of the pixel that shows the object), `diffuse` and
+        `specular` (linear light that sums to the picture; 1 is its white).
         """
         if split == "test":
             white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)

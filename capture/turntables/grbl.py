@@ -31,7 +31,7 @@ _STATUS = re.compile(r"^<(?P<state>[A-Za-z]+)(?::\d+)?\|MPos:(?P<places>[-\d.,]+
 class GrblTurntable:
     """Implements `capture.rig.protocols.Turntable`. The constructor touches nothing; entering connects or leaves nothing open.
 
-    Leaving without an error turns the table back to zero: a controller that starts again takes the place where it stands for zero.
+    Leaving without an error turns the table back to zero, since a controller that starts again takes its place for zero.
     """
 
     def __init__(self, table: TurntableDescription) -> None:

@@ -13,6 +13,10 @@ EXTRAS = {
     "xatlas": "asset",
     "pxr": "asset",
     "coacd": "asset",
+    "harvesters": "genicam",
+    "genicam": "genicam",
+    "pyrealsense2": "realsense",
+    "gphoto2": "gphoto2",
 }
 """Module to the extra of pyproject.toml that brings it."""
 

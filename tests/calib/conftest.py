@@ -11,10 +11,10 @@ from calib.handeye import model
 from calib.intrinsics import projection
 from calib.targets.detection import Observation
 from datasets import pose
-from datasets.board import Board
 from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
+from datasets.targets.board import Board
 
 BOARD = Board.of("charuco", 11, 8, 0.03, 0.022, "DICT_5X5_100")
 CAMERA = Camera(960, 600, 850.0, 848.0, 484.0, 296.0, -0.08, 0.05, 0.0006, -0.0004, 0.0)

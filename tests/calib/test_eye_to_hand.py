@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from calib import calibrate
+from calib.advice.adviser import Adviser, Wanted
+from calib.advice.hints import hints
 from calib.errors import Unobservable
 from calib.handeye import model, refine, uncertainty, verify
 from calib.handeye.model import Accuracy, Session, State
@@ -14,8 +16,8 @@ from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA
 from calib.targets.detection import Observation
 from datasets import pose
-from datasets.board import Board
 from datasets.calibration import Calibration
+from datasets.targets.board import Board
 
 BOARD = Board.of("charuco", 9, 7, 0.02, 0.0146)
 BASE_FROM_CAMERA = pose.look_at((1.1, 0.1, 0.5), (0.5, 0.0, 0.4))
@@ -105,6 +107,21 @@ def test_a_pose_that_no_view_shows_is_named_as_it_is_here():
     information[2, :] = information[:, 2] = 0.0
     with pytest.raises(Unobservable, match="base_from_camera translation z is not observable"):
         uncertainty.covariance(measured, replace(refined, information=information))
+
+
+def test_the_adviser_chooses_views_with_the_camera_beside_the_arm():
+    session, _ = simulated(50)
+    by_ruler = model.perturbed(BASE_FROM_CAMERA, np.array([3e-3, -2e-3, 4e-3, 0.01, 0.02, -0.01]))
+    adviser = Adviser(Wanted((0.05, 0.01), by_ruler, ARM))
+    adviser.update(session.chosen(np.arange(25) < 3))
+    assert adviser.figures is None and adviser.known.eye_to_hand
+    assert all(one is not None for one in adviser.expected(session.base_from_flange))
+    adviser.update(session.chosen(np.arange(25) < 15))
+    now, after = adviser.figures, adviser.expected(session.base_from_flange[15:])
+    assert now is not None and all(one is not None and one[0] < now[0] and one[1] < now[1] for one in after)
+    assert adviser.expected(pose.rigid(np.eye(3), [0, 1.0, 0]) @ session.base_from_flange[:1]) == [None]  # out of the picture
+    assert hints(adviser.known, session.base_from_flange, now, (0.05, 0.01))
+    assert adviser.calibration().base_from_camera is not None
 
 
 def test_a_wrong_view_is_left_out():

@@ -13,10 +13,10 @@ from calib.handeye.model import Accuracy
 from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
-from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 from datasets.core.errors import KoalaError
+from datasets.targets.board import Board
 
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 BOARD = Board.of("charuco", 8, 6, 0.045, 0.033)

@@ -97,8 +97,16 @@ def test_a_target_session_has_no_split(tmp_path):
     with pytest.raises(UsageError, match="a session with a target has no split"):
         _load(tmp_path, SMALL + target)
     assert set(_load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target)).splits) == {"calibration"}
-    with pytest.raises(UsageError, match="only ChArUco boards"):
-        _load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", target.replace("charuco", "chessboard")))
+
+
+def test_a_target_is_given_by_its_keys_or_by_its_name_and_placed_by_corner_or_middle(tmp_path):
+    place = "board: {position: [0.4, 0.0, 0.003], rotation_deg: [180, 0, 0], at: middle}\n"
+    found = _load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", f"target: charuco\n{place}"))
+    assert (found.target.kind, found.target.squares_x) == ("charuco", 9)
+    np.testing.assert_allclose(found.base_from_board[:3, 3], [0.265, 0.105, 0.003], atol=1e-12)
+    np.testing.assert_allclose(found.base_from_middle[:3, 3], [0.4, 0.0, 0.003], atol=1e-12)
+    with pytest.raises(UsageError, match=r"no calibration target 'charucco'.*did you mean 'charuco'"):
+        _load(tmp_path, SMALL.replace("split: {train: 8, test: 2}\n", "target: charucco\n"))
 
 
 def test_box_corners():

@@ -90,6 +90,9 @@ def test_damage_in_the_middle_names_the_line(recording: Recording) -> None:
         ({"exposure_us": float("nan")}, "exposure_us is nan"),
         ({"settle_s": float("inf")}, "settle_s is inf"),
         ({"host_time_ns": []}, "not complete"),
+        ({"depth": {"file": 7, "sha256": ""}}, "depth is"),
+        ({"depth": {"file": "depth/000.png"}}, "not complete"),
+        ({"depth": {"file": "../../depth.png", "sha256": ""}}, "leaves the folder"),
     ],
 )
 def test_impossible_frames_are_refused(recording: Recording, change: dict, words: str) -> None:

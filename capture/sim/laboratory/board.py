@@ -10,8 +10,8 @@ from capture.sim.laboratory import textures
 from capture.sim.laboratory.lens import Lens
 from capture.sim.laboratory.scenes import TABLE_SIZE
 from datasets import pose
-from datasets.board import Board
-from datasets.pattern import Pattern
+from datasets.targets.board import Board
+from datasets.targets.pattern import Pattern
 
 INK, PAPER = 0.04, 0.95  # radiance of black and white, relative to the lamps
 DARK = 0.1  # radiance where nothing is

@@ -41,6 +41,10 @@ class View(Protocol):
         """The true maps of the newest picture, see `SimulatedCamera.save_truth`."""
         ...
 
+    def depth(self, camera: Camera, world_from_camera: NDArray[np.float64], seed: int, /) -> NDArray[np.float32]:
+        """(height, width) depth along z of the first surface at each pixel of a pinhole [m]; 0 where there is none."""
+        ...
+
     def mesh(self) -> Any:
         """The object [m], a trimesh; None without an object."""
 
@@ -81,6 +85,10 @@ class InBase:
         if "normals" in maps:
             maps["normals"] = maps["normals"] @ self.base_from_table[:3, :3].T.astype(np.float32)
         return maps
+
+    def depth(self, camera: Camera, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return self.view.depth(camera, pose.inverse(self.base_from_table) @ base_from_camera, seed)
 
     def mesh(self) -> Any:
         """See `View`."""
@@ -137,6 +145,10 @@ class ObjectView:
             means[rows] = sum(values[down::FINE, right::FINE] for down in range(FINE) for right in range(FINE)) / FINE**2
         return means
 
+    def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`."""
+        return self._renderer.surfaces(camera, table_from_camera, seed=seed % 2**32).depth
+
     def mesh(self) -> Any:
         """See `View`."""
         return self.stage.mesh()
@@ -160,6 +172,12 @@ class BoardView:
         """No maps: the pose of the board is enough."""
         return {}
 
+    def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`; of the table's plane, on which the board lies."""
+        down = (camera.directions(camera.pixel_centres()) @ table_from_camera[:3, :3].T)[..., 2]
+        hits = down < -1e-6
+        return np.where(hits, table_from_camera[2, 3] / np.where(hits, -down, 1.0), 0).astype(np.float32)
+
     def mesh(self) -> None:
         """None: there is no object."""
 
@@ -180,6 +198,10 @@ class CardView:
     def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
         """No maps."""
         return {}
+
+    def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+        """See `View`; none: the card is too near."""
+        return np.zeros((camera.height, camera.width), np.float32)
 
     def mesh(self) -> None:
         """None: there is no object."""

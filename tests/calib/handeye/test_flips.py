@@ -10,7 +10,7 @@ from calib.intrinsics import estimate
 from calib.study import variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
-from datasets.board import Board
+from datasets.targets.board import Board
 
 ARM = Accuracy(1e-4, float(np.deg2rad(0.02)))
 AMBIGUOUS = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03))

@@ -16,9 +16,9 @@ from calib.study.simulate import KOALA, Pattern, viewpoints
 from calib.targets.detection import Observation
 from capture.arms.model import load_arm
 from datasets import kinematics, pose
-from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError
+from datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 OFFSETS = np.deg2rad([0.0, 0.05, -0.06, 0.04, -0.03, 0.0])

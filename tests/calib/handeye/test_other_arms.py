@@ -15,8 +15,8 @@ from calib.study.simulate import KOALA, Pattern, viewpoints
 from calib.targets.detection import Observation
 from capture.arms.model import ArmModel, load_arm
 from datasets import kinematics, pose
-from datasets.board import Board
 from datasets.calibration import Calibration, JointOffsets
+from datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)), float(np.deg2rad(0.05)))

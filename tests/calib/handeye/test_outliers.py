@@ -10,7 +10,7 @@ from calib.handeye.model import Accuracy
 from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
-from datasets.board import Board
+from datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 8, 6, 0.045, 0.033))
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))

@@ -8,7 +8,7 @@ from calib.handeye import model, refine
 from calib.intrinsics import projection
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
-from datasets.board import Board
+from datasets.targets.board import Board
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 

@@ -15,9 +15,9 @@ from calib.sessions.session import TargetSession, observe_recording
 from calib.study import variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
-from datasets.board import Board
 from datasets.calibration import Calibration
 from datasets.core.errors import UsageError
+from datasets.targets.board import Board
 
 
 @pytest.fixture(scope="module")

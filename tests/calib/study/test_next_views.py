@@ -9,7 +9,7 @@ from calib.errors import CalibrationError
 from calib.study import next_views, variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
-from datasets.board import Board
+from datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 

@@ -10,7 +10,7 @@ from calib.study import bench, variants
 from calib.study.simulate import Pattern, simulate
 from capture.trajectory import load_trajectory
 from datasets import pose
-from datasets.board import Board
+from datasets.targets.board import Board
 
 TRAJECTORY = Path(__file__).resolve().parents[3] / "configs" / "trajectories" / "calibration.yaml"
 

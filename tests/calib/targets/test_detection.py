@@ -5,8 +5,8 @@ import pytest
 from calib.errors import TargetError
 from calib.targets.detection import detect, read_board
 from datasets import pose
-from datasets.board import Board
 from datasets.camera_model import Camera
+from datasets.targets.board import Board
 
 CHARUCO = Board.of("charuco", 9, 6, 0.03, 0.022, "DICT_5X5_100")
 CHESSBOARD = Board.of("chessboard", 10, 7, 0.025)

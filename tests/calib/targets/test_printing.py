@@ -6,8 +6,8 @@ import pytest
 
 from calib.targets import printing
 from calib.targets.detection import detect
-from datasets.board import Board
 from datasets.core.errors import UsageError
+from datasets.targets.board import Board
 
 BOARDS = [
     Board.of("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),

@@ -40,6 +40,9 @@ def test_colour_formats_are_passed_on():
     assert colours(raw, "RGB8") is raw
     padded = np.arange(48, dtype=np.uint8).reshape(2, 8, 3)[:, :4]  # rows as some cameras send them
     assert np.array_equal(colours(padded, "RGB8"), padded) and colours(padded, "RGB8").flags.c_contiguous
+    assert colours(raw, "BGR8")[0, 0].tolist() == [2, 1, 0]
+    with_alpha = np.arange(32, dtype=np.uint8).reshape(2, 4, 4)
+    assert np.array_equal(colours(with_alpha, "RGBa8"), with_alpha[..., :3])
 
 
 def test_format_is_the_one_that_the_sensor_has():

@@ -47,7 +47,7 @@ def test_a_rig_is_found_by_name_or_path(running_rig: Path) -> None:
             "ur5e_baslr",
             [
                 "there is no rig 'ur5e_baslr'",
-                "known: sim, franka_basler, sim_flawed, ur10e_gige, ur5e_basler",
+                "known: sim, franka_basler, franka_realsense, sim_flawed, ur10e_gige, ur5e_basler",
                 "did you mean 'ur5e_basler'?",
             ],
         ),

@@ -5,9 +5,9 @@ import pytest
 from capture.sim.laboratory.board import BoardPicture
 from capture.sim.laboratory.lens import Lens, Sensor
 from datasets import pose
-from datasets.board import Board
 from datasets.camera_model import Camera
 from datasets.conventions import pixels_from_opencv
+from datasets.targets.board import Board
 
 TARGET = Board.of("charuco", 7, 5, 0.03, 0.0225)
 TABLE_FROM_BOARD = pose.from_rotation_vector([np.pi, 0, 0], [0.35, 0.08, 0.003])

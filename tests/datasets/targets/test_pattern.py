@@ -2,8 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from datasets.board import Board
-from datasets.pattern import Pattern
+from datasets.targets.board import Board
+from datasets.targets.pattern import Pattern
 
 BOARDS = [
     Board.of("charuco", 7, 5, 0.03, 0.0225),

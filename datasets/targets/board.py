@@ -9,7 +9,7 @@ the corners 4 n to 4 n + 3, clockwise from the upper left one of the tag as Open
 An AprilGrid is Kalibr's: tags numbered row by row from below, each turned by half a turn against OpenCV's drawing, and small dark
 squares in the gaps, which touch the corners of the tags. A square is a tag and a gap.
 
-Circles are numbered row by row, one in the middle of each square. Of asymmetric circles, a row has `squares_x` of them, two square
+Circles are numbered row by row, one in the middle of each square. Of asymmetric circles a row has `squares_x`, two square
 lengths apart, rows are one square length apart, and every other row is shifted by one square length.
 """
 
@@ -31,7 +31,7 @@ _AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 class Board(Schema):
-    """A flat calibration target: ChArUco board, chessboard, grid of tags or circles. The last three kinds are in the docstring."""
+    """A flat calibration target: ChArUco board, chessboard, grid of tags or circles."""
 
     kind: Kind = Field(validation_alias=AliasChoices("kind", "type"), description="kind of target (type in recordings)")
     squares_x: int = Field(ge=1, description="squares along the board's x axis, or tags, or circles of a row")

@@ -1,0 +1,91 @@
+"""Opens the camera of a rig file: the driver that its `model` names, and the view of it that `capture doctor` has."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from capture.cameras.device import Device
+from capture.cameras.nodes import Nodes
+from capture.rig.protocols import Camera
+from capture.trajectory import CameraSettings
+
+if TYPE_CHECKING:
+    from capture.sim.realsense_device import SoftwareRealSense
+
+
+def camera_of(device: Device, settings: CameraSettings) -> Camera:
+    """The driver of a real camera with the settings of a trajectory; entering it connects."""
+    if device.model == "genicam":
+        from capture.cameras.gentl import GenTlCamera
+
+        return GenTlCamera(settings, device)
+    if device.model == "opencv":
+        from capture.cameras.opencv import OpenCvCamera
+
+        return OpenCvCamera(settings, device)
+    if device.model == "realsense":
+        from capture.cameras.realsense import RealSense
+
+        return RealSense(settings, device)
+    if device.model == "gphoto2":
+        from capture.cameras.gphoto import GphotoCamera
+
+        return GphotoCamera(settings, device)
+    from capture.cameras.basler import Basler
+
+    return Basler(settings, serial=device.serial, own=device.settings)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A camera that was opened only to look at it."""
+
+    nodes: Nodes
+    serial: str
+    facts: dict[str, str] = field(default_factory=dict)
+    """What it says of `firmware` and `link` beside its settings."""
+
+
+@contextmanager
+def seen(device: Device, *, simulated: bool = False) -> Iterator[Seen]:
+    """Open a camera only to look at it; a simulated one where it has an emulation of its own, else that of pylon.
+
+    Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
+    """
+    if device.model == "realsense":
+        from capture.cameras import realsense
+
+        emulation = _emulation() if simulated else None
+        asked = device.model_copy(update={"serial": ""}) if simulated else device
+        with realsense.opened(asked, emulation=emulation) as (nodes, serial, said):
+            yield Seen(nodes, serial, {"firmware": said["firmware_version"], "link": said["usb_type_descriptor"]})
+    elif simulated or device.model == "basler":
+        from capture.cameras import basler
+
+        with basler.opened("" if simulated else device.serial, emulated=simulated) as (pylon, serial):
+            yield Seen(pylon, serial)
+    elif device.model == "genicam":
+        from capture.cameras import gentl
+
+        with gentl.opened(device) as (found, serial):
+            yield Seen(found, serial)
+    elif device.model == "opencv":
+        from capture.cameras import opencv
+
+        with opencv.opened(device) as (properties, serial):
+            yield Seen(properties, serial)
+    else:
+        from capture.cameras import gphoto
+
+        with gphoto.opened(device) as (words, serial):
+            yield Seen(words, serial, {"firmware": str(words.read("deviceversion"))})
+
+
+def _emulation() -> "SoftwareRealSense":
+    import numpy as np
+
+    from capture.sim.realsense_device import SoftwareRealSense
+    from capture.sim.truth import RigTruth
+
+    return SoftwareRealSense(RigTruth.draw(np.eye(4), 0).sensor_camera)

@@ -1,0 +1,198 @@
+"""The devices through which a simulation delivers its light: the vendors' own emulations, so that the drivers really run.
+
+pylon's emulation shows picture files; librealsense's software device is fed pictures and depth. Cameras of other drivers are
+simulated through pylon's, with the settings of the trajectory.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.cameras.basler import Basler
+from capture.cameras.device import Device
+from capture.errors import CaptureError
+from capture.measurements import Image, Pixels
+from capture.sim.realsense_device import BASELINE_M, UNIT_M, SoftwareRealSense
+from capture.trajectory import CameraSettings
+from datasets.camera_model import Camera
+from datasets.imaging import images
+from datasets.imaging.region import Region
+
+STEREO_BASELINE_M = 0.05
+"""Between the infrared sensors of a D435."""
+DISPARITY_PX, MOST_PX = 0.08, 126.0
+"""Standard deviation of a disparity, and the largest that is searched: nearer surfaces have no depth."""
+
+
+class Emulated(Protocol):
+    """A camera that shows what it is given."""
+
+    def __enter__(self) -> Self: ...
+    def __exit__(self, *exception: object) -> None: ...
+
+    def camera(self, sensor_camera: Camera) -> Camera:
+        """The true camera of the pictures, given that of the whole sensor."""
+        ...
+
+    @property
+    def region(self) -> Region:
+        """The pixels whose flaws are simulated."""
+        ...
+
+    @property
+    def depth_camera(self) -> Camera | None:
+        """The camera of its depth; None where it has none."""
+        ...
+
+    def expose(self, pixels: Pixels, depth: NDArray[np.float32] | None, rng: np.random.Generator) -> Image:
+        """Deliver a picture, and (height, width) true depth along z [m] with the noise of the depth sensor."""
+        ...
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """See `capture.rig.protocols.Camera`."""
+
+    def description(self) -> dict[str, Any]:
+        """See `capture.rig.protocols.Camera`."""
+        ...
+
+
+class EmulatedBasler:
+    """pylon's emulated camera."""
+
+    depth_camera = None
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self._driver, self._count = Basler(settings, emulated=True), 0
+        self._folder: TemporaryDirectory[str] | None = None  # while it is open
+
+    def __enter__(self) -> Self:
+        self._folder = TemporaryDirectory(prefix="koala-camera-")
+        try:
+            self._driver.__enter__()
+        except BaseException:
+            self._folder.cleanup()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._driver.__exit__(*exception)
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def camera(self, sensor_camera: Camera) -> Camera:
+        """See `Emulated`."""
+        return self.region.camera(sensor_camera)
+
+    @property
+    def region(self) -> Region:
+        """See `Emulated`."""
+        return self._driver.region
+
+    def expose(self, pixels: Pixels, depth: NDArray[np.float32] | None, rng: np.random.Generator) -> Image:
+        """See `Emulated`; there is no depth."""
+        if self._folder is None:
+            raise CaptureError("camera is closed", remedy="open it first")
+        self._count += 1
+        picture = Path(self._folder.name) / f"{self._count}.png"
+        images.write(picture, pixels)
+        self._driver.feed(str(picture))
+        image = self._driver.grab()
+        picture.unlink()
+        return image
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """See `Emulated`."""
+        self._driver.set_exposure(exposure_us)
+
+    def description(self) -> dict[str, Any]:
+        """See `Emulated`."""
+        return self._driver.description()
+
+
+class EmulatedRealSense:
+    """librealsense's software device. It sends only during an exposure, so that rendering has the processor for itself."""
+
+    def __init__(self, settings: CameraSettings, device: Device, sensor_camera: Camera) -> None:
+        from capture.cameras.realsense import RealSense
+
+        self._settings, self._device = settings, device
+        self._source = SoftwareRealSense(sensor_camera)
+        self._driver = RealSense(settings, device.model_copy(update={"serial": ""}), emulation=self._source)
+
+    def __enter__(self) -> Self:
+        self._driver.__enter__()
+        self._source.stop()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._driver.__exit__(*exception)
+
+    def camera(self, sensor_camera: Camera) -> Camera:
+        """See `Emulated`."""
+        return self._source.colour_camera(self._settings.width, self._settings.height)
+
+    @property
+    def region(self) -> Region:
+        """See `Emulated`."""
+        return Region(self._settings.width, self._settings.height)
+
+    @property
+    def depth_camera(self) -> Camera | None:
+        """See `Emulated`."""
+        depth = self._device.depth
+        return None if depth is None else self._source.depth_camera(depth.width, depth.height)
+
+    def expose(self, pixels: Pixels, depth: NDArray[np.float32] | None, rng: np.random.Generator) -> Image:
+        """See `Emulated`."""
+        if pixels.dtype != np.uint8:
+            raise CaptureError(
+                "camera sends 8 bits", why=f"{pixels.dtype} was simulated", remedy="set camera.pixel_format to rgb8"
+            )
+        measured = None
+        if depth is not None and self.depth_camera is not None:
+            measured = stereo_depth(depth, self.depth_camera.fx, rng)
+        self._source.show(pixels.astype(np.uint8), measured)
+        self._source.start()
+        try:
+            return self._driver.grab()
+        finally:
+            self._source.stop()
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """See `Emulated`."""
+        self._driver.set_exposure(exposure_us)
+
+    def description(self) -> dict[str, Any]:
+        """See `Emulated`."""
+        return self._driver.description()
+
+
+def camera_from_depth() -> NDArray[np.float64]:
+    """(4, 4) where the simulated depth is measured, in the colour camera [m]."""
+    matrix = np.eye(4)
+    matrix[0, 3] = -BASELINE_M
+    return matrix
+
+
+def stereo_depth(depth: NDArray[np.float32], focal_px: float, rng: np.random.Generator) -> NDArray[np.uint16]:
+    """What a stereo sensor makes of (height, width) true depth [m], in steps of `UNIT_M`; 0 where it measures nothing.
+
+    Its error is that of the disparity f b / z, so that it grows with the square of the depth. Real sensors also fail on shine,
+    which is not simulated.
+    """
+    scale = focal_px * STEREO_BASELINE_M
+    disparity = scale / np.where(depth > 0, depth, np.inf) + rng.normal(0, DISPARITY_PX, depth.shape)
+    seen = (depth > 0) & (disparity < MOST_PX) & (disparity > DISPARITY_PX)
+    steps = np.where(seen, scale / np.where(seen, disparity, 1.0) / UNIT_M, 0)
+    return np.where(steps < 2**16, np.rint(steps), 0).astype(np.uint16)
+
+
+def emulated(settings: CameraSettings, device: Device, sensor_camera: Camera) -> Emulated:
+    """The emulation for a rig's camera."""
+    if device.model == "realsense":
+        return EmulatedRealSense(settings, device, sensor_camera)
+    return EmulatedBasler(settings)

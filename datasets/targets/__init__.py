@@ -1,0 +1,1 @@
+"""Calibration targets: their layout, and their pattern in print."""
