@@ -1,7 +1,6 @@
 """The whole way at its smallest, through the commands as a person types them."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -42,8 +41,7 @@ def run(package: str, *arguments: object) -> dict[str, Any]:
     """Run one command with --json and return what it printed."""
     code = f"from {package}.cli import main; main()"
     command = [sys.executable, "-c", code, *map(str, arguments), "--json"]
-    environment = {**os.environ, "KOALA_RENDERER": "scalar_rgb"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=280, env=environment, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

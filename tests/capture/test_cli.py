@@ -43,8 +43,7 @@ def session(tmp_path: Path) -> Path:
 
 def capture(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "capture.cli", *map(str, arguments)]
-    environment = {**os.environ, "KOALA_RENDERER": "scalar_rgb"}
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_records_a_session_and_refuses_to_overwrite_it(session, tmp_path):
@@ -105,10 +104,7 @@ def test_ctrl_c_keeps_the_frames_and_says_how_to_resume(tmp_path):
     path.write_text(SESSION.replace("COUNT", "12").replace("TRAIN", "11"))
     out = tmp_path / "rec"
     command = [sys.executable, "-m", "capture.cli", "run", str(path), "--scene", "shiny_ball", "--out", str(out)]
-    environment = {**os.environ, "KOALA_RENDERER": "scalar_rgb"}
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
-    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 90
     while not (out / "frames.jsonl").exists() and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -19,9 +19,8 @@ SIX = "views=[{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, elevation_deg
 
 
 @pytest.fixture
-def recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+def recordings(tmp_path: Path) -> list[Recording]:
     """One arm takes six tiny pictures of one scene and then of the other."""
-    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
     changes = [SIX, "split=null", "camera.binning=4", "camera.width=24", "camera.height=24"]
     trajectory = load_trajectory("koala_demo", overrides=changes)
     with SimulatedController.start(seed=5, time_scale=20.0) as controller:

@@ -39,8 +39,7 @@ class ArmAt:
 
 
 @pytest.fixture
-def trajectory(monkeypatch) -> Trajectory:
-    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
+def trajectory() -> Trajectory:
     small = ["camera.width=120", "camera.height=120", "camera.binning=4"]
     return load_trajectory("koala_demo", overrides=small)
 

@@ -54,7 +54,6 @@ def test_truth_is_in_the_objects_frame(tmp_path, monkeypatch):
     """Pixels, depth and pose lead back to the ball where it stood with the table at zero, and normals point away from it."""
     import trimesh
 
-    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
     trajectory = load_trajectory("koala_demo", overrides=["camera.width=48", "camera.height=48"])
     truth = RigTruth.draw(RIG.flange_from_camera.matrix(), 0)
     with SimulatedTurntable(RIG.turntable, seed=0, time_scale=200) as simulation, GrblTurntable(simulation.reached) as table:

@@ -14,8 +14,7 @@ ABOVE = pose.look_at((0.1, -0.1, 0.4), (0.4, 0.0, 0.1))
 
 
 @pytest.fixture
-def ball(monkeypatch: pytest.MonkeyPatch) -> ObjectView:
-    monkeypatch.setenv("KOALA_RENDERER", "scalar_rgb")
+def ball() -> ObjectView:
     found = make_view("shiny_ball", load_trajectory("koala_demo"), 0).view
     assert isinstance(found, ObjectView)
     return found
