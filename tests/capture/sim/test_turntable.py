@@ -50,7 +50,7 @@ def test_turning_the_room_is_turning_the_object():
     assert np.quantile(np.abs(turned.radiance(camera, view, samples=16, seed=1) - before), 0.95) < 1e-4
 
 
-def test_truth_is_in_the_objects_frame(tmp_path, monkeypatch):
+def test_truth_is_in_the_objects_frame(tmp_path):
     """Pixels, depth and pose lead back to the ball where it stood with the table at zero, and normals point away from it."""
     import trimesh
 
