@@ -9,7 +9,7 @@ from typer import Option
 from capture import looking, viewing
 from capture.calibrating import commands as calibrating_commands
 from capture.doctor.commands import doctor
-from capture.options import RigName, Settings, TimeScale, TrajectoryName
+from capture.options import RigName, Settings, TakeOver, TimeScale, TrajectoryName
 from capture.radiometry import commands as radiometry_commands
 from capture.recording import commands as recording_commands
 from capture.rig import commands as rig_commands
@@ -46,9 +46,7 @@ def run(
         Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: the rig file's."),
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
-    take_over: Annotated[
-        bool, Option("--take-over", help="End a program that runs on the robot; else it is left alone.")
-    ] = False,
+    take_over: TakeOver = False,
     view: Annotated[bool, Option("--view", help="Show the session in the browser, with a stop button.")] = False,
     port: console.Port = 8080,
     settings: Settings = None,

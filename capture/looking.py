@@ -1,13 +1,17 @@
 """The command that shows the live picture and what it says."""
 
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 from typer import Option
 
-from capture.options import RigName, Settings, TrajectoryName
+from capture.options import RigName, Settings, TakeOver, TrajectoryName
 from datasets.core import console
+
+TIME_SCALE = 20.0
+"""Speed of a simulated arm, as in 'capture run'."""
 
 
 def look(
@@ -23,15 +27,22 @@ def look(
     ] = None,
     picture: Annotated[Path | None, Option(metavar="LOOK.png", help="With --once: also write the marked picture.")] = None,
     scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'. Default: one that fits.")] = "",
+    arm: Annotated[bool, Option("--arm", help="Connect the arm too; the page moves it to views of the trajectory.")] = False,
+    go: Annotated[str | None, Option("--go", metavar="VIEW", help="First move the arm to this view.")] = None,
+    calibration: Annotated[
+        Path | None, Option(metavar="CALIBRATION.json", help="With the arm: draw the object's box as this calibration sees it.")
+    ] = None,
+    take_over: TakeOver = False,
     port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
     """Show the live picture in the browser: focus, clipping, histogram, flicker of lamps, white balance, exposure.
 
-    The camera takes the settings of the trajectory. The arm is not used."""
+    The camera takes the settings of the trajectory. The arm is left alone, except with --arm or --go.
+    """
     from capture.look.analysis import Part
-    from capture.rig.opening import describe, is_simulated, open_camera, scene_for
+    from capture.rig.opening import describe, is_simulated, scene_for
     from capture.trajectory import load_trajectory
     from datasets.core.files import refuse_existing
 
@@ -44,23 +55,57 @@ def look(
     part = Part.middle(width, height) if region is None else Part.parse(region, width, height)
     stored = description.camera.radiometry
     with ExitStack() as stack:
-        camera = stack.enter_context(open_camera(rig, session, scene=scene))
+        camera, jog = stack.enter_context(_opened(rig, session, scene, arm or go is not None, take_over))
+        outline = _outline(calibration, session, camera, jog)
+        if jog is not None and go is not None:
+            jog.go(go)
         if once:
-            found, lines = _once(camera, part, burst, balance, picture, stored)
+            box = (jog, outline) if jog is not None and outline is not None else None
+            found, lines = _once(camera, part, burst, balance, picture, stored, box)
             console.report(found, as_json=as_json, text="\n".join(lines))
             return
         from capture.page.look import LookPage
         from datasets.page import open_page
 
         page = stack.enter_context(open_page(f"{session.name}, live", port))
-        live = LookPage(page, camera, part, burst=burst, balance=balance, stored=stored)
+        live = LookPage(page, camera, part, burst=burst, balance=balance, stored=stored, jog=jog, outline=outline)
         console.report({"url": page.url}, as_json=as_json, text=f"{page.url} shows the live picture; Ctrl-C ends it")
         page.wait()
         live.end()
 
 
+@contextmanager
+def _opened(rig: str, session: Any, scene: str, with_arm: bool, take_over: bool) -> Iterator[tuple[Any, Any]]:
+    """The camera of a rig, and what moves its arm, which is None where it is left alone."""
+    from capture.doctor.examine import examination
+    from capture.look.jog import Jog
+    from capture.rig.opening import open_camera, open_rig
+
+    if not with_arm:
+        with open_camera(rig, session, scene=scene) as camera:
+            yield camera, None
+        return
+    examine = examination(Path.cwd(), session.upwards, session.camera.pixel_format == "rgb8", take_over)
+    options: dict[str, Any] = {"examine": examine, "take_over": take_over, "time_scale": TIME_SCALE}
+    with open_rig(rig, session, scene=scene, seed=0, **options) as opened:
+        yield opened.camera, Jog(opened.robot, session, opened.carrier)
+
+
+def _outline(path: Path | None, session: Any, camera: Any, jog: Any) -> Any:
+    """The object's box through a calibration; None without one."""
+    from capture.look.outline import Outline
+    from datasets.calibration import Calibration
+    from datasets.core.errors import UsageError
+
+    if path is None:
+        return None
+    if jog is None:
+        raise UsageError("the object's box is drawn from where the arm is", where="--calibration", remedy="add --arm")
+    return Outline.of(session, Calibration.load(path), camera.description())
+
+
 def _once(
-    camera: Any, part: Any, burst: int, balance: Path | None, picture: Path | None, stored: str
+    camera: Any, part: Any, burst: int, balance: Path | None, picture: Path | None, stored: str, box: Any
 ) -> tuple[dict[str, Any], list[str]]:
     """The figures for a program, and for a person."""
     from capture.look import flicker
@@ -87,6 +132,10 @@ def _once(
         from datasets.imaging import images
 
         plain, drawn = marked(image.pixels, part, peaking=False, zebra=False), marked(image.pixels, part)
+        if box is not None:
+            jog, outline = box
+            state = jog.robot.state()
+            drawn = outline.drawn(drawn, state.base_from_flange, state.joints)
         images.write(picture, np.concatenate([drawn, with_histogram(plain)[0][len(plain) :]]))
         lines.append(f"picture in {picture}")
     return content, lines

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from capture.options import RigName, Settings, TimeScale
+from capture.options import RigName, Settings, TakeOver, TimeScale
 from datasets.core import console
 
 UntilMm = Annotated[float, Option("--until-mm", min=1e-4, help="Wanted error of the camera's place on the flange [mm].")]
@@ -29,9 +29,7 @@ def calibrate(
     seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
     time_scale: TimeScale = 20.0,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
-    take_over: Annotated[
-        bool, Option("--take-over", help="End a program that runs on the robot; else it is left alone.")
-    ] = False,
+    take_over: TakeOver = False,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:

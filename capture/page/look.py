@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from capture.look import flicker
 from capture.look.analysis import Look, Part
 from capture.look.balance import stored_response, white_balance, words
+from capture.look.jog import Jog
+from capture.look.outline import Outline
 from capture.measurements import Image
+from capture.page.jogging import JogPanel
 from capture.page.live import with_histogram
 from capture.page.overlay import shown
 from capture.rig.protocols import Camera
@@ -29,11 +32,23 @@ AROUND = 40  # grey beside the picture [of 255]
 class LookPage:
     """Grabs pictures in the background and shows them until the page ends.
 
-    Only the background thread uses the camera; buttons leave it a task.
+    Only the background thread uses camera and arm; buttons leave it a task, all but the one that stops the arm.
     """
 
-    def __init__(self, page: Page, camera: Camera, part: Part, *, burst: int, balance: Path | None, stored: str) -> None:
+    def __init__(
+        self,
+        page: Page,
+        camera: Camera,
+        part: Part,
+        *,
+        burst: int,
+        balance: Path | None,
+        stored: str,
+        jog: Jog | None = None,
+        outline: Outline | None = None,
+    ) -> None:
         self.page, self.camera, self.part = page, camera, part
+        self.jog, self.outline = jog, outline
         self.burst, self.balance, self.stored = burst, balance, stored
         self.best, self._tasks, self._lock = 0.0, [], threading.Lock()
         self._ended = threading.Event()
@@ -51,6 +66,8 @@ class LookPage:
         if balance is not None:
             gui.add_button("store the region's white balance").on_click(lambda event: self._later(self._balance))
         self._stored = gui.add_markdown("" if balance is not None else "*--balance FLAT.npz stores a white balance*")
+        if jog is not None:
+            JogPanel(gui, jog, self._later)
         self.newest: Look | None = None
         page.in_background(self._follow)
 
@@ -86,6 +103,9 @@ class LookPage:
             self._begin(image)
         look = self.newest = Look.at(image, self.part)
         marked = shown(image.pixels, self.part, peaking=self._peaking.value, zebra=self._zebra.value)
+        if self.jog is not None and self.outline is not None:
+            state = self.jog.robot.state()
+            marked = self.outline.drawn(marked, state.base_from_flange, state.joints)
         for client in self.page.server.get_clients().values():
             client.scene.set_background_image(framed(marked, client.camera.aspect), format="jpeg", jpeg_quality=85)
         plain = shown(image.pixels, self.part, peaking=False, zebra=False, width=WIDE)
