@@ -23,8 +23,7 @@ KEY = "asset"
 PATHS = 64
 """Default light paths per pixel."""
 DEFINITIONS = {
-    "psnr": "of the asset's picture, over white where the photograph has an alpha; absent elsewhere, since the asset has no "
-    "surroundings [dB]",
+    "psnr": "of the asset's picture over white; absent where photographs show surroundings, of which the asset has none [dB]",
     "psnr_inside": "of the same picture inside the object less its edge, as in the metrics above; where photographs have no "
     "alpha, inside what the asset covers [dB]",
     "model_psnr": "of the model's own picture over the same pixels as psnr [dB]",
@@ -100,13 +99,14 @@ def shown(trained: TrainedModel, stage: Stage, view: View, *, paths: int, seed: 
     picture = stage.picture(view, camera, paths=paths, seed=seed)
     white, covered = over_white(picture), picture[..., 3:]
     has_mask = "alpha" in truth
+    alone = has_mask and trained.run.normalisation.bounded  # the photograph shows nothing but the object
     mask = truth["alpha"] if has_mask else covered
     inside, photograph = metrics.inside(mask), truth["rgb"]
     both, either = np.sum((mask > 0.5) & (covered > 0.5)), np.sum((mask > 0.5) | (covered > 0.5))
     found = {
-        "psnr": metrics.psnr(white, photograph) if has_mask else None,
+        "psnr": metrics.psnr(white, photograph) if alone else None,
         "psnr_inside": metrics.psnr(white, photograph, inside),
-        "model_psnr": metrics.psnr(model, photograph) if has_mask else None,
+        "model_psnr": metrics.psnr(model, photograph) if alone else None,
         "model_psnr_inside": metrics.psnr(model, photograph, inside),
         "coverage_iou": float(both / either) if has_mask and either else None,
     }

@@ -78,6 +78,17 @@ def test_figures_are_added_to_the_metrics(written: tuple[TrainedModel, Path, Pat
     assert "asset" in proof.text(found) and "PSNR inside" in proof.text(found)
 
 
+def test_among_surroundings_only_the_object_is_compared(written: tuple[TrainedModel, Path, Path]) -> None:
+    pytest.importorskip("mitsuba", reason="Mitsuba is absent: pip install 'koala-capture[sim]'")
+    trained, asset, light = written
+    facts = replace(trained.run.facts, normalisation=replace(trained.run.normalisation, bounded=False))
+    among = replace(trained, run=replace(trained.run, facts=facts))
+    view = trained.scene.split("test")[0]
+    shown = proof.shown(among, proof.Stage(reading.read(asset), light, using=SURE), view, paths=4, seed=0)
+    assert shown.metrics["psnr"] is None and shown.metrics["model_psnr"] is None
+    assert shown.metrics["coverage_iou"] > 0.9 and shown.metrics["psnr_inside"] > 20
+
+
 def test_without_masks_only_what_the_asset_covers_is_compared(written: tuple[TrainedModel, Path, Path], tmp_path: Path) -> None:
     pytest.importorskip("mitsuba", reason="Mitsuba is absent: pip install 'koala-capture[sim]'")
     trained, asset, light = written
