@@ -16,7 +16,7 @@ from datasets.reports.html import Number, ReportPage
 from datasets.scene import View
 from reconstruct import convergence
 from reconstruct.diagnosis import causes
-from reconstruct.diagnosis.residuals import Residual, residual
+from reconstruct.diagnosis.residuals import Residual, relit, residual
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.rays import over, read_scaled
 
@@ -58,15 +58,20 @@ def diagnose(trained: TrainedModel, *, pictures: bool = True) -> Diagnosis:
 
 
 def rendered(trained: TrainedModel) -> list[Residual]:
-    """Residuals of up to `VIEWS` views, evenly spread over training and test views."""
+    """Residuals of up to `VIEWS` views, evenly spread over training and test views.
+
+    Where the run learned gains of its pictures, renderings are compared in the light of the pictures, as `eval` does.
+    """
     known = [view for view in trained.scene.views if view.split in ("train", "test")]
     chosen = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, VIEWS).round().astype(int))]
-    found = []
+    found, gains = [], trained.model.per_image
     with progress("rendering", len(chosen), "views") as shown:
         for view in chosen:
             camera = small_camera(view)
-            picture = trained.renderer.picture(trained.model, view, camera, normals=False)
-            found.append(residual(view.name, view.split, truth(trained, view, camera), picture.rgb))
+            seen, picture = truth(trained, view, camera), trained.renderer.picture(trained.model, view, camera, normals=False).rgb
+            if gains is not None:
+                picture = relit(picture, seen, colours=gains.shape[1] == 3)
+            found.append(residual(view.name, view.split, seen, picture))
             shown.advance()
     return found
 

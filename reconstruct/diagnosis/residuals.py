@@ -58,6 +58,16 @@ def gains_of(truth: Picture, rendered: Picture) -> NDArray[np.float64]:
     return np.exp(np.median(np.log(first[known] / second[known]), axis=0)).astype(np.float64)
 
 
+def relit(rendered: Picture, truth: Picture, *, colours: bool) -> Picture:
+    """A rendering in its picture's light: multiplied by its gain, or by one for each of the `colours`; as it is if none is known."""
+    gains = gains_of(truth, rendered)
+    if not np.isfinite(gains).all():
+        return rendered
+    wanted = gains if colours else np.full(3, np.exp(np.log(gains).mean()))
+    light = images.linear_from_srgb(rendered) * wanted.astype(np.float32)
+    return np.clip(images.srgb_from_linear(light), 0, 1).astype(np.float32)
+
+
 def shift(truth: Picture, rendered: Picture) -> NDArray[np.float64]:
     """(2,) shift of `truth` against `rendered` [px]: Lucas and Kanade (1981) with one window, three steps, free gain."""
     first, second = (cv2.GaussianBlur(picture.mean(-1), (0, 0), SMOOTH_PX) for picture in (truth, rendered))

@@ -77,7 +77,7 @@ def test_what_is_behind_the_camera_is_not_drawn(session: Trajectory) -> None:
 def test_box_and_cross_are_drawn_in_a_smaller_picture(session: Trajectory) -> None:
     outline = Outline.of(session, calibrated(), {})
     middle = outline.corners.mean(0)
-    flange = pose.look_at(middle + [0.3, 0, 0.3], middle) @ pose.inverse(outline.calibration.flange_from_camera.matrix)
+    flange = pose.look_at(np.add(middle, [0.3, 0, 0.3]), middle) @ pose.inverse(outline.calibration.flange_from_camera.matrix)
     drawn = outline.drawn(np.zeros((48, 48, 3), np.uint8), flange, np.zeros(6))
     assert (drawn[23:25, 23:25, 0] > 100).all()  # the cross lies between these pixels
     assert 50 < drawn.any(-1).sum() < 800

@@ -4,7 +4,7 @@ import pytest
 
 from datasets.imaging import images
 from reconstruct.diagnosis import causes
-from reconstruct.diagnosis.residuals import Residual, residual
+from reconstruct.diagnosis.residuals import Residual, relit, residual
 
 
 def scenery(seed: int = 0) -> np.ndarray:
@@ -34,6 +34,17 @@ def test_gains_shift_and_sharpness_are_measured() -> None:
 
 def test_black_pictures_have_no_gain() -> None:
     assert np.isnan(residual("a", "train", np.zeros((40, 40, 3), np.float32), scenery()[:40, :40]).gains).all()
+
+
+def test_what_was_learned_of_a_pictures_light_is_not_found_again() -> None:
+    picture = scenery()
+    darker = lit(picture, (0.7, 0.7, 0.8))
+    alike = residual("a", "train", darker, relit(picture, darker, colours=True))
+    assert alike.gains == pytest.approx([1, 1, 1], rel=0.01)
+    assert alike.psnr > residual("a", "train", darker, picture).psnr + 10
+    even = residual("a", "train", darker, relit(picture, darker, colours=False))
+    assert even.gains == pytest.approx(np.array([0.7, 0.7, 0.8]) / (0.7 * 0.7 * 0.8) ** (1 / 3), rel=0.03)
+    assert relit(picture, np.zeros_like(picture), colours=True) is picture
 
 
 def views(**changed: np.ndarray) -> list[Residual]:
