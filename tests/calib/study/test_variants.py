@@ -3,14 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from calib.handeye import refine
 from calib.study import bench, variants
 from calib.study.simulate import Pattern, simulate
 from capture.trajectory import load_trajectory
 from datasets import pose
-from datasets.targets.board import Board
 
 TRAJECTORY = Path(__file__).resolve().parents[3] / "configs" / "trajectories" / "calibration.yaml"
 
@@ -52,10 +50,10 @@ def test_planned_views_help():
 
 def test_the_calibration_trajectory_reaches_the_aim():
     """Its 25 views with the board that it names, on the Koala rig, and an efficient estimator."""
-    content = yaml.safe_load(TRAJECTORY.read_text())
-    base_from_board = pose.from_rotation_vector(np.deg2rad(content["board"]["rotation_deg"]), content["board"]["position"])
-    rig = replace(variants.KOALA, board=Board.model_validate(content["target"]), base_from_board=base_from_board)
-    views = np.stack([view.base_from_camera for view in load_trajectory(TRAJECTORY).viewpoints()])
+    trajectory = load_trajectory(TRAJECTORY)
+    assert trajectory.target is not None
+    rig = replace(variants.KOALA, board=trajectory.target, base_from_board=trajectory.base_from_board)
+    views = np.stack([view.base_from_camera for view in trajectory.viewpoints()])
     assert len(views) == 25
     sigmas, errors = refine.Sigmas(variants.SIGMA_PX, variants.ARM.translation_m, variants.ARM.rotation_rad), []
     for seed in range(60):

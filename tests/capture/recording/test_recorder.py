@@ -126,6 +126,7 @@ def test_board_is_described_for_a_calibration(rig, tmp_path):
         "marker_length_m": 0.022,
         "dictionary": "DICT_5X5_100",
         "legacy_pattern": False,
+        "border_bits": 1,
         "first_id": 0,
     }
     assert recording.frames[0].split == "calibration"
