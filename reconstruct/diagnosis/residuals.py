@@ -59,7 +59,7 @@ def gains_of(truth: Picture, rendered: Picture) -> NDArray[np.float64]:
 
 
 def relit(rendered: Picture, truth: Picture, *, colours: bool) -> Picture:
-    """A rendering in its picture's light: multiplied by its gain, or by one for each of the `colours`; as it is if none is known."""
+    """A rendering in its picture's light: multiplied by its gain, or by one for each of the `colours`."""
     gains = gains_of(truth, rendered)
     if not np.isfinite(gains).all():
         return rendered
