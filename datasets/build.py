@@ -75,7 +75,7 @@ def build(
         remedy = "record a trajectory with an object"
         raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
     camera, notes = camera_for(recording, calibration)
-    notes += depth_notes(frames)
+    notes += incomplete_notes(recording, len(frames)) + depth_notes(frames)
     views, maps, response = [], truth_maps(recording.path), recording.response(radiometry)
     with developing(recording, response, out) as developed:
         for frame, world_from_camera in zip(frames, calibration.camera_poses(frames), strict=True):
@@ -218,6 +218,14 @@ def measured_depth(recording: Recording, frames: list[Frame]) -> dict[str, Path]
             )
         found[f"{SENSOR}/{DEPTH}/{frame.name}.png"] = path
     return {**found, f"{SENSOR}/{MANIFEST}": recording.path / MANIFEST} if found else {}
+
+
+def incomplete_notes(recording: Recording, taken: int) -> list[str]:
+    """What to say of a recording in which only some of the views were taken."""
+    planned = recording.planned_views
+    if planned is None or taken >= planned:
+        return []
+    return [f"the recording is incomplete, {taken} of {planned} views: 'capture run --resume' takes the others"]
 
 
 def depth_notes(frames: list[Frame]) -> list[str]:

@@ -259,6 +259,13 @@ class Recording:
         content = self.manifest.get(name)
         return content if isinstance(content, dict) else {}
 
+    @property
+    def planned_views(self) -> int | None:
+        """How many views of the object the trajectory has; None where it does not say how they are split."""
+        split = self.part("trajectory").get("split")
+        counts = [split.get(name) for name in ("train", "test")] if isinstance(split, dict) else [None]
+        return sum(counts) if all(isinstance(count, int) for count in counts) else None
+
     def response(self, given: Path | None = None) -> Response | None:
         """The response of the sensor: that of a file, else the recording's own; None where there is none.
 

@@ -56,6 +56,17 @@ def recording(tmp_path: Path, far_wall: Callable) -> Recording:
     return recording
 
 
+@pytest.mark.parametrize(("train", "noted"), [(3, False), (8, True)])
+def test_a_scene_of_an_incomplete_recording_says_so(
+    recording: Recording, calibration: Path, tmp_path: Path, train: int, noted: bool
+) -> None:
+    path = recording.path / "manifest.json"
+    content = files.read_json(path)
+    files.write_json(path, content | {"trajectory": {"object": OBJECT, "split": {"train": train, "test": 2}}})
+    notes = build(recording.path, calibration, tmp_path / "scene").notes
+    assert any("incomplete, 5 of 10 views" in note for note in notes) == noted
+
+
 def test_a_scene_is_built_in_the_robots_base(recording: Recording, calibration: Path, tmp_path: Path) -> None:
     build(recording.path, calibration, tmp_path / "koala" / "thing")
     scene = load_scene("koala/thing", data_root=tmp_path)
