@@ -43,6 +43,14 @@ class Patient:
         """Let the thread end after the call that runs. May be called twice."""
         self._asked.put(None)
 
+    def end_after(self, seconds: float, release: Callable[[], Any]) -> None:
+        """Let go of the device by a last call, then end. A call that hangs is left to its thread."""
+        try:
+            self.call(seconds, release)
+        except RigConnectionError:
+            pass
+        self.end()
+
     def _work(self) -> None:
         while (act := self._asked.get()) is not None:
             try:

@@ -219,11 +219,8 @@ class GphotoCamera:
         patient, camera = self._patient, self._camera
         self._patient, self._camera = None, None
         if patient is not None and camera is not None:
-            try:
-                patient.call(ANSWER_S, camera.exit)
-            except RigConnectionError:
-                pass  # it hangs; the thread is left to itself
-        if patient is not None:
+            patient.end_after(ANSWER_S, camera.exit)
+        elif patient is not None:
             patient.end()
 
 

@@ -184,11 +184,8 @@ class OpenCvCamera:
         patient, capture = self._patient, self._capture
         self._patient, self._capture = None, None
         if patient is not None and capture is not None:
-            try:
-                patient.call(ANSWER_S, capture.release)
-            except RigConnectionError:
-                pass  # it hangs; the thread is left to itself
-        if patient is not None:
+            patient.end_after(ANSWER_S, capture.release)
+        elif patient is not None:
             patient.end()
 
 

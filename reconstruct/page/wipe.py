@@ -1,6 +1,5 @@
 """The wipe of a run's page: beside the model, a photograph or the run's asset from the same viewpoint."""
 
-import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +11,7 @@ from numpy.typing import NDArray
 from datasets.imaging import images
 from datasets.scene import View
 from reconstruct.asset.stage.reading import StoredAsset, read
-from reconstruct.asset.stage.stage import Stage, over_white
-from reconstruct.errors import ReconstructError
+from reconstruct.asset.stage.stage import Stage, over_white, require_mitsuba
 from reconstruct.page import compose
 from reconstruct.page.compose import Viewpoint
 
@@ -98,7 +96,6 @@ class Wipe:
 
 def lit_asset(asset: Path, light: Path) -> LitAsset:
     """The asset and light of two files. Raises KoalaError: one of them is no such file, or Mitsuba is missing."""
-    if importlib.util.find_spec("mitsuba") is None:
-        raise ReconstructError("assets are rendered by Mitsuba, which is missing", remedy="pip install 'koala-capture[sim]'")
+    require_mitsuba()
     images.read(light)
     return LitAsset(read(asset), light)

@@ -1,5 +1,6 @@
 """An asset on Mitsuba's stage, seen through the cameras of a scene."""
 
+import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +31,10 @@ class Stage:
         self._asset_from_world = np.linalg.inv(asset.base_from_asset)
         if isinstance(light, Path):
             images.read(light)  # says what is wrong with it better than the renderer
-        try:
-            self.using = using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
-            from reconstruct.asset.stage.renderer import Renderer
-        except ModuleNotFoundError as error:
-            advice = "pip install 'koala-capture[sim]'"
-            raise ReconstructError("assets are rendered by Mitsuba, which is missing", remedy=advice) from error
+        require_mitsuba()
+        self.using = using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
+        from reconstruct.asset.stage.renderer import Renderer
+
         self._renderer = Renderer(asset, light, using=self.using)
 
     def turn_light(self, angle: float) -> None:
@@ -50,6 +49,12 @@ class Stage:
         alpha = np.clip(linear[..., 3:], 0, 1)
         light = linear[..., :3] / np.maximum(alpha, 0.5 / paths)
         return np.concatenate([np.maximum(light, 0), alpha], -1)
+
+
+def require_mitsuba() -> None:
+    """Raise ReconstructError where Mitsuba is missing."""
+    if importlib.util.find_spec("mitsuba") is None:
+        raise ReconstructError("assets are rendered by Mitsuba, which is missing", remedy="pip install 'koala-capture[sim]'")
 
 
 def over_white(picture: Float[np.ndarray, "h w 4"]) -> Float[np.ndarray, "h w 3"]:
