@@ -21,12 +21,11 @@ from reconstruct.scene.reading import held_out, training_pixels
 from reconstruct.training import distributed
 from reconstruct.training.batches import Division
 from reconstruct.training.ray_count import sized
-from reconstruct.training.skipping import record
+from reconstruct.training.skipping import matched, record
 from reconstruct.training.skipping.evidence import evidence_of
 from reconstruct.training.skipping.gains import gains_between
 from reconstruct.training.skipping.lamps import decided_light
-from reconstruct.training.skipping.matched import matches_of
-from reconstruct.training.skipping.pilot import gain_by_reflecting
+from reconstruct.training.skipping.matte import matte_share
 from reconstruct.training.skipping.plan import lenses, plan
 from reconstruct.training.skipping.refinement import with_poses
 from reconstruct.training.step import Step, TrainState
@@ -66,19 +65,21 @@ def prepare(
     """
     views = lenses(scene.split("train"), config)
     pixels, pool = training_pixels(views, normalisation, config.scale, copies)
-    matches = matches_of(scene, views, config) if fresh else None
+    matches = matched.matches_of(scene, views, config) if fresh else None
     config, refined = with_poses(config, matches, scene, normalisation)
     possible = _possible_cells(config, pixels, pool, views, normalisation)
     skips: list[record.Skip] = []
     facts = known
     if fresh:
         gains = None if matches is None else gains_between(matches)
-        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains)
-        lean, skips = plan(evidence, config, lambda: gain_by_reflecting(config, normalisation, pixels, possible))
+        stated = (scene.light_frame, scene.light_axis)
+        light, lamps = decided_light(views, pixels, normalisation, possible, config, stated)
+        telling = matches is not None and normalisation.bounded and not light.moves
+        matte = matte_share(matches, matched.SIDE) if telling else None
+        evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains, matte)
+        lean, skips = plan(evidence, config)
         skips.append(refined)
         if known is None:
-            stated = (scene.light_frame, scene.light_axis)
-            light, lamps = decided_light(views, pixels, normalisation, possible, config, stated)
             skips.append(lamps)
             if light.moves:
                 hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")

@@ -5,7 +5,7 @@ nothing is compiled twice, and no state passes through a loop or a branch, where
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -51,20 +51,24 @@ class Programs:
         """Compiled for such a state and such pixels, all stages at the same time."""
         number, real = jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.float32)
         division, count = step.division, step.config.train.accumulate
-        stages = [traced(step.begun, (state.model, state.step, pixels, number, real, number), division)]
-        part = _placed(stages[0].out_info, division)
-        if step.second_pass is not None:
-            stages.append(traced(step.regularised, (state.model, state.step, part, number, real, number), division, uses_up=(2,)))
-            part = _placed(stages[1].out_info, division)
-        missing = part.terms.keys() - stages[0].out_info.terms.keys()
-        stages.append(traced(step.descended, (state, [part] * count, pixels.origins, real, number), division, uses_up=(0,)))
-        chosen, lowered = {**compiler_options(), **options}, [stage.lower() for stage in stages]
-        with ThreadPoolExecutor(len(lowered)) as threads:
-            begin, *second, descend = threads.map(lambda one: one.compile(compiler_options=chosen), lowered)
+        chosen = {**compiler_options(), **options}
+        with ThreadPoolExecutor() as threads:  # a stage is compiled while the next is traced
+
+            def compiled(stage: Any) -> Future[Any]:
+                return threads.submit(lambda: stage.lower().compile(compiler_options=chosen))
+
+            stage = traced(step.begun, (state.model, state.step, pixels, number, real, number), division)
+            part, known = _placed(stage.out_info, division), stage.out_info.terms.keys()
+            begin, regularise = compiled(stage), None
+            if step.second_pass is not None:
+                stage = traced(step.regularised, (state.model, state.step, part, number, real, number), division, uses_up=(2,))
+                part, regularise = _placed(stage.out_info, division), compiled(stage)
+            descend = compiled(traced(step.descended, (state, [part] * count, pixels.origins, real, number), division, uses_up=(0,)))
         indices = tuple(jnp.asarray(index, jnp.int32) for index in range(count))
-        held = _bytes((state, pixels)) + (count + len(second)) * _bytes(part)
-        nothing = {name: jnp.zeros(()) for name in sorted(missing)}
-        return cls(begin, second[0] if second else None, descend, indices, jnp.zeros((), jnp.int32), nothing, held)
+        held = _bytes((state, pixels)) + (count + (regularise is not None)) * _bytes(part)
+        nothing = {name: jnp.zeros(()) for name in sorted(part.terms.keys() - known)}
+        second = regularise.result() if regularise else None
+        return cls(begin.result(), second, descend.result(), indices, jnp.zeros((), jnp.int32), nothing, held)
 
     def __call__(
         self,

@@ -1,6 +1,7 @@
 """A training that is under way: chunks of steps, looks for the log, checkpoints."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -117,8 +118,10 @@ class Training:
             self.state = distributed.on_all(self.state, everywhere)
             whole = self.pool is not None  # which is renewed as a whole
             self.pixels = distributed.on_all(self.pixels, everywhere) if whole else self.one_step.division.divided(self.pixels)
-        self.advance = self.one_step.compiled(self.state, self.pixels)
-        self.keep_up = self.one_step.compiled_upkeep(self.state)
+        with ThreadPoolExecutor(1) as thread:
+            keep_up = thread.submit(self.one_step.compiled_upkeep, self.state)
+            self.advance = self.one_step.compiled(self.state, self.pixels)
+            self.keep_up = keep_up.result()
         return time.perf_counter() - start
 
     def look(self, terms: dict[str, jax.Array]) -> dict[str, Any]:

@@ -41,6 +41,8 @@ class Evidence:
     """Whether masks or the scene's box say what the object is."""
     gains: Differences | None = None
     """Exposure and white balance of the views; None: not measured."""
+    matte: float | None = None
+    """Share of the object that keeps its colour from view to view; None: not known."""
 
     @property
     def volume(self) -> float:
@@ -62,6 +64,7 @@ def evidence_of(
     possible: NDArray[np.bool_] | None,
     scale: float,
     gains: Differences | None = None,
+    matte: float | None = None,
 ) -> Evidence:
     """Look at a scene.
 
@@ -89,6 +92,7 @@ def evidence_of(
         poses=str(scene.provenance.get("format", "the scene's files")),
         object_known=bounded or scene.box_is_stated,
         gains=gains,
+        matte=matte,
     )
 
 

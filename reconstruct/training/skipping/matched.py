@@ -1,4 +1,4 @@
-"""What views of a scene see in common: the evidence for gains and for poses."""
+"""What views of a scene see in common: the evidence for gains, for poses and for matte places."""
 
 import numpy as np
 
@@ -16,7 +16,8 @@ SIDE = 400
 
 def matches_of(scene: Scene, views: tuple[View, ...], config: Config) -> Matches | None:
     """Matches between neighbouring views, where the configuration leaves something to be decided by them, or begins with it."""
-    if config.train.per_image == "none" and config.poses.enabled != "auto":
+    asked = config.skip.reflection and config.field.appearance == "reflection"
+    if config.train.per_image == "none" and config.poses.enabled != "auto" and not asked:
         return None
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))]
     matrices = np.stack([view.world_from_camera for view in chosen])

@@ -1,6 +1,5 @@
 """What a training leaves out: one rule per thing, each with its evidence and what it saves."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,29 +7,34 @@ import numpy as np
 from datasets.scene import Scene, View
 from reconstruct.config import Config
 from reconstruct.field.encodings.tables import fitting_sizes, resolutions_between
-from reconstruct.models import merged_config
+from reconstruct.models import Tree, merged, merged_config
 from reconstruct.sampling.create import sampler_type
 from reconstruct.sampling.steps import BEHIND, FRONT
 from reconstruct.scene.frustum import frustum_of
 from reconstruct.scene.rays import Normalisation
 from reconstruct.training.skipping.evidence import Evidence
-from reconstruct.training.skipping.pilot import MATTE
 from reconstruct.training.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
 
 ALIKE = 1.5
 """Footprints whose largest is less than so many times the smallest count as uniform."""
 PATIENCE = 0.2
 """Share of the training without gain after which it counts as converged, where the configuration has no patience of its own."""
-WORTH_DB = 0.1
-"""A branch that brings the pilot less than this is not worth having [dB]."""
+MOSTLY = 0.4
+"""Share of the object that keeps its colour, from which on it counts as matte: docs/skipping.md has it of all scenes."""
 
 BOTTLENECK = 8
-"""Fewest channels handed to the view network where nothing says what the object is: each place may have its own light there."""
+"""Fewest channels handed to the view network where nothing is known to reflect: each place may have its own light there."""
 UNREGULARISED = {
     "surface": {"enabled": False},
     "losses": {"orientation": 0.0, "predicted_normals": 3e-4, "density_normals": 0.0, "hollowness": 0.0},
 }
 """Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
+MATTE = {
+    "field": {"appearance": "view_diffuse"},
+    "surface": {"enabled": False},
+    "losses": {"orientation": 0.0, "predicted_normals": 0.0, "density_normals": 0.0, "hollowness": 0.0},
+}
+"""A diffuse colour, and a small part that changes with the view; shape from colour alone."""
 LAST_BLUR = 0.0005
 """Standard deviation of samples at the end there [scene unit]: normals of regularisers need more, colours lose detail by it."""
 
@@ -56,18 +60,12 @@ def lenses(views: tuple[View, ...], config: Config) -> tuple[View, ...]:
     return tuple(replace(view, camera=bent(view.camera)) for view in views)
 
 
-def plan(found: Evidence, config: Config, pilot: Callable[[], float]) -> tuple[Config, list[Skip]]:
-    """The configuration without what the scene does not need, and all decisions.
-
-    Args:
-        pilot: trains a little with and without a reflection; returns the gain [dB]. Called only where it is asked for.
-    """
+def plan(found: Evidence, config: Config) -> tuple[Config, list[Skip]]:
+    """The configuration without what the scene does not need, and all decisions."""
     skips = [_surroundings(found, config), _contraction(found, config), _empty_rays(found, config)]
-    for rule in (_regularisers, _fine_levels, _table_size, _multisampling):
+    for rule in (_regularisers, _reflection, _fine_levels, _table_size, _multisampling):
         config, skip = rule(found, config)
         skips.append(skip)
-    config, skip = _reflection(config, pilot)
-    skips.append(skip)
     skips.append(_consistent_passes(config))
     config, skip = _converged(config)
     skips += [skip, _distortion(found, config), _structure_from_motion(found)]
@@ -108,9 +106,7 @@ def _empty_rays(found: Evidence, config: Config) -> Skip:
 def _regularisers(found: Evidence, config: Config) -> Decision:
     skipped = not found.object_known and config.skip.regularisers
     if skipped:
-        bottleneck = max(config.field.bottleneck, BOTTLENECK)
-        blur = min(config.train.last_blur, LAST_BLUR)
-        config = merged_config(config, {**UNREGULARISED, "field": {"bottleneck": bottleneck}, "train": {"last_blur": blur}})
+        config = _free(config, UNREGULARISED)
     evidence = "masks or the scene's box say what the object is" if found.object_known else "nothing says what the object is"
     return config, Skip.of("regularisers", skipped, evidence, "the second pass, and the normals of first surfaces")
 
@@ -152,17 +148,25 @@ def _multisampling(found: Evidence, config: Config) -> Decision:
     return config, Skip.of("multisampling", skipped, evidence, "5 of 6 evaluations of the encoding")
 
 
-def _reflection(config: Config, pilot: Callable[[], float]) -> Decision:
-    saving = "the view network, and two of the four regularisers"
-    if config.field.appearance == "diffuse":
+def _reflection(found: Evidence, config: Config) -> Decision:
+    saving = "predicted normals, the second pass and its regularisers"
+    if config.field.appearance != "reflection":
         return config, Skip.of("reflection", True, "the model has none", NOTHING_MORE)
-    if config.field.appearance != "reflection" or not config.skip.reflection:
-        return config, Skip.of("reflection", False, "not looked at: a pilot takes half a minute", saving)
-    gain = pilot()
-    skipped = gain < WORTH_DB
+    if not config.skip.reflection:
+        return config, Skip.of("reflection", False, "forced", saving)
+    if found.matte is None:
+        return config, Skip.of("reflection", False, "without masks, or under lamps that move, nothing tells matte from shiny", saving)
+    skipped = found.matte >= MOSTLY
     if skipped:
-        config = merged_config(config, MATTE)
-    return config, Skip.of("reflection", skipped, f"a pilot gains {gain:.2f} dB by reflecting", saving)
+        config = _free(config, MATTE)
+    return config, Skip.of("reflection", skipped, f"{found.matte:.0%} of the object keeps its colour from view to view", saving)
+
+
+def _free(config: Config, changes: Tree) -> Config:
+    """The configuration with these changes, a light of its own for each place, and less blur at the end."""
+    bottleneck = max(config.field.bottleneck, BOTTLENECK)
+    blur = min(config.train.last_blur, LAST_BLUR)
+    return merged_config(config, merged(changes, {"field": {"bottleneck": bottleneck}, "train": {"last_blur": blur}}))
 
 
 def _consistent_passes(config: Config) -> Skip:

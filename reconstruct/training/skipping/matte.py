@@ -1,0 +1,74 @@
+"""How much of an object is matte, from its pictures alone: places that keep their position and their colour from view to view.
+
+A matched feature is a place of the object if its rays meet, and matte there if two views see it in the same colour. Reflections
+move over the surface and change with the view; smooth surfaces have no features and count as unknown.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.structure.matching import SIDE, Features, Matches, shrunk
+from datasets.structure.triangulate import explained
+
+ALIKE = 0.2
+"""Largest difference of logarithmic light between two views that see the same place in the same colour."""
+DARK = 0.01
+"""Added to linear light before its logarithm is taken: noise and black level."""
+NEAR = 0.05
+"""Distance from a matte place within which a pixel counts as matte, as a share of the object's size in the picture."""
+PICTURES = 15
+"""Pictures in which the object's pixels are counted, at most."""
+
+
+def matte_share(matches: Matches, side: int = SIDE) -> float | None:
+    """Mean share of the object's pixels that are near a matte place, 0..1; None where pictures have no alpha.
+
+    Args:
+        matches: with the poses of their views.
+        side: longest side of the pictures that were matched [px].
+    """
+    kept = matte_features(matches)
+    chosen = np.unique(np.linspace(0, len(matches.views) - 1, PICTURES).round().astype(int))
+    shares = []
+    for index in chosen:
+        view, picture = matches.views[index], shrunk(matches.views[index].read(), side)
+        if picture.shape[-1] != 4:
+            return None
+        height, width = picture.shape[:2]
+        places = view.camera.scaled(width, height).project(matches.features[index].directions[kept[index]])
+        if (inside := picture[..., 3] > 0.5).any():
+            shares.append(_near(inside, places))
+    return float(np.mean(shares)) if shares else None
+
+
+def matte_features(matches: Matches) -> list[NDArray[np.bool_]]:
+    """For each view, which of its features another view sees at the same place in the same light, exposure apart."""
+    poses = np.stack([view.world_from_camera for view in matches.views])
+    kept = [np.zeros(len(features.directions), bool) for features in matches.features]
+    for pair in matches.pairs:
+        i, j, index = pair
+        same = index[explained(matches, pair, poses)]
+        if not len(same):
+            continue
+        ratio = _log_light(matches.features[i], same[:, 0]) - _log_light(matches.features[j], same[:, 1])
+        alike = same[np.abs(ratio - np.median(ratio)) < ALIKE]
+        kept[i][alike[:, 0]] = kept[j][alike[:, 1]] = True
+    return kept
+
+
+def _log_light(features: Features, index: NDArray[np.int64]) -> NDArray[np.float64]:
+    return np.log(features.light[index].astype(np.float64) + DARK)
+
+
+def _near(inside: NDArray[np.bool_], places: NDArray[np.float64]) -> float:
+    """Share of the pixels inside that are near a place; (height, width) and (n, 2)."""
+    import cv2
+
+    height, width = inside.shape
+    apart = np.ones(inside.shape, np.uint8)
+    column, row = np.clip(places.astype(int), 0, [width - 1, height - 1]).T
+    apart[row, column] = 0
+    if apart.all():
+        return 0.0
+    distance = cv2.distanceTransform(apart, cv2.DIST_L2, 5)
+    return float(np.mean(distance[inside] < NEAR * np.sqrt(inside.sum())))
