@@ -117,7 +117,7 @@ class SurfaceConfig(Schema):
 
     enabled: bool = setting(True, "Run the second pass.")
     rays: int = setting(128, "Rays per step whose first surface is used, by the regularisers and by the losses of normals.", ge=1)
-    first: Literal["median", "share", "half"] = setting(
+    first: Literal["median", "share", "half", "both"] = setting(
         "median",
         "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
         "weight (better before a blank background, fails among surroundings), or where half of the light is stopped.",

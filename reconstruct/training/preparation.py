@@ -75,7 +75,7 @@ def prepare(
         stated = (scene.light_frame, scene.light_axis)
         light, lamps = decided_light(views, pixels, normalisation, possible, config, stated)
         telling = matches is not None and normalisation.bounded and not light.moves
-        matte = matte_share(matches, matched.SIDE) if telling else None
+        matte = matte_share(matches, scene.box, matched.SIDE) if telling else None
         evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains, matte)
         lean, skips = plan(evidence, config)
         skips.append(refined)

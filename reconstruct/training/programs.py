@@ -63,7 +63,9 @@ class Programs:
             if step.second_pass is not None:
                 stage = traced(step.regularised, (state.model, state.step, part, number, real, number), division, uses_up=(2,))
                 part, regularise = _placed(stage.out_info, division), compiled(stage)
-            descend = compiled(traced(step.descended, (state, [part] * count, pixels.origins, real, number), division, uses_up=(0,)))
+            descend = compiled(
+                traced(step.descended, (state, [part] * count, pixels.origins, real, number), division, uses_up=(0,))
+            )
         indices = tuple(jnp.asarray(index, jnp.int32) for index in range(count))
         held = _bytes((state, pixels)) + (count + (regularise is not None)) * _bytes(part)
         nothing = {name: jnp.zeros(()) for name in sorted(part.terms.keys() - known)}

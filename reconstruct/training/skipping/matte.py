@@ -1,7 +1,7 @@
 """How much of an object is matte, from its pictures alone: places that keep their position and their colour from view to view.
 
-A matched feature is a place of the object if its rays meet, and matte there if two views see it in the same colour. Reflections
-move over the surface and change with the view; smooth surfaces have no features and count as unknown.
+A matched feature is a place of the object if its rays meet inside the object's box, and matte there if two views see it in the
+same light. Reflections move over the surface, change with the view, or meet behind a flat mirror; smooth surfaces have no features.
 """
 
 import numpy as np
@@ -14,20 +14,23 @@ ALIKE = 0.2
 """Largest difference of logarithmic light between two views that see the same place in the same colour."""
 DARK = 0.01
 """Added to linear light before its logarithm is taken: noise and black level."""
+MARGIN = 0.1
+"""By how much of its size the box is widened: where rays meet is uncertain along them."""
 NEAR = 0.05
 """Distance from a matte place within which a pixel counts as matte, as a share of the object's size in the picture."""
 PICTURES = 15
 """Pictures in which the object's pixels are counted, at most."""
 
 
-def matte_share(matches: Matches, side: int = SIDE) -> float | None:
+def matte_share(matches: Matches, box: NDArray[np.float64], side: int = SIDE) -> float | None:
     """Mean share of the object's pixels that are near a matte place, 0..1; None where pictures have no alpha.
 
     Args:
         matches: with the poses of their views.
+        box: (2, 3) corners of the object's box.
         side: longest side of the pictures that were matched [px].
     """
-    kept = matte_features(matches)
+    kept = matte_features(matches, box)
     chosen = np.unique(np.linspace(0, len(matches.views) - 1, PICTURES).round().astype(int))
     shares = []
     for index in chosen:
@@ -41,19 +44,31 @@ def matte_share(matches: Matches, side: int = SIDE) -> float | None:
     return float(np.mean(shares)) if shares else None
 
 
-def matte_features(matches: Matches) -> list[NDArray[np.bool_]]:
-    """For each view, which of its features another view sees at the same place in the same light, exposure apart."""
+def matte_features(matches: Matches, box: NDArray[np.float64]) -> list[NDArray[np.bool_]]:
+    """For each view, which of its features another view sees at the same place of the box in the same light, exposure apart."""
+    low, high = box + MARGIN * (box[1] - box[0]) * np.array([[-1.0], [1.0]])
     poses = np.stack([view.world_from_camera for view in matches.views])
     kept = [np.zeros(len(features.directions), bool) for features in matches.features]
     for pair in matches.pairs:
         i, j, index = pair
         same = index[explained(matches, pair, poses)]
+        places = _meeting(poses[[i, j]], matches.features[i].directions[same[:, 0]], matches.features[j].directions[same[:, 1]])
+        same = same[np.all((low <= places) & (places <= high), -1)]
         if not len(same):
             continue
         ratio = _log_light(matches.features[i], same[:, 0]) - _log_light(matches.features[j], same[:, 1])
         alike = same[np.abs(ratio - np.median(ratio)) < ALIKE]
         kept[i][alike[:, 0]] = kept[j][alike[:, 1]] = True
     return kept
+
+
+def _meeting(poses: NDArray[np.float64], first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) points of the first camera's rays that are nearest to the second's; rays are (n, 3) in their cameras' frames."""
+    d, e = (rays @ pose[:3, :3].T for rays, pose in zip((first, second), poses, strict=True))
+    d, e = (rays / np.linalg.norm(rays, axis=-1, keepdims=True) for rays in (d, e))
+    apart, cosine = poses[1, :3, 3] - poses[0, :3, 3], np.sum(d * e, -1)
+    along = (d @ apart - cosine * (e @ apart)) / np.maximum(1 - cosine**2, 1e-12)
+    return poses[0, :3, 3] + along[:, None] * d
 
 
 def _log_light(features: Features, index: NDArray[np.int64]) -> NDArray[np.float64]:

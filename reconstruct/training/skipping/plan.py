@@ -155,7 +155,9 @@ def _reflection(found: Evidence, config: Config) -> Decision:
     if not config.skip.reflection:
         return config, Skip.of("reflection", False, "forced", saving)
     if found.matte is None:
-        return config, Skip.of("reflection", False, "without masks, or under lamps that move, nothing tells matte from shiny", saving)
+        return config, Skip.of(
+            "reflection", False, "without masks, or under lamps that move, nothing tells matte from shiny", saving
+        )
     skipped = found.matte >= MOSTLY
     if skipped:
         config = _free(config, MATTE)

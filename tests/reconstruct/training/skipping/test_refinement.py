@@ -6,37 +6,19 @@ import numpy as np
 import pytest
 
 from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from datasets.scene import Scene
 from reconstruct.config import Config
 from reconstruct.models import load_config
 from reconstruct.scene.rays import Normalisation
 from reconstruct.training.skipping.matched import matches_of
 from reconstruct.training.skipping.record import Skip
 from reconstruct.training.skipping.refinement import with_poses
-
-CAMERA = Camera(160, 120, 170.0, 170.0, 80.0, 60.0)
+from tests.reconstruct.training.skipping.textured import textured_wall
 
 
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Ten pictures of a textured wall that leans, from cameras on an arc, 4 away."""
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
-    random, folder = np.random.default_rng(0), tmp_path_factory.mktemp("wall")
-    texture = sum(s * gaussian_filter(random.normal(size=(1024, 1024)), s, mode="wrap") for s in (1.5, 4, 10))
-    texture = (texture - texture.min()) / np.ptp(texture)
-    normal, views = np.array([0.3, 0.2, -1.0]), []
-    for index in range(10):
-        angle = np.deg2rad(5.0 * (index - 4.5))
-        matrix = pose.look_at((4 * np.sin(angle), 0.3 * (index % 3), -4 * np.cos(angle)), (0, 0, 0), up=(0, -1, 0))
-        rays = CAMERA.directions(CAMERA.pixel_centres()) @ matrix[:3, :3].T
-        points = matrix[:3, 3] - rays * (matrix[:3, 3] @ normal / (rays @ normal))[..., None]
-        light = map_coordinates(texture, np.moveaxis(points[..., :2] * 130, -1, 0), order=1, mode="grid-wrap")
-        images.write(folder / f"{index}.png", np.repeat(light[..., None], 3, -1))
-        views.append(View(f"{index}", CAMERA, matrix, "train", folder / f"{index}.png"))
-    return Scene("wall", tuple(views), 0.5, np.inf, np.array([[-1.0] * 3, [1.0] * 3]), "scene")
+    return textured_wall(tmp_path_factory.mktemp("wall"))
 
 
 def decided(scene: Scene, *overrides: str) -> tuple[Config, Skip]:
@@ -82,7 +64,7 @@ def test_what_a_person_sets_is_done(wall: Scene) -> None:
 
 
 def test_views_are_compared_only_where_something_is_to_be_decided(wall: Scene, tmp_path: Path) -> None:
-    nothing = load_config(overrides=["poses.enabled=false", "train.per_image=none"])
+    nothing = load_config(overrides=["poses.enabled=false", "train.per_image=none", "skip.reflection=false"])
     missing = tuple(replace(view, image=tmp_path / "missing.png") for view in wall.views)
     assert matches_of(wall, missing, nothing) is None, "no picture is read"
     found = matches_of(wall, wall.views, load_config(overrides=["poses.enabled=false", "train.per_image=auto"]))
