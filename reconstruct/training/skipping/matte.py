@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from datasets.structure.matching import SIDE, Features, Matches, shrunk
 from datasets.structure.triangulate import explained
 
-ALIKE = 0.2
+ALIKE = 0.1
 """Largest difference of logarithmic light between two views that see the same place in the same colour."""
 DARK = 0.01
 """Added to linear light before its logarithm is taken: noise and black level."""

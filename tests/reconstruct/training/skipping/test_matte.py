@@ -10,7 +10,6 @@ from reconstruct.training.skipping.matte import matte_share
 from reconstruct.training.skipping.plan import MOSTLY
 from tests.reconstruct.training.skipping.textured import textured_wall
 
-
 WHOLE_WALL = np.array([[-2.0] * 3, [2.0] * 3])
 
 
