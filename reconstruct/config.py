@@ -117,10 +117,10 @@ class SurfaceConfig(Schema):
 
     enabled: bool = setting(True, "Run the second pass.")
     rays: int = setting(128, "Rays per step whose first surface is used, by the regularisers and by the losses of normals.", ge=1)
-    first: Literal["median", "share", "half", "both"] = setting(
+    first: Literal["auto", "median", "share", "half"] = setting(
         "median",
         "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
-        "weight (better before a blank background, fails among surroundings), or where half of the light is stopped.",
+        "weight, or where half of the light is stopped. auto: share before a blank background, median among surroundings.",
     )
     samples: int = setting(32, "Points and directions on the sphere.", ge=4)
     sampling: Literal["lattice", "fibonacci", "random"] = setting(
@@ -131,6 +131,9 @@ class SurfaceConfig(Schema):
     density: float = setting(0.1, "Weight of density smoothness.", ge=0)
     normal: float = setting(0.1, "Weight of normal consistency.", ge=0)
     bias: float = setting(0.03, "Weight of the Lambertian bias.", ge=0)
+    bias_form: Literal["kinds", "published"] = setting(
+        "published", "Form of the Lambertian bias: for two kinds of surface, metals and others, or relative to its own maximum."
+    )
     variation: float = setting(1e-3, "Weight of the specular total variation.", ge=0)
     density_form: Literal["tangent", "published"] = setting("tangent", "Form of the density smoothness.")
     neighbours: int = setting(3, "Nearest directions in the total variation's graph.", ge=1)
@@ -139,6 +142,10 @@ class SurfaceConfig(Schema):
     )
     first_period: int = setting(512, "Steps between second passes at the start (power of two).", ge=1)
     last_period: int = setting(4, "The same at the end.", ge=1)
+
+    def first_in_scene(self, *, bounded: bool) -> str:
+        """The rule for first surfaces in a scene with surroundings, or without."""
+        return self.first if self.first != "auto" else "share" if bounded else "median"
 
 
 class LossConfig(Schema):

@@ -35,7 +35,7 @@ def first_surface(
 
     Args:
         rule: "median": the first weight above the ray's median (supplement B); "share": the first of at least `SHARE` of the
-            largest; "half": where the light that gets through falls below one half; "both": median and share in turn.
+            largest; "half": where the light that gets through falls below one half.
     """
     found = RULES[rule](weights, valid)
     return jnp.where(jnp.any(found, -1), jnp.argmax(found, -1), jnp.argmax(jnp.where(valid, weights, -1.0), -1))
@@ -55,12 +55,7 @@ def _past_half(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slo
     return valid & (jnp.cumsum(jnp.where(valid, weights, 0.0), -1) >= 0.5)
 
 
-def _in_turn(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Bool[Array, "rays slots"]:
-    odd = jnp.arange(weights.shape[0])[:, None] % 2 == 1
-    return jnp.where(odd, _of_the_largest(weights, valid), _above_median(weights, valid))
-
-
-RULES = {"median": _above_median, "share": _of_the_largest, "half": _past_half, "both": _in_turn}
+RULES = {"median": _above_median, "share": _of_the_largest, "half": _past_half}
 """Which slots may be the first surface, of which the first is."""
 
 

@@ -4,6 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+SPREAD = (0.15, 0.4)
+"""Relative deviation over directions up to which a surface is no mirror, and from which on it is nothing else."""
+
 
 def density_smoothness(
     density: Float[Array, "rays n"],
@@ -35,6 +38,30 @@ def lambertian_bias(specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]
     """
     largest = jax.lax.stop_gradient(jnp.max(specular, axis=(1, 2), keepdims=True))
     return jnp.mean(jnp.sum(jnp.square(specular / jnp.maximum(largest, 1e-4)), -1), -1)
+
+
+def metal_or_not(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]:
+    """L_b for two kinds of surface: what mirrors has no diffuse colour, and elsewhere what stays constant is diffuse.
+
+    A metal's colour changes with the direction, a dielectric's hardly does beside its diffuse colour. Either the diffuse colour
+    counts, or the least reflection over the directions, both relative to the whole colour; see `mirrors` for which.
+    """
+    whole = jax.lax.stop_gradient(jnp.mean(diffuse, -1) + jnp.mean(specular, (1, 2)))
+    metal = mirrors(diffuse, specular)
+    unwanted = metal * jnp.mean(diffuse, -1) + (1 - metal) * jnp.mean(jnp.min(specular, 1), -1)
+    return unwanted / jnp.maximum(whole, 1e-3)
+
+
+def mirrors(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]:
+    """From 0 to 1, as data: the reflection's standard deviation over directions, relative to the whole colour, within `SPREAD`."""
+    diffuse, specular = jax.lax.stop_gradient((diffuse, specular))
+    light = jnp.mean(specular, -1)
+    middle = jnp.mean(light, -1)
+    deviation = jnp.sqrt(jnp.mean(jnp.square(light - middle[:, None]), -1))
+    low, high = SPREAD
+    share = deviation / jnp.maximum(jnp.mean(diffuse, -1) + middle, 1e-3)
+    along = jnp.clip((share - low) / (high - low), 0.0, 1.0)
+    return along * along * (3 - 2 * along)
 
 
 def direction_likeness(directions: Float[Array, "rays n 3"], form: str) -> Float[Array, "rays n n"]:

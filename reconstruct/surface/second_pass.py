@@ -102,7 +102,11 @@ class SecondPass:
         variation = regularisers.specular_variation(colour, likeness, self.surface.neighbours)
         terms = {"specular_variation": self.surface.variation * variation}
         if diffuse and self.surface.bias:
-            terms["lambertian_bias"] = self.surface.bias * regularisers.lambertian_bias(colour)
+            if self.surface.bias_form == "kinds":
+                bias = regularisers.metal_or_not(material.diffuse.T, colour)
+            else:
+                bias = regularisers.lambertian_bias(colour)
+            terms["lambertian_bias"] = self.surface.bias * bias
         return terms
 
 

@@ -52,7 +52,7 @@ class Objective:
         normalisation = facts.normalisation
         weights = config.losses.in_scene(bounded=normalisation.bounded)
         sigma = config.poses.sigma(normalisation.scale)
-        first, precision = config.surface.first, config.train.precision
+        first, precision = config.surface.first_in_scene(bounded=normalisation.bounded), config.train.precision
         return cls(weights, place, config.surface.rays, first, precision, sigma, config.poses.prior)
 
     def __call__(

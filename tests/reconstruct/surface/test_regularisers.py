@@ -67,6 +67,37 @@ def test_lambertian_bias_is_the_magnitude_relative_to_its_maximum() -> None:
     assert gradients_are_finite(regularisers.lambertian_bias, jnp.zeros((2, 8, 3)))
 
 
+def metal_or_not_in_float64(diffuse: np.ndarray, specular: np.ndarray) -> list[float]:
+    found = []
+    for d, c in zip(diffuse, specular, strict=True):
+        light = c.mean(-1)
+        along = np.clip((light.std() / (d.mean() + light.mean()) - 0.15) / 0.25, 0, 1)
+        metal = 3 * along**2 - 2 * along**3
+        found.append((metal * d.mean() + (1 - metal) * c.min(0).mean()) / (d.mean() + c.mean()))
+    return found
+
+
+def test_the_bias_for_two_kinds_equals_a_loop_at_any_brightness() -> None:
+    random = np.random.default_rng(12)
+    diffuse, specular = random.random((40, 3)), random.random((40, 16, 3)) * np.linspace(0.1, 3, 40)[:, None, None]
+    expected = metal_or_not_in_float64(diffuse, specular)
+    np.testing.assert_allclose(regularisers.metal_or_not(*f32(diffuse, specular)), expected, rtol=1e-4)
+    np.testing.assert_allclose(regularisers.metal_or_not(*f32(diffuse / 50, specular / 50)), expected, rtol=1e-4)
+    kinds = regularisers.mirrors(*f32(diffuse, specular))
+    assert kinds.min() == 0 and kinds.max() > 0.7, "both kinds are among them"
+
+
+def test_a_mirror_loses_its_diffuse_colour_and_a_matte_surface_what_it_reflects_everywhere() -> None:
+    slope = jax.grad(lambda d, c: jnp.sum(regularisers.metal_or_not(d, c)), argnums=(0, 1))
+    varying = jnp.linspace(0.0, 1.0, 8)[None, :, None] * jnp.ones((1, 8, 3))
+    on_diffuse, on_specular = slope(jnp.full((1, 3), 0.2), varying)
+    assert (on_diffuse > 0).all() and not on_specular.any()
+    on_diffuse, on_specular = slope(jnp.full((1, 3), 0.2), 0.3 + 0.01 * varying)
+    assert not on_diffuse.any() and on_specular.sum() > 0
+    assert gradients_are_finite(regularisers.metal_or_not, jnp.zeros((2, 3)), jnp.zeros((2, 8, 3)))
+    assert gradients_are_finite(regularisers.metal_or_not, jnp.zeros((2, 3)), jnp.ones((2, 8, 3)))
+
+
 def neighbours_by_angle(directions: np.ndarray, count: int) -> np.ndarray:
     """(n, count) nearest others by the angle itself, in float64."""
     angle = np.arccos(np.clip(directions @ directions.T, -1, 1))
