@@ -407,6 +407,16 @@ ROWS = [
         (0 * COLOURS,),
     ),
     Row(
+        "metal_or_not",
+        lambda c: regularisers.metal_or_not(c[:, 0], c),
+        (COLOURS,),
+        "black to saturated, all alike",
+        2e-6,
+        1e-6,
+        "a quotient of means",
+        (0 * COLOURS,),
+    ),
+    Row(
         "specular_variation",
         lambda c, d: regularisers.specular_variation(c, regularisers.direction_likeness(d, "angular"), 3),
         (COLOURS, BALLS),

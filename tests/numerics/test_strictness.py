@@ -69,6 +69,7 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "smoothness": lambda: regularisers.density_smoothness(some(2, 4), some(2, 4, 3), some(2, 3), some(2), "tangent"),
     "consistency": lambda: regularisers.normal_consistency(some(2, 4, 3), some(2, 3)),
     "bias": lambda: regularisers.lambertian_bias(some(2, 4, 3)),
+    "bias for two kinds": lambda: regularisers.metal_or_not(some(2, 3), some(2, 4, 3)),
     "variation": lambda: regularisers.specular_variation(
         some(2, 8, 3), regularisers.direction_likeness(some(2, 8, 3), "published"), 3
     ),
