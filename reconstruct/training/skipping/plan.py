@@ -31,10 +31,12 @@ UNREGULARISED = {
 """Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
 MATTE = {
     "field": {"appearance": "view_diffuse"},
-    "surface": {"enabled": False},
-    "losses": {"orientation": 0.0, "predicted_normals": 0.0, "density_normals": 0.0, "hollowness": 0.0},
+    "surface": {"bias": 0.0, "variation": 0.0},
+    "losses": {"predicted_normals": 0.0, "density_normals": 0.0},
 }
-"""A diffuse colour, and a small part that changes with the view; shape from colour alone."""
+"""A diffuse colour, and a small part that changes with the view."""
+MATTE_CONSISTENCY = 1.0
+"""Largest weight of normal consistency there: colours tell the shape."""
 LAST_BLUR = 0.0005
 """Standard deviation of samples at the end there [scene unit]: normals of regularisers need more, colours lose detail by it."""
 
@@ -149,7 +151,7 @@ def _multisampling(found: Evidence, config: Config) -> Decision:
 
 
 def _reflection(found: Evidence, config: Config) -> Decision:
-    saving = "predicted normals, the second pass and its regularisers"
+    saving = "predicted normals, reflected directions and the regularisers that look at them"
     if config.field.appearance != "reflection":
         return config, Skip.of("reflection", True, "the model has none", NOTHING_MORE)
     if not config.skip.reflection:
@@ -160,7 +162,8 @@ def _reflection(found: Evidence, config: Config) -> Decision:
         )
     skipped = found.matte >= MOSTLY
     if skipped:
-        config = _free(config, MATTE)
+        consistency = {"surface": {"normal": min(config.surface.normal, MATTE_CONSISTENCY)}}
+        config = _free(config, merged(MATTE, consistency))
     return config, Skip.of("reflection", skipped, f"{found.matte:.0%} of the object keeps its colour from view to view", saving)
 
 
