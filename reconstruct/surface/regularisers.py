@@ -53,7 +53,7 @@ def metal_or_not(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n
 
 
 def mirrors(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]:
-    """From 0 to 1, as data: the reflection's standard deviation over directions, relative to the whole colour, within `SPREAD`."""
+    """From 0 to 1, as data: how far the reflection's relative deviation over directions is from the low end of `SPREAD`."""
     diffuse, specular = jax.lax.stop_gradient((diffuse, specular))
     light = jnp.mean(specular, -1)
     middle = jnp.mean(light, -1)

@@ -1,7 +1,7 @@
 """How much of an object is matte, from its pictures alone: places that keep their position and their colour from view to view.
 
-A matched feature is a place of the object if its rays meet inside the object's box, and matte there if two views see it in the
-same light. Reflections move over the surface, change with the view, or meet behind a flat mirror; smooth surfaces have no features.
+A matched feature is a place of the object if its rays meet inside the object's box, and matte if two views see it in the same
+light. Reflections move over the surface, change with the view, or meet behind a flat mirror; smooth surfaces have no features.
 """
 
 import numpy as np
