@@ -207,6 +207,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float
     free = first.free
     if free:
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
+    residuals["rig_correlation"] = correlation(tuple(uncertainty.parameter_names(measured)), covariance)
     offsets = joints.found(measured, refined, covariance)
     if offsets is not None:
         residuals |= joints.facts(measured, refined, offsets)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from calib.options import AllowMm, Arm, Import, Intrinsics, JointDeg, Lens, Pictures, Rig, allowed_m, check_lens, spread
+from calib.page import commands as page_commands
 from calib.targets import commands as target_commands
 from calib.turntable import commands as turntable_commands
 from datasets.core import console
@@ -221,6 +222,12 @@ def refine_command(
     moved = f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}"
     text = f"{found.reason}\n{moved if found.used else 'the poses are unchanged; nothing is written'}"
     console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
+
+
+app.command("uncertainty")(page_commands.uncertainty)
+
+
+app.command("difference")(page_commands.difference)
 
 
 app.command("turntable")(turntable_commands.turntable)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from scipy.stats import t as student
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, TargetError, Unobservable
@@ -23,9 +24,9 @@ from datasets.splits import folds
 
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
-GAIN, FISHEYE_GAIN = 0.002, 0.05
-"""Share by which another lens must lower the held-out error to be chosen; a lens that is no fisheye gains less from being one."""
-MARGIN, FISHEYE_MARGIN = 1.0, 2.0  # the same in standard errors of the gain, from its differences between views
+GAIN = 0.002  # share by which another lens must lower the held-out error to be chosen
+CHANCE, FISHEYE_CHANCE = 0.16, 0.025
+"""How often the gain of another lens, or of a fisheye beside an ordinary one, may be one that views show by chance."""
 MAX_FOCAL_STD = 0.03  # relative standard deviation above which the focal length counts as not observable
 MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
@@ -142,13 +143,15 @@ def _choice(observations: Sequence[Observation], first: Camera, poses: Array, le
 
 
 def _is_better(squares: Array, best: Array, another_kind: bool) -> bool:
-    """Whether (views,) sums of squared held-out errors are lower than the best so far by more than chance."""
-    if not np.isfinite(best).all():
+    """Whether (views,) sums of squared held-out errors are lower than the best so far, by more than these differ by chance.
+
+    The gain is compared with its differences between views (paired Student's test).
+    """
+    if not (np.isfinite(best).all() and np.isfinite(squares).all()):
         return bool(np.isfinite(squares).all())
-    gain, margin = (FISHEYE_GAIN, FISHEYE_MARGIN) if another_kind else (GAIN, MARGIN)
-    gained = best - squares
-    deviation = np.sqrt(len(gained)) * np.std(gained, ddof=1)
-    return bool(squares.sum() < (1 - gain) ** 2 * best.sum() and gained.sum() > margin * deviation)
+    gained, chance = best - squares, FISHEYE_CHANCE if another_kind else CHANCE
+    margin = float(student.isf(chance, len(gained) - 1)) * np.sqrt(len(gained)) * np.std(gained, ddof=1)
+    return bool(squares.sum() < (1 - GAIN) ** 2 * best.sum() and gained.sum() > margin)
 
 
 def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
