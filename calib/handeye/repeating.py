@@ -33,8 +33,9 @@ SCALES = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Scales that are tried, each as likely as the next before the views are seen."""
 REACH_M, REACH_RAD = 0.3, 1.0
 """Motion over which the errors of an arm without joint angles stay alike: their correlation falls to exp(-1/2)."""
+NEGLIGIBLE = 10.0  # a scale so much less likely than the best, by its logarithm, and all larger ones count for nothing
 _LOOSE = 10.0  # deviation of an arm that says nothing [m, rad]
-_RANK = 1e-4  # share of the largest mode of the smooth errors below which others are omitted
+_RANK, _MODES = 0.01, 20  # smooth errors: smallest mode that is kept, as a share of the largest; and how many at most
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,14 @@ class _Views:
         prior = 3 * PRIOR_VIEWS * (np.log(stop / stated) + 0.5 * (stated / stop) ** 2).sum()
         return float(-0.5 * left - volume - prior)
 
-    def most_likely_stop(self, scale: float) -> tuple[Array, float]:
-        """(2,) deviations of a stop [m], [rad] that explain the views best, and the logarithm of their likelihood."""
-        stated = np.array([self.stated.translation_m, self.stated.rotation_rad])
-        options = {"xatol": 0.02, "fatol": 0.02, "maxiter": 80, "initial_simplex": [[0.0, 0.0], [0.7, 0.0], [0.0, 0.7]]}
-        found = minimize(lambda x: -self.likelihood(stated * np.exp(x), scale), [0.0, 0.0], method="Nelder-Mead", options=options)
-        return stated * np.exp(found.x), -float(found.fun)
+    def most_likely_stop(self, scale: float, start: Array) -> tuple[Array, float]:
+        """(2,) deviations of a stop [m], [rad] that explain the views best, and the logarithm of their likelihood.
+
+        The search begins at `start` (2,).
+        """
+        options = {"xatol": 0.02, "fatol": 0.02, "maxiter": 80, "initial_simplex": [[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]]}
+        found = minimize(lambda x: -self.likelihood(start * np.exp(x), scale), [0.0, 0.0], method="Nelder-Mead", options=options)
+        return start * np.exp(found.x), -float(found.fun)
 
     def covariance(self, assumed: Sigmas, stop: Array, scale: float) -> Array:
         """(p, p) covariance of the answer that takes the stops for `assumed` and errors that repeat for none."""
@@ -112,16 +115,20 @@ class _Views:
 
 def estimate(session: Session, refined: Refined) -> Repeating:
     """The arm's errors in the views of a refinement whose covariance exists, and the covariance with errors that repeat."""
-    views = _views(session, refined)
-    tried = [(scale, *views.most_likely_stop(scale)) for scale in SCALES]
-    likelihood = np.array([value for _, _, value in tried])
-    share = np.exp(likelihood - likelihood.max())
+    views, sigmas = _views(session, refined), refined.sigmas
+    tried: list[tuple[float, Array, float]] = []
+    stop = np.array([sigmas.translation_m, sigmas.rotation_rad])
+    for scale in SCALES:
+        stop, likelihood = views.most_likely_stop(scale, stop)
+        tried.append((scale, stop, likelihood))
+        if likelihood < max(value for _, _, value in tried) - NEGLIGIBLE:
+            break
+    share = np.exp(np.array([value for _, _, value in tried]) - max(value for _, _, value in tried))
     share /= share.sum()
-    best = tried[int(likelihood.argmax())][1]
-    covariance = sum(
-        part * views.covariance(refined.sigmas, stop, scale) for part, (scale, stop, _) in zip(share, tried, strict=True)
-    )
-    return Repeating(float(share @ np.array(SCALES)), float(best[0]), float(best[1]), np.asarray(covariance))
+    covariance = sum(part * views.covariance(sigmas, stop, scale) for part, (scale, stop, _) in zip(share, tried, strict=True))
+    _, stop, _ = tried[int(share.argmax())]
+    mean = float(share @ np.array([scale for scale, _, _ in tried]))
+    return Repeating(mean, float(stop[0]), float(stop[1]), np.asarray(covariance))
 
 
 def _views(session: Session, refined: Refined) -> _Views:
@@ -153,7 +160,7 @@ def _smooth(base_from_flange: Array) -> Array:
     features = np.concatenate([places / REACH_M, turns.reshape(-1, 9) / (np.sqrt(2) * REACH_RAD)], -1)
     apart2 = ((features[:, None] - features) ** 2).sum(-1)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * apart2))
-    kept = values > _RANK * values[-1]
+    kept = (values > _RANK * values[-1]) & (np.arange(len(values)) >= len(values) - _MODES)
     modes = vectors[:, kept] * np.sqrt(values[kept] / 2)  # (views, modes)
     sizes = np.diag(np.repeat([LENGTH_M, ANGLE_RAD], 3))
     in_flange = np.einsum("nm,ij->nimj", modes, sizes).reshape(len(modes), 6, -1)
