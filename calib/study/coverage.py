@@ -1,9 +1,9 @@
 """How often the stated 95 % region holds the truth, on arms with and without errors that repeat.
 
-A rig of a seed differs from the drawing (`calib.study.rehearsal.draw_rig`). Its arm is built `scale` times 0.5 mm and 0.05 degrees
-off the links that its controller believes in, in every parameter and the same in all views. Corners have 0.1 px of noise and the
-arm stops within 0.03 mm and 0.005 degrees per axis. Everything is estimated as by `calib handeye`. The truth is the camera's
-pose on the true flange.
+A rig of a seed differs from the drawing (`calib.study.rehearsal.draw_rig`). Its arm is built `scale` times 0.5 mm and
+0.05 degrees off the links that its controller believes in, in every parameter and the same in all views. Corners have 0.1 px of
+noise and the arm stops within 0.03 mm and 0.005 degrees per axis. Everything is estimated as by `calib handeye`. The truth is
+the camera's pose on the true flange.
 """
 
 from collections.abc import Callable, Iterator, Sequence
