@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from calib import drawing
 from calib.options import AllowMm, Arm, Import, Intrinsics, JointDeg, Lens, Pictures, Rig, allowed_m, check_lens, spread
-from calib.page import commands as page_commands
 from calib.targets import commands as target_commands
 from calib.turntable import commands as turntable_commands
 from datasets.core import console
@@ -224,10 +224,10 @@ def refine_command(
     console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
 
 
-app.command("uncertainty")(page_commands.uncertainty)
+app.command("uncertainty")(drawing.uncertainty)
 
 
-app.command("difference")(page_commands.difference)
+app.command("difference")(drawing.difference)
 
 
 app.command("turntable")(turntable_commands.turntable)
