@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms, flips, joints, mistakes, order, outliers, uncertainty, verify
+from calib.handeye import closed_forms, flips, joints, mistakes, order, outliers, repeating, uncertainty, verify
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
@@ -183,7 +183,9 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float
     """The calibration with its uncertainty, its held-out errors and its provenance."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
-    covariance = uncertainty.covariance(measured, refined, allow_m)
+    uncertainty.covariance(measured, refined, allow_m)
+    arm = repeating.estimate(measured, refined)
+    covariance = uncertainty.checked(measured, refined, arm.covariance, allow_m)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     residuals = {
         "rms_px": refined.rms_px,
@@ -192,6 +194,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float
         "sigma_px": refined.sigmas.pixel,
         "arm_translation_mm": 1e3 * refined.sigmas.translation_m,
         "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
+        **arm.facts(),
         **_views(session, len(session.observations), left_out),
         "corners": int(refined.inliers.sum()),
         "corners_left_out": int((~refined.inliers).sum()),
@@ -204,6 +207,7 @@ def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float
     free = first.free
     if free:
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
+    residuals["rig_correlation"] = correlation(tuple(uncertainty.parameter_names(measured)), covariance)
     offsets = joints.found(measured, refined, covariance)
     if offsets is not None:
         residuals |= joints.facts(measured, refined, offsets)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from calib import drawing
 from calib.options import AllowMm, Arm, Import, Intrinsics, JointDeg, Lens, Pictures, Rig, allowed_m, check_lens, spread
 from calib.targets import commands as target_commands
 from calib.turntable import commands as turntable_commands
@@ -223,6 +224,12 @@ def refine_command(
     console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
 
 
+app.command("uncertainty")(drawing.uncertainty)
+
+
+app.command("difference")(drawing.difference)
+
+
 app.command("turntable")(turntable_commands.turntable)
 
 
@@ -231,9 +238,14 @@ app.command("board")(target_commands.board)
 
 @app.command("bench")
 def bench_command(
-    out: Annotated[Path, Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
+    out: Annotated[Path, Option("--out", help="Folder to write: bench.csv, bench.md, bench.png; or coverage.json, coverage.md.")],
     quick: Annotated[bool, Option("--quick", help="Measure a few points in one minute instead of all in 45 minutes.")] = False,
-    trials: Annotated[int | None, Option("--trials", min=2, help="Sessions per point. Default: 200, with --quick 40.")] = None,
+    coverage: Annotated[
+        bool, Option("--coverage", help="Measure instead how often the stated 95 % region holds the truth, on arms with errors.")
+    ] = False,
+    trials: Annotated[
+        int | None, Option("--trials", min=2, help="Sessions per point. Default: 200, with --quick 40, with --coverage 50.")
+    ] = None,
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
@@ -245,12 +257,26 @@ def bench_command(
     from datasets.core.files import refuse_existing
 
     refuse_existing(out)
+    if coverage:
+        return _measure_coverage(out, trials or 50, quick, seed, json)
     points = bench.quick_grid() if quick else bench.full_grid()
     with console.progress("measuring", len(points), "points") as bar:
         results = list(bench.run(points, trials or (40 if quick else 200), seed, done=lambda result: bar.advance()))
     bench_report.write(out, results)
     text = f"{bench_report.describe(results)}\nwritten to {out}"
     console.report({"out": str(out), **bench_report.summary(results)}, as_json=json, text=text)
+
+
+def _measure_coverage(out: Path, rigs: int, quick: bool, seed: int, json: bool) -> None:
+    """The part of `calib bench --coverage`; with `quick` two conditions."""
+    from calib.study import coverage
+
+    conditions = coverage.CONDITIONS[:2] if quick else coverage.CONDITIONS
+    with console.progress("measuring", len(conditions) * rigs, "rigs") as bar:
+        outcomes = list(coverage.run(conditions, rigs, seed, done=bar.advance))
+    coverage.write(out, outcomes)
+    result = {"out": str(out), "conditions": [coverage.summary(outcome) for outcome in outcomes]}
+    console.report(result, as_json=json, text=f"{coverage.markdown(outcomes)}written to {out}")
 
 
 @app.command("study")

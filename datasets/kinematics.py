@@ -125,6 +125,30 @@ def flange_jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
     return np.concatenate([flange_from_base @ in_base[..., :3, :], flange_from_base @ in_base[..., 3:, :]], axis=-2)
 
 
+def link_motions(joints: ArrayLike, links: Links = UR5E) -> Array:
+    """(..., 6, 4 n) motion of the flange, in flange axes, for small errors of the parameters: d, a, alpha, theta of all links.
+
+    Translation first. Errors of d and theta move along and about the z axis before a link, those of a and alpha along and about
+    the x axis after it.
+
+    Args:
+        joints: (..., n) angles [rad].
+        links: the arm's parameters.
+    """
+    frames = link_frames(joints, links)
+    flange = frames[..., -1, :, :]
+    after = frames[..., 1:, :, :].copy()
+    after[..., -1, :, :] = flange @ pose.inverse(links.tool)
+    z, x = frames[..., :-1, :3, 2], after[..., :3, 0]
+    place, end = flange[..., None, :3, 3], np.zeros_like(z)
+    d, theta = np.concatenate([z, end], -1), np.concatenate([np.cross(z, place - frames[..., :-1, :3, 3]), z], -1)
+    a, alpha = np.concatenate([x, end], -1), np.concatenate([np.cross(x, place - after[..., :3, 3]), x], -1)
+    in_base = np.concatenate([d, a, alpha, theta], axis=-2)
+    turn = flange[..., None, :3, :3]
+    moved = [np.einsum("...ji,...j->...i", turn, in_base[..., part]) for part in (slice(0, 3), slice(3, 6))]
+    return np.swapaxes(np.concatenate(moved, -1), -1, -2)
+
+
 def turned(base_from_flange: ArrayLike, joints: ArrayLike, offsets: ArrayLike, links: Links = UR5E) -> Array:
     """(..., 4, 4) pose of the flange if each joint angle differs by its offset from the one the arm reported.
 

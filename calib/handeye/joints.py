@@ -31,12 +31,24 @@ def check(session: TargetSession, accuracy: Accuracy) -> None:
     if session.joints is None:
         remedy = "leave --joint-deg away, or record with 'capture run'"
         raise CalibrationError("joint offsets cannot be estimated", why="the session holds no joint angles", remedy=remedy)
-    distance, angle = map(np.median, pose.difference(kinematics.forward(session.joints, session.links), session.base_from_flange))
-    if distance > MAX_BUILT_M or angle > MAX_BUILT_RAD:
+    if not are_those_of_the_poses(session.joints, session.base_from_flange, session.links):
+        distance, angle = _apart(session.joints, session.base_from_flange, session.links)
         place = f"{1e3 * distance:.0f} mm and {np.rad2deg(angle):.1f} deg elsewhere"
         why = f"by the kinematics of the arm's model the flange is {place}"
         remedy = "leave --joint-deg away: another arm has other kinematics"
         raise CalibrationError("joint angles are not those of the poses", why=why, remedy=remedy)
+
+
+def are_those_of_the_poses(angles: Array, base_from_flange: Array, links: kinematics.Links) -> bool:
+    """Whether (views, n) joint angles [rad] lead a nominal arm about to its (views, 4, 4) reported poses."""
+    distance, angle = _apart(angles, base_from_flange, links)
+    return distance <= MAX_BUILT_M and angle <= MAX_BUILT_RAD
+
+
+def _apart(angles: Array, base_from_flange: Array, links: kinematics.Links) -> tuple[float, float]:
+    """Median distance [m] and angle [rad] of the nominal arm's poses from the reported ones."""
+    distance, angle = pose.difference(kinematics.forward(angles, links), base_from_flange)
+    return float(np.median(distance)), float(np.median(angle))
 
 
 def found(session: Session, refined: Refined, covariance: Array) -> JointOffsets | None:

@@ -1,7 +1,8 @@
 """Uncertainty of the rig, and what a session cannot determine at all.
 
 Covariances are (6, 6) over a left perturbation, translation first, as `datasets.calibration` stores them. They are the
-inverse of the information that corners, the arm's accuracy and known intrinsics give together.
+inverse of the information that corners, the arm's accuracy and known intrinsics give together, with the arm's errors independent
+from view to view. `calib.handeye.repeating` adds what repeats.
 """
 
 from itertools import combinations
@@ -65,9 +66,7 @@ def covariance(session: Session, refined: Refined, allow_m: float = MAX_STD_M) -
     if not np.isfinite(values).all() or values[0] < 1e-14 * values[-1]:
         weakest = np.abs(vectors[:, 0] / scale) / _units(session)
         _refuse(session, int(weakest.argmax()), "no view shows it")
-    result = (vectors / values) @ vectors.T / np.outer(scale, scale)
-    _check(session, refined, result, allow_m / MAX_STD_M)
-    return result
+    return checked(session, refined, (vectors / values) @ vectors.T / np.outer(scale, scale), allow_m)
 
 
 def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPose, UncertainPose]:
@@ -82,9 +81,9 @@ def _units(session: Session) -> Array:
     return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
 
-def _check(session: Session, refined: Refined, joint: Array, times: float) -> None:
-    """Raise Unobservable where a pose (by so many times the usual bound) or the focal length is too uncertain to be of use."""
-    std = np.sqrt(np.diag(joint))
+def checked(session: Session, refined: Refined, joint: Array, allow_m: float = MAX_STD_M) -> Array:
+    """`joint` (p, p) as given. Raises Unobservable where a pose or the focal length is too uncertain to be of use."""
+    std, times = np.sqrt(np.diag(joint)), allow_m / MAX_STD_M
     for name in ("fx", "fy"):
         if name in session.free:
             relative = std[session.free.index(name)] / refined.state.intrinsics[projection.NAMES.index(name)]
@@ -98,6 +97,7 @@ def _check(session: Session, refined: Refined, joint: Array, times: float) -> No
         if not std[first + 3 :][:3].max() <= MAX_STD_RAD * times:
             worst = first + 3 + int(std[first + 3 :][:3].argmax())
             _refuse(session, worst, f"its standard deviation is {np.rad2deg(std[worst]):.3g} deg", f"; {ON_PURPOSE}")
+    return joint
 
 
 def _refuse(session: Session, parameter: int, why: str, more: str = "") -> None:

@@ -1,9 +1,9 @@
 """Intrinsics from views of a flat target (Zhang 2000), with as many coefficients as the views support.
 
 OpenCV finds a start. Each candidate lens is then fitted to some views by least squares and judged on the others, of which
-only the poses are fitted. The usual lens has k1 k2 p1 p2; more or fewer coefficients must lower the held-out error. (If fewer
-were the rule, one session in twenty would omit a coefficient for lack of views and give a principal point several deviations
-off.) Corners and views with gross errors are left out.
+only the poses are fitted. The usual lens has k1 k2 p1 p2; another must lower the held-out error, and by more than views differ
+by chance. (If fewer coefficients were the rule, one session in twenty would omit one for lack of views and give a principal
+point several deviations off.) Corners and views with gross errors are left out.
 """
 
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from scipy.stats import t as student
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, TargetError, Unobservable
@@ -23,7 +24,9 @@ from datasets.splits import folds
 
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
-GAIN = 0.002  # share by which another lens must lower the held-out error to be chosen: less may be chance
+GAIN = 0.002  # share by which another lens must lower the held-out error to be chosen
+CHANCE, FISHEYE_CHANCE = 0.16, 0.025
+"""How often the gain of another lens, or of a fisheye beside an ordinary one, may be one that views show by chance."""
 MAX_FOCAL_STD = 0.03  # relative standard deviation above which the focal length counts as not observable
 MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
@@ -131,12 +134,24 @@ def _choice(observations: Sequence[Observation], first: Camera, poses: Array, le
         for lens in ladder:
             if not _worth_a_try(lens, first, lenses):
                 break
-            error = _held_out(observations, first, poses, lens)
-            if error < (1 - GAIN) * best:
-                chosen, best = lens, error
+            squares = _held_out(observations, first, poses, lens)
+            if _is_better(squares, best, another_kind=lens.fisheye != chosen.fisheye):
+                chosen, best = lens, squares
             elif not lens.fisheye:
                 break
-    return chosen, best
+    return chosen, float(np.sqrt(best.sum() / sum(len(o.ids) for o in observations)))
+
+
+def _is_better(squares: Array, best: Array, another_kind: bool) -> bool:
+    """Whether (views,) sums of squared held-out errors are lower than the best so far, by more than these differ by chance.
+
+    The gain is compared with its differences between views (paired Student's test).
+    """
+    if not (np.isfinite(best).all() and np.isfinite(squares).all()):
+        return bool(np.isfinite(squares).all())
+    gained, chance = best - squares, FISHEYE_CHANCE if another_kind else CHANCE
+    margin = float(student.isf(chance, len(gained) - 1)) * np.sqrt(len(gained)) * np.std(gained, ddof=1)
+    return bool(squares.sum() < (1 - GAIN) ** 2 * best.sum() and gained.sum() > margin)
 
 
 def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
@@ -287,17 +302,17 @@ def rms(vectors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
-def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> float:
-    """Rms [px] over views that the fit has not seen, in up to four folds; infinite where a fit fails."""
-    count = min(4, len(observations) // 2)
-    residuals, fold_of = [], folds(len(observations), count)
+def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> Array:
+    """(views,) sums of squared errors [px^2] of views that a fit has not seen, in up to four folds; infinite where one fails."""
+    count, failed = min(4, len(observations) // 2), np.full(len(observations), np.inf)
+    squares, fold_of = failed.copy(), folds(len(observations), count)
     try:
         for fold in range(count):
             rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
             camera, _ = fit(rest, first, poses[fold_of != fold], lens)
-            start = projection.vector(camera)
-            residuals.append(bundle.fit(flat(unseen), start, poses[fold_of == fold], fisheye=lens.fisheye).residuals)
+            start, corners = projection.vector(camera), flat(unseen)
+            residuals = bundle.fit(corners, start, poses[fold_of == fold], fisheye=lens.fisheye).residuals
+            squares[fold_of == fold] = np.bincount(corners.view, (residuals**2).sum(-1), len(unseen))
     except (CalibrationError, ArithmeticError):
-        return np.inf
-    found = rms(np.concatenate(residuals))
-    return found if np.isfinite(found) else np.inf
+        return failed
+    return squares if np.isfinite(squares).all() else failed

@@ -9,6 +9,8 @@ from datasets.calibration import Calibration, UncertainPose
 
 RELAXED = " (bound relaxed)"
 """Mark of poses that would have been refused, or might have been, without `--allow-mm`."""
+REPEATS_MM = 0.1
+"""Errors of the links from which on the summary mentions that the arm's errors repeat."""
 _DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
 
 
@@ -37,6 +39,10 @@ def describe_calibration(calibration: Calibration) -> str:
     if "arm_translation_mm" in residuals:
         millimetres, degrees = residuals["arm_translation_mm"], residuals["arm_rotation_deg"]
         lines.append(f"arm errors          {millimetres:.3f} mm, {degrees:.4f} deg per axis")
+    if residuals.get("arm_links_mm", 0.0) > REPEATS_MM:
+        stop = f"{residuals['arm_stop_mm']:.3f} mm, {residuals['arm_stop_deg']:.4f} deg"
+        links = f"{residuals['arm_links_mm']:.2f} mm, {residuals['arm_links_deg']:.3f} deg"
+        lines.append(f"  of these          {stop} at each stop; the rest repeats, like links that are off by {links}")
     lines.append(f"views used          {residuals['views_used']}, corners in {residuals['coverage']:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)

@@ -1,8 +1,8 @@
-"""Middles of the circles of a grid, to a few hundredths of a pixel.
+"""Middles of the circles of a grid, to a hundredth of a pixel.
 
 The middle of a circle's picture is not the picture of its middle: perspective and lens push it aside, by up to a pixel near a
-large circle seen at an angle. A smooth map from the board to the picture (a homography and a cubic polynomial) is fitted to the
-middles that were found; each is moved by how far the map shifts the centroid of its circle from the map of its middle.
+large circle seen at an angle. A smooth map from the board to the picture (`calib.targets.plane_map`) is fitted to the middles
+that were found; each is moved by how far the map shifts the centroid of its circle from the map of its middle.
 """
 
 import cv2
@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array, Indices
+from calib.targets import plane_map
+from calib.targets.plane_map import PlaneMap
 from datasets.targets.board import Board
 
 RIM = 32  # points on the rim of a circle from which the centroid of its picture is computed
 ROUNDS = 3
-FEWEST = 9  # circles from which a map is fitted
 WHITE_RING = 0.5  # share of the gap between circles that still belongs to a circle's window
 
 
@@ -64,9 +65,9 @@ def refined(board: Board, grey: NDArray[np.float32], found: NDArray[np.float32])
     middles = found.astype(np.float64)
     for _ in range(ROUNDS):
         measured = np.isfinite(middles).all(axis=1)
-        if measured.sum() < FEWEST:
+        if measured.sum() < plane_map.FEWEST:
             return np.full_like(middles, np.nan)
-        to_picture = _smooth_map(board.points[measured, :2], middles[measured])
+        to_picture = plane_map.fit(board.points[measured, :2], middles[measured], grey.shape[1], grey.shape[0])
         windows = _rims(board, to_picture, board.marker_length_m + 2 * WHITE_RING * _gap(board))
         centroids = np.array([_centroid(grey, window) for window in windows])
         shifts = np.array([_polygon_centroid(rim) for rim in _rims(board, to_picture, board.marker_length_m)])
@@ -80,43 +81,11 @@ def _gap(board: Board) -> float:
     return float(apart * board.square_length_m - board.marker_length_m) / 2
 
 
-def _rims(board: Board, to_picture: "_Map", diameter: float) -> Array:
+def _rims(board: Board, to_picture: PlaneMap, diameter: float) -> Array:
     """(n, RIM, 2) places in the picture of circles of a diameter about the middles [px]."""
     turn = 2 * np.pi * np.arange(RIM) / RIM
     rim = diameter / 2 * np.stack([np.cos(turn), np.sin(turn)], -1)
     return to_picture((board.points[:, None, :2] + rim).reshape(-1, 2)).reshape(-1, RIM, 2)
-
-
-class _Map:
-    """A smooth map from the board's plane to the picture."""
-
-    def __init__(self, homography: Array, coefficients: Array, middle: Array, scale: float) -> None:
-        self._homography, self._coefficients, self._middle, self._scale = homography, coefficients, middle, scale
-
-    def __call__(self, points: Array) -> Array:
-        """(n, 2) pixels of (n, 2) places on the board [m]."""
-        return _projected(self._homography, points) + _powers((points - self._middle) / self._scale) @ self._coefficients
-
-
-def _projected(homography: Array, points: Array) -> Array:
-    """(n, 2) places after a homography."""
-    seen = np.column_stack([points, np.ones(len(points))]) @ homography.T
-    return np.asarray(seen[:, :2] / seen[:, 2:], np.float64)
-
-
-def _powers(places: Array) -> Array:
-    """(n, 10) products of powers of (n, 2) places up to the third degree; the fewest circles, nine, need no more."""
-    x, y = places.T
-    return np.stack([x**a * y**b for a in range(4) for b in range(4 - a)], -1)
-
-
-def _smooth_map(points: Array, pixels: Array) -> _Map:
-    """The map that takes (n, 2) places on the board [m] to (n, 2) pixels."""
-    homography = np.asarray(cv2.findHomography(points, pixels)[0], np.float64)
-    middle, scale = points.mean(axis=0), float(np.abs(points - points.mean(axis=0)).max())
-    left = pixels - _projected(homography, points)
-    coefficients = np.linalg.lstsq(_powers((points - middle) / scale), left, rcond=1e-6)[0]
-    return _Map(homography, coefficients, middle, scale)
 
 
 def _polygon_centroid(rim: Array) -> Array:
@@ -130,8 +99,8 @@ def _polygon_centroid(rim: Array) -> Array:
 def _centroid(grey: NDArray[np.float32], window: Array) -> Array:
     """(2,) centroid of the darkness inside a polygon of (m, 2) corners; NaN where the picture does not hold it.
 
-    The level of white is a plane through the brightness of the rim: darkness then vanishes there, and where pixels are cut
-    off at the rim does not matter.
+    Darkness is the share of light that is missing, so that it does not depend on uneven light. White is a plane through the
+    brightness of the rim: darkness vanishes there, and where pixels are cut off does not matter.
     """
     low, high = np.floor(window.min(axis=0)).astype(int), np.ceil(window.max(axis=0)).astype(int) + 1
     height, width = grey.shape
@@ -144,7 +113,10 @@ def _centroid(grey: NDArray[np.float32], window: Array) -> Array:
     places = np.stack(np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])), -1)[inside > 0].astype(np.float64)
     rim = cv2.remap(grey, window[None].astype(np.float32), None, cv2.INTER_LINEAR).ravel().astype(np.float64)
     plane = np.linalg.lstsq(np.column_stack([window - middle, np.ones(len(window))]), rim, rcond=None)[0]
-    dark = np.column_stack([places - middle, np.ones(len(places))]) @ plane - part[inside > 0]
+    white = np.column_stack([places - middle, np.ones(len(places))]) @ plane
+    if not white.min() > 0:
+        return np.full(2, np.nan)
+    dark = 1 - part[inside > 0] / white
     if not dark.sum() > 0:
         return np.full(2, np.nan)
     return np.asarray((places * dark[:, None]).sum(axis=0) / dark.sum(), np.float64)

@@ -1,5 +1,7 @@
 """What an arm's pose becomes when its joints stand elsewhere than it knows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,17 @@ def test_turning_an_arm_as_built_is_accurate_to_a_hundredth(joints):
     left, _ = pose.difference(kinematics.turned(reported, joints, offsets), true)
     distance, _ = pose.difference(reported, true)
     assert distance.min() > 1e-4 and left.max() < 0.01 * distance.max()
+
+
+def test_link_motions_are_those_of_an_arm_built_a_little_off(joints):
+    step, tool = 1e-6, pose.from_rotation_vector([0.3, -0.2, 0.5], [0.01, 0.02, 0.03])
+    links = replace(kinematics.UR5E, tool=tool)
+    reported = kinematics.forward(joints, links)
+    found = kinematics.link_motions(joints, links)
+    assert found.shape == (5, 6, 24)
+    for number, name in enumerate(("d", "a", "alpha", "theta")):
+        for index in range(6):
+            built = replace(links, **{name: getattr(links, name) + step * np.eye(6)[index]})
+            motion = pose.inverse(reported) @ kinematics.forward(joints, built)
+            difference = np.concatenate([motion[:, :3, 3], pose.rotation_vector(motion)], -1) / step
+            np.testing.assert_allclose(found[..., 6 * number + index], difference, atol=3e-6)  # the step's own size

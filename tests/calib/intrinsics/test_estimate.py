@@ -6,6 +6,10 @@ import pytest
 from calib.errors import TargetError, Unobservable
 from calib.handeye.model import camera_points
 from calib.intrinsics import estimate, projection
+from calib.study.rehearsal import ARM, draw_rig
+from calib.study.simulate import Pattern, viewpoints
+from calib.study.simulate import simulate as simulate_session
+from calib.study.variants import target_session
 from datasets import pose
 from datasets.camera_model import Camera
 
@@ -96,6 +100,30 @@ def test_a_fisheye_is_recognised_by_what_it_predicts(simulate):
         FISHEYE.project(found.camera.directions(corner)), corner, atol=1.5
     )  # a direction of 3 mrad is the camera turned
     assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+
+
+def test_a_short_session_does_not_make_a_fisheye_of_an_ordinary_lens():
+    """Wide enough that a fisheye is tried; with six views it used to win one session in eight."""
+    chosen = []
+    for seed in range(4, 7):  # one of these
+        rng, rig = np.random.default_rng([seed, 77]), draw_rig(seed)
+        flown = viewpoints(rng, rig, 6, Pattern((5.0, 45.0), (0.25, 0.5)))
+        session = target_session(simulate_session(rng, rig, flown, sigma_px=0.1, arm=ARM))
+        found = estimate.calibrate(session.observations, session.width, session.height)
+        assert estimate._worth_a_try(estimate.FISHEYE[0], found.camera, estimate.LENSES["auto"])
+        chosen.append(found.camera.fisheye)
+    assert not any(chosen)
+
+
+def test_a_gain_counts_if_views_agree_on_it():
+    best = np.full(10, 1.0)
+    assert estimate._is_better(np.full(10, 0.98), best, another_kind=True)
+    assert not estimate._is_better(np.full(10, 0.9999), best, another_kind=False)  # below the least gain
+    luck = best.copy()
+    luck[0] = 0.5  # one view alone is better
+    assert not estimate._is_better(luck, best, another_kind=True)
+    assert not estimate._is_better(np.full(10, np.inf), best, another_kind=False)
+    assert estimate._is_better(best, np.full(10, np.inf), another_kind=True)
 
 
 def test_a_fisheye_can_be_asked_for(simulate):

@@ -1,0 +1,87 @@
+"""How certain a calibration is over the image."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from calib import calibrate
+from calib.cli import app
+from calib.page import maps
+from calib.study import coverage
+from calib.study.rehearsal import draw_rig
+from datasets import pose
+from datasets.calibration import Calibration
+from datasets.core.errors import UsageError
+from datasets.kinematics import UR5E
+
+
+@pytest.fixture(scope="module")
+def session():
+    return coverage.drawn(np.random.default_rng(3), draw_rig(3), UR5E, 14)
+
+
+@pytest.fixture(scope="module")
+def rig(session):
+    return calibrate.calibrate_handeye(session, lens="brown")
+
+
+def test_deviation_is_that_of_rigs_drawn_from_the_covariance(rig):
+    """The slow way: cameras and mounts are drawn together, and a point on the flange is projected by each of them."""
+    found = maps.projection_uncertainty(rig, 0.4)
+    names, covariance = maps._covariance(rig, rig.flange_from_camera)
+    camera, mount = rig.camera, rig.flange_from_camera.matrix
+    row, column = 5, 20
+    direction = camera.directions(np.array([[found.columns[column], found.rows[row]]]))
+    point = 0.4 * direction / np.linalg.norm(direction) @ mount[:3, :3].T + mount[:3, 3]
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(names)), covariance, 2000)
+    seen = []
+    for errors in drawn:
+        of_camera = {name: getattr(camera, name) + e for name, e in zip(names[:-6], errors, strict=False)}
+        moved = pose.inverse(pose.from_rotation_vector(errors[-3:], errors[-6:-3]) @ mount)
+        seen.append(replace(camera, **of_camera).project(point @ moved[:3, :3].T + moved[:3, 3])[0])
+    worst = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(seen).T))[-1])
+    assert found.values_px[row, column] == pytest.approx(worst, rel=0.07)  # 2000 draws: 1.6 % one sigma
+
+
+def test_the_middle_is_surer_than_the_corners(rig):
+    values = maps.projection_uncertainty(rig, 0.4).values_px
+    assert values[13, 24] < 0.3 * values[0, 0] and values.shape == (27, 48)
+
+
+def test_of_a_camera_alone_a_rotation_is_left_out(session):
+    alone = calibrate.calibrate_intrinsics(session, "brown")
+    near, far = (maps.projection_uncertainty(alone, distance).values_px for distance in (0.3, 3.0))
+    np.testing.assert_allclose(near, far, rtol=1e-6)
+    assert near[13, 24] < alone.camera_std["cx"]  # most of the principal point is such a rotation
+
+
+def test_files_that_keep_too_little_are_refused(rig):
+    old = replace(rig, residuals={k: v for k, v in rig.residuals.items() if k != "rig_correlation"})
+    with pytest.raises(UsageError, match="older version made it"):
+        maps.projection_uncertainty(old, 0.4)
+    with pytest.raises(UsageError, match="camera was given"):
+        maps.projection_uncertainty(Calibration(rig.camera, {}), 0.4)
+
+
+def test_the_commands_draw(rig, tmp_path: Path):
+    rig.save(tmp_path / "a.json")
+    replace(rig, camera=replace(rig.camera, fx=rig.camera.fx + 3)).save(tmp_path / "b.json")
+    replace(rig, camera=rig.camera.scaled(960, 540)).save(tmp_path / "small.json")
+    runner = CliRunner()
+    a, b, out = (str(tmp_path / name) for name in ("a.json", "b.json", "map.png"))
+    assert runner.invoke(app, ["uncertainty", a, "--distance", "0.5", "--out", out]).exit_code == 0
+    picture = cv2.imread(out)
+    assert picture is not None and picture[100:300, 100:500].std() > 10
+    told = runner.invoke(app, ["difference", a, b, "--out", str(tmp_path / "d.png"), "--json"])
+    assert told.exit_code == 0 and '"rms_px"' in told.output and (tmp_path / "d.png").is_file()
+    for arguments, why in (
+        (["uncertainty", a, "--out", str(tmp_path / "map.jpg")], "is no PNG file"),
+        (["uncertainty", a, "--distance", "0", "--out", str(tmp_path / "e.png")], "between 0 and 1000"),
+        (["difference", a, str(tmp_path / "small.json"), "--out", str(tmp_path / "e.png")], "960x540, not 1920x1080"),
+    ):
+        refused = runner.invoke(app, arguments)
+        assert refused.exit_code != 0 and why in str(refused.exception)
