@@ -1,15 +1,14 @@
 """The `capture` command: lists, plans and records. The other commands are defined beside the code that they call."""
 
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Option
 
-from capture import looking, viewing
+from capture import looking, running, viewing
 from capture.calibrating import commands as calibrating_commands
 from capture.doctor.commands import doctor
-from capture.options import RigName, Settings, TakeOver, TimeScale, TrajectoryName
+from capture.options import RigName, Settings, TrajectoryName
 from capture.radiometry import commands as radiometry_commands
 from capture.recording import commands as recording_commands
 from capture.rig import commands as rig_commands
@@ -31,67 +30,6 @@ def list_command(as_json: console.Json = False) -> None:
         lines += [f"{kind}:", *(f"  {name:{width}}  {description}" for name, description in entries.items())]
     folder = str(Path(configs.__file__).parent)
     console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
-
-
-@app.command()
-def run(
-    trajectory: TrajectoryName,
-    out: Annotated[Path, Option(metavar="RECORDING", help="New folder to write, or with --resume an existing one.")],
-    rig: RigName = "sim",
-    scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'. Default: one that fits the trajectory.")] = "",
-    seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
-    time_scale: TimeScale = 20.0,
-    radiometry: Annotated[
-        Path | None,
-        Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: the rig file's."),
-    ] = None,
-    resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
-    take_over: TakeOver = False,
-    view: Annotated[bool, Option("--view", help="Show the session in the browser, with a stop button.")] = False,
-    port: console.Port = 8080,
-    settings: Settings = None,
-    as_json: console.Json = False,
-) -> None:
-    """Record every view of a trajectory. Ctrl-C stops the arm and keeps the frames; --resume continues."""
-    import time
-
-    from capture.doctor.examine import examination
-    from capture.planning import plan
-    from capture.recording.recorder import record
-    from capture.rig.opening import describe, open_rig, scene_for
-    from capture.trajectory import load_trajectory
-    from datasets.core.errors import KoalaError
-    from datasets.core.files import refuse_existing
-
-    session = load_trajectory(trajectory, overrides=settings)
-    scene = scene_for(rig, scene, session)
-    mount = describe(rig).carrier()
-    if not resume:
-        refuse_existing(out)
-    start = time.monotonic()
-    planned = plan(session, mount)
-    taken = 0
-    options: dict[str, Any] = {"radiometry": radiometry, "take_over": take_over}
-    options["examine"] = examination(out, session.upwards, session.camera.pixel_format == "rgb8", take_over)
-    try:
-        with ExitStack() as stack:
-            if view:
-                stack.enter_context(viewing.watched(out, session, mount, planned, port))
-            shown = stack.enter_context(console.progress("capture", len(planned), "views"))
-            with open_rig(rig, session, scene=scene, seed=seed, time_scale=time_scale, **options) as opened:
-
-                def advance(name: str) -> None:
-                    shown.advance()
-                    shown.note(f"view {name}")
-
-                taken = len(record(session, opened, out, resume=resume, planned=planned, advance=advance).frames)
-    except KeyboardInterrupt:
-        how = "by Ctrl-C or from the page" if view else "by Ctrl-C"
-        remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
-        raise KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=remedy) from None
-    seconds = time.monotonic() - start
-    found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": scene or None}
-    console.report(found, as_json=as_json, text=f"{out}: {taken} views in {seconds:.0f} s")
 
 
 @app.command("plan")
@@ -140,6 +78,7 @@ def plan_command(
     console.report({**found, "plot": plot, "page": page}, as_json=as_json, text=text)
 
 
+app.command()(running.run)
 app.command()(calibrating_commands.calibrate)
 app.command()(viewing.view)
 app.command()(recording_commands.check)

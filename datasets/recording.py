@@ -40,6 +40,8 @@ LEAST_TURN = float(np.radians(0.1))
 """Angles of a turntable that differ by less are one [rad]."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 RADIOMETRY = "radiometry.npz"
+CHOSEN = "chosen"
+"""Part of the manifest of a session that chose its own views: why each was taken."""
 DEPTH = "depth"
 DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
 """What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth

@@ -1,0 +1,168 @@
+"""What the pictures so far show of the object: its shape by masks that agree, and where its colour changes with direction.
+
+Without a calibration nothing can be told from pictures: the object's stated box stands for its shape.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.choosing.candidates import seen_from
+from capture.choosing.gain import Seen
+from capture.choosing.loop import Known
+from capture.choosing.places import Places, of_box, of_cells
+from capture.choosing.sight import Eye
+from capture.trajectory import Trajectory
+from datasets.build import camera_for
+from datasets.calibration import Calibration
+from datasets.camera_model import Camera
+from datasets.core.errors import UsageError
+from datasets.imaging import images
+from datasets.recording import MANIFEST, Frame, Recording
+from datasets.scene import Scene, View
+from datasets.segmentation.grow import Grower
+from datasets.structure.votes import Silhouette, upheld
+
+Array = NDArray[np.float64]
+
+FEWEST_VIEWS = 8
+"""Views that masks and colours need."""
+GROWTH = 1.25
+"""The shape is found again when there are so many times more views."""
+CELLS = 48
+"""Cells along the longest edge of the box."""
+SIDE = 480
+"""Longest side of the pictures in which colours are compared [px]."""
+AGREEMENT = 0.8
+"""Least median overlap of the masks with what they agree on; below it the box is used."""
+SAME, DIFFERENT = 0.03, 0.15
+"""Standard deviation of a place's sRGB over the views up to which its colour is the same, and from which it changes fully."""
+
+
+def eye_of(flange_from_camera: Array, calibration: Calibration | None) -> Eye:
+    """Where the camera is when the flange is somewhere: by the calibration, else by the mount of the rig file."""
+    if calibration is None:
+        return lambda base_from_flange, joints: base_from_flange @ flange_from_camera
+    if calibration.flange_from_camera is None:
+        remedy = "make one with 'capture calibrate' or 'calib handeye'"
+        raise UsageError("calibration holds no hand-eye pose", where="--calibration", remedy=remedy)
+    return calibration.camera_pose
+
+
+class Shape:
+    """The shape of the object as the recording grows.
+
+    Args:
+        out: the recording.
+        calibration: camera and mount; None: the box stands for the shape.
+
+    Raises UsageError: the trajectory has no object.
+    """
+
+    def __init__(self, trajectory: Trajectory, out: Path, eye: Eye, calibration: Calibration | None) -> None:
+        if trajectory.object is None:
+            remedy = "state 'object' in the trajectory: where it stands, and how large it is at most"
+            raise UsageError("views of what is not known to be somewhere cannot be chosen", where=trajectory.name, remedy=remedy)
+        self.trajectory, self.out, self.eye, self.calibration = trajectory, Path(out), eye, calibration
+        self.corners = trajectory.object.corners
+        self._shown: tuple[int, Places, str] = (0, of_box(self.corners, trajectory.upwards), "the object's box")
+        self._read: dict[str, NDArray[np.float32]] = {}
+
+    def known(self) -> Known:
+        """What the training views on the disk show."""
+        recording = Recording.open(self.out) if (self.out / MANIFEST).is_file() else None
+        frames = [frame for frame in recording.frames if frame.split == "train"] if recording is not None else []
+        cameras = np.array([self.eye(one.base_from_flange, one.joints) for one in frames]).reshape(-1, 4, 4)
+        count, places, source = self._shown
+        if recording is None or self.calibration is None or len(frames) < FEWEST_VIEWS:
+            return Known(places, np.zeros(len(places.points)), cameras, None, source)
+        camera, _ = camera_for(recording, self.calibration)
+        pictures = self._pictures(recording, frames, camera, cameras)
+        if len(frames) >= GROWTH * count:
+            found = pictures.shape(self.corners)
+            self._shown = (len(frames), *(found or (of_box(self.corners, self.trajectory.upwards), "the object's box")))
+            _, places, source = self._shown
+        return Known(places, pictures.changing(places), cameras, camera, source)
+
+    def _pictures(self, recording: Recording, frames: list[Frame], camera: Camera, cameras: Array) -> "_Pictures":
+        """The pictures of frames; each is read once."""
+        views = [
+            View(frame.name, camera, pose, frame.split, recording.image_path(frame))
+            for frame, pose in zip(frames, cameras, strict=True)
+        ]
+        for view in views:
+            if view.name not in self._read:
+                self._read[view.name] = _read_small(view)
+        return _Pictures(tuple(views), tuple(self._read[view.name] for view in views))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pictures:
+    """The training views so far, with small pictures."""
+
+    views: tuple[View, ...]
+    small: tuple[NDArray[np.float32], ...]
+    """For each view (height, width, 3) sRGB from 0 to 1."""
+
+    def shape(self, corners: Array) -> tuple[Places, str] | None:
+        """The surface of what masks of all views leave to the object in its box; None where they do not agree."""
+        scene = Scene("recording", self.views, 1e-2, np.inf, corners, "scene", metric=True)
+        grown = Grower(scene).grow()
+        if float(np.median(grown.agreement)) < AGREEMENT:
+            return None
+        low, high = corners
+        counts = np.ceil(CELLS * (high - low) / (high - low).max()).astype(int)
+        cell = (high - low) / counts
+        axes = [low[k] + cell[k] * (np.arange(counts[k]) + 0.5) for k in range(3)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        silhouettes = [
+            Silhouette(_small_camera(view.camera, mask), view.world_from_camera, mask)
+            for view, mask in zip(self.views, grown.masks, strict=True)
+        ]
+        inside = np.zeros(len(points), bool)
+        inside[upheld(silhouettes, points, 0.0)[0]] = True
+        if not inside.any():
+            return None
+        return of_cells(inside.reshape(counts), low, cell), f"masks of {len(self.views)} pictures"
+
+    def changing(self, places: Places) -> Array:
+        """(n,) how much the colour of each place changes between the views that see it well, from 0 to 1."""
+        seen = seen_from(np.stack([view.world_from_camera for view in self.views]), places, self.views[0].camera)
+        colours = [_colours(view, picture, places) for view, picture in zip(self.views, self.small, strict=True)]
+        return colour_changes(np.stack(colours), seen)
+
+
+def colour_changes(colours: NDArray[np.float32], seen: Seen) -> Array:
+    """(n,) how much each place's colour changes with direction, from 0 to 1; 0 where fewer than three views see it well.
+
+    Args:
+        colours: (views, n, 3) sRGB from 0 to 1.
+    """
+    well, counts = seen.well[..., None], seen.counts[:, None]
+    mean = (colours * well).sum(0) / np.maximum(counts, 1)
+    variance = (np.square(colours - mean) * well).sum(0) / np.maximum(counts - 1, 1)
+    deviation = np.sqrt(variance.mean(-1))
+    return np.where(seen.counts >= 3, np.clip((deviation - SAME) / (DIFFERENT - SAME), 0, 1), 0.0)
+
+
+def _small_camera(camera: Camera, picture: NDArray[Any]) -> Camera:
+    return camera.scaled(picture.shape[1], picture.shape[0])
+
+
+def _read_small(view: View) -> NDArray[np.float32]:
+    scale = min(1.0, SIDE / max(view.camera.width, view.camera.height))
+    width, height = max(round(scale * view.camera.width), 1), max(round(scale * view.camera.height), 1)
+    return images.as_float(view.read_resized(width, height)[..., :3])
+
+
+def _colours(view: View, picture: NDArray[np.float32], places: Places) -> NDArray[np.float32]:
+    """(n, 3) sRGB of the pixels that show the places; of places outside the picture that of the pixel next to them."""
+    local = (places.points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+    local[:, 2] = np.maximum(local[:, 2], 1e-3)
+    column, row = np.floor(_small_camera(view.camera, picture).project(local)).T
+    column = np.clip(np.nan_to_num(column), 0, picture.shape[1] - 1).astype(int)
+    row = np.clip(np.nan_to_num(row), 0, picture.shape[0] - 1).astype(int)
+    return picture[row, column]
