@@ -1,14 +1,11 @@
 """The `capture` command: lists, plans and records. The other commands are defined beside the code that they call."""
 
 from pathlib import Path
-from typing import Annotated
 
-from typer import Option
-
-from capture import looking, running, viewing
+from capture import looking, plans, running, viewing
 from capture.calibrating import commands as calibrating_commands
+from capture.choosing import commands as choosing_commands
 from capture.doctor.commands import doctor
-from capture.options import RigName, Settings, TrajectoryName
 from capture.radiometry import commands as radiometry_commands
 from capture.recording import commands as recording_commands
 from capture.rig import commands as rig_commands
@@ -32,54 +29,10 @@ def list_command(as_json: console.Json = False) -> None:
     console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
 
 
-@app.command("plan")
-def plan_command(
-    trajectory: TrajectoryName,
-    rig: RigName = "sim",
-    plot: Annotated[Path | None, Option(metavar="PLAN.png", help="Draw views, paths and joint angles.")] = None,
-    page: Annotated[Path | None, Option(metavar="PLAN.html", help="Write a page with the plan in 3D.")] = None,
-    settings: Settings = None,
-    as_json: console.Json = False,
-) -> None:
-    """Check that the arm can take every view, and estimate how long that takes. Nothing moves."""
-    from collections import Counter
-
-    import numpy as np
-
-    from capture.planning import Obstacles, draw, duration, plan
-    from capture.rig.opening import describe
-    from capture.trajectory import load_trajectory
-    from datasets.core.files import refuse_existing
-
-    drawings = [(write, path) for write, path in ((draw.plot, plot), (draw.page, page)) if path is not None]
-    for _, path in drawings:
-        refuse_existing(path)
-    session = load_trajectory(trajectory, overrides=settings)
-    mount = describe(rig).carrier()
-    describe(rig).lights_on(session.lights)
-    planned = plan(session, mount)
-    seconds = duration(session, planned, mount.turntable)
-    for write, path in drawings:
-        title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
-        write(planned, Obstacles.of(session, mount), path, title=title)
-    drawn = "".join(f"; drawn in {path}" for _, path in drawings)
-    turns, most = float(mount.wound(np.stack([view.joints for view in planned])).max()), mount.cable and mount.cable.max_turns
-    wound = f"; the cable is wound up by at most {turns:.2f} of {most:g} turns" if most else ""
-    splits = Counter(view.viewpoint.split for view in planned)
-    parts = ", ".join(f"{count} {split}" for split, count in splits.items())
-    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{wound}{drawn}"
-    found = {
-        "name": session.name,
-        "views": len(planned),
-        "splits": splits,
-        "seconds": round(seconds, 1),
-        "cable_turns": round(turns, 3),
-    }
-    console.report({**found, "plot": plot, "page": page}, as_json=as_json, text=text)
-
-
+app.command()(plans.plan)
 app.command()(running.run)
 app.command()(calibrating_commands.calibrate)
+app.command()(choosing_commands.coverage)
 app.command()(viewing.view)
 app.command()(recording_commands.check)
 app.command()(viewing.report)

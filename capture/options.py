@@ -25,3 +25,6 @@ CalibrationFile = Annotated[
     Path | None,
     Option("--calibration", metavar="CALIBRATION.json", help="Camera and mount as they were calibrated: what pictures show."),
 ]
+MeshScale = Annotated[
+    float, Option("--mesh-scale", min=1e-6, max=1000, help="Metres per unit of the mesh: 0.001 for millimetres.")
+]

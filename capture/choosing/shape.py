@@ -52,6 +52,21 @@ def eye_of(flange_from_camera: Array, calibration: Calibration | None) -> Eye:
     return calibration.camera_pose
 
 
+def lens_of(trajectory: Trajectory, calibration: Calibration | None) -> Camera | None:
+    """The calibrated camera for pictures of a trajectory that is not recorded yet; None without a calibration.
+
+    Raises UsageError: the calibration is for pictures of another size.
+    """
+    if calibration is None:
+        return None
+    camera, size = calibration.camera, (trajectory.camera.width, trajectory.camera.height)
+    if (camera.width, camera.height) != size:
+        why = f"pictures are {size[0]}x{size[1]}, the calibrated camera is {camera.width}x{camera.height}"
+        remedy = "calibrate with the same region of interest and binning, or leave --calibration out"
+        raise UsageError("calibration is for another image size", where="--calibration", why=why, remedy=remedy)
+    return camera
+
+
 class Shape:
     """The shape of the object as the recording grows.
 
