@@ -1,4 +1,4 @@
-"""What the pictures so far show of the object: its shape by masks that agree, and where its colour changes with direction.
+"""What the pictures so far show of the object: its shape before the table, and where its colour changes with direction.
 
 Without a calibration nothing can be told from pictures: the object's stated box stands for its shape.
 """
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from capture.choosing.background import silhouettes
 from capture.choosing.candidates import seen_from
 from capture.choosing.gain import Seen
 from capture.choosing.loop import Known
@@ -22,9 +23,8 @@ from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 from datasets.imaging import images
 from datasets.recording import MANIFEST, Frame, Recording
-from datasets.scene import Scene, View
-from datasets.segmentation.grow import Grower
-from datasets.structure.votes import Silhouette, upheld
+from datasets.scene import View
+from datasets.structure.votes import upheld
 
 Array = NDArray[np.float64]
 
@@ -36,8 +36,9 @@ CELLS = 48
 """Cells along the longest edge of the box."""
 SIDE = 480
 """Longest side of the pictures in which colours are compared [px]."""
-AGREEMENT = 0.8
-"""Least median overlap of the masks with what they agree on; below it the box is used."""
+UNKNOWN = 0.5
+"""How much colours are taken to change with direction where the pictures do not say it."""
+BOX = "the object's box"
 SAME, DIFFERENT = 0.03, 0.15
 """Standard deviation of a place's sRGB over the views up to which its colour is the same, and from which it changes fully."""
 
@@ -83,24 +84,24 @@ class Shape:
             raise UsageError("views of what is not known to be somewhere cannot be chosen", where=trajectory.name, remedy=remedy)
         self.trajectory, self.out, self.eye, self.calibration = trajectory, Path(out), eye, calibration
         self.corners = trajectory.object.corners
-        self._shown: tuple[int, Places, str] = (0, of_box(self.corners, trajectory.upwards), "the object's box")
+        self._places, self._source, self._count = of_box(self.corners, trajectory.upwards), BOX, 0
         self._read: dict[str, NDArray[np.float32]] = {}
 
     def known(self) -> Known:
-        """What the training views on the disk show."""
+        """What the pictures on the disk show."""
         recording = Recording.open(self.out) if (self.out / MANIFEST).is_file() else None
-        frames = [frame for frame in recording.frames if frame.split == "train"] if recording is not None else []
-        cameras = np.array([self.eye(one.base_from_flange, one.joints) for one in frames]).reshape(-1, 4, 4)
-        count, places, source = self._shown
-        if recording is None or self.calibration is None or len(frames) < FEWEST_VIEWS:
-            return Known(places, np.zeros(len(places.points)), cameras, None, source)
+        frames = [] if recording is None else recording.frames
+        poses = np.array([self.eye(one.base_from_flange, one.joints) for one in frames]).reshape(-1, 4, 4)
+        train = poses[[frame.split == "train" for frame in frames]]
+        if recording is None or self.calibration is None or len(frames) < FEWEST_VIEWS or len(train) < 1:
+            return Known(self._places, np.full(len(self._places.points), UNKNOWN), train, None, self._source)
         camera, _ = camera_for(recording, self.calibration)
-        pictures = self._pictures(recording, frames, camera, cameras)
-        if len(frames) >= GROWTH * count:
-            found = pictures.shape(self.corners)
-            self._shown = (len(frames), *(found or (of_box(self.corners, self.trajectory.upwards), "the object's box")))
-            _, places, source = self._shown
-        return Known(places, pictures.changing(places), cameras, camera, source)
+        pictures, table = self._pictures(recording, frames, camera, poses), self.trajectory.safety.table_z
+        if table is not None and len(frames) >= GROWTH * self._count:
+            self._count, found = len(frames), pictures.shape(self.corners, table)
+            self._places = found or of_box(self.corners, self.trajectory.upwards)
+            self._source = BOX if found is None else f"{len(frames)} pictures"
+        return Known(self._places, pictures.changing(self._places), train, camera, self._source)
 
     def _pictures(self, recording: Recording, frames: list[Frame], camera: Camera, cameras: Array) -> "_Pictures":
         """The pictures of frames; each is read once."""
@@ -116,38 +117,37 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class _Pictures:
-    """The training views so far, with small pictures."""
+    """The views so far, with small pictures."""
 
     views: tuple[View, ...]
     small: tuple[NDArray[np.float32], ...]
     """For each view (height, width, 3) sRGB from 0 to 1."""
 
-    def shape(self, corners: Array) -> tuple[Places, str] | None:
-        """The surface of what masks of all views leave to the object in its box; None where they do not agree."""
-        scene = Scene("recording", self.views, 1e-2, np.inf, corners, "scene", metric=True)
-        grown = Grower(scene).grow()
-        if float(np.median(grown.agreement)) < AGREEMENT:
-            return None
+    def shape(self, corners: Array, table_z: float) -> Places | None:
+        """The surface of the largest body in a box that the pictures do not show to be free; None where there is none."""
+        from scipy.ndimage import label
+
         low, high = corners
         counts = np.ceil(CELLS * (high - low) / (high - low).max()).astype(int)
         cell = (high - low) / counts
         axes = [low[k] + cell[k] * (np.arange(counts[k]) + 0.5) for k in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        silhouettes = [
-            Silhouette(_small_camera(view.camera, mask), view.world_from_camera, mask)
-            for view, mask in zip(self.views, grown.masks, strict=True)
-        ]
+        cameras = [_small_camera(view.camera, picture) for view, picture in zip(self.views, self.small, strict=True)]
+        poses = np.stack([view.world_from_camera for view in self.views])
+        found = silhouettes(self.small, cameras, poses, corners.mean(0)[:2], table_z)
         inside = np.zeros(len(points), bool)
-        inside[upheld(silhouettes, points, 0.0)[0]] = True
-        if not inside.any():
+        inside[upheld(found, points, 0.0)[0]] = True
+        bodies, number = label(inside.reshape(counts))
+        if not number:
             return None
-        return of_cells(inside.reshape(counts), low, cell), f"masks of {len(self.views)} pictures"
+        largest = 1 + int(np.bincount(bodies.ravel())[1:].argmax())
+        return of_cells(bodies == largest, low, cell)
 
     def changing(self, places: Places) -> Array:
-        """(n,) how much the colour of each place changes between the views that see it well, from 0 to 1."""
-        seen = seen_from(np.stack([view.world_from_camera for view in self.views]), places, self.views[0].camera)
-        colours = [_colours(view, picture, places) for view, picture in zip(self.views, self.small, strict=True)]
-        return colour_changes(np.stack(colours), seen)
+        """(n,) how much the colour of each place changes between the training views that see it well, from 0 to 1."""
+        train = [(view, picture) for view, picture in zip(self.views, self.small, strict=True) if view.split == "train"]
+        seen = seen_from(np.stack([view.world_from_camera for view, _ in train]), places, self.views[0].camera)
+        return colour_changes(np.stack([_colours(view, picture, places) for view, picture in train]), seen)
 
 
 def colour_changes(colours: NDArray[np.float32], seen: Seen) -> Array:
