@@ -15,13 +15,14 @@ from reconstruct import checkpoint
 from reconstruct.errors import ReconstructError
 from reconstruct.run import CHECKPOINTS, Run
 from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation
 from reconstruct.training.skipping.plan import normalisation_of
 from reconstruct.training.step import TrainState
 
 WEIGHTS = "weights_from"
 """Entry of run.json: the run whose weights it began with, their step, and its scene."""
 SAME_BOX = 0.01
-"""Largest distance between corners of two boxes that count as one, in diagonals of the box."""
+"""Boxes count as one where their middles are nearer than this share of their size, and their sizes differ by less."""
 MODEL, PRESET = "surfnerf", "fast"  # what the command takes where nothing is said
 
 
@@ -46,13 +47,16 @@ def facts_of_series(scene: Scene, run: Run) -> SceneFacts:
     if known.bounded != found.bounded:
         why = "only the scene has surroundings" if known.bounded else "only the run's scene has surroundings"
         raise UsageError("scene does not lie as the run's", where=scene.name, why=why, remedy=remedy)
-    if "box" in run.content:
-        box = np.asarray(run.content["box"], np.float64)
-        apart = float(np.linalg.norm(scene.box - box, axis=1).max() / np.linalg.norm(box[1] - box[0]))
-        if apart > SAME_BOX:
-            why = f"its box is {np.round(scene.box, 3).tolist()}, the run's {np.round(box, 3).tolist()}"
-            raise UsageError("scene does not lie as the run's", where=scene.name, why=why, remedy=remedy)
+    moved = float(np.linalg.norm(np.subtract(found.centre, known.centre))) * known.scale
+    if max(moved, abs(known.scale / found.scale - 1)) > SAME_BOX:
+        why = f"its box has the middle {_words(found)}, the run's {_words(known)}"
+        raise UsageError("scene does not lie as the run's", where=scene.name, why=why, remedy=remedy)
     return replace(run.facts, normalisation=replace(known, near=found.near, far=found.far), log_gains=None)
+
+
+def _words(normalisation: Normalisation) -> str:
+    middle = ", ".join(f"{value:.3f}" for value in normalisation.centre)
+    return f"{middle} and the half size {1 / normalisation.scale:.3f}"
 
 
 def with_weights(fresh: TrainState, run: Run) -> tuple[TrainState, int]:
