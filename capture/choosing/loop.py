@@ -20,7 +20,7 @@ from datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 
-ANGLES = 0.3
+ANGLES = 0.1
 """What a new direction onto a place is worth, of what it is worth to see the place at all."""
 PRICE = 0.0005
 """What a second of travel costs, as a share of the surface."""

@@ -24,16 +24,18 @@ from datasets.core.errors import UsageError
 from datasets.imaging import images
 from datasets.recording import MANIFEST, Frame, Recording
 from datasets.scene import View
-from datasets.structure.votes import upheld
+from datasets.structure.votes import distance_to
 
 Array = NDArray[np.float64]
 
 FEWEST_VIEWS = 8
 """Views that masks and colours need."""
-GROWTH = 1.25
+GROWTH = 1.15
 """The shape is found again when there are so many times more views."""
 CELLS = 48
 """Cells along the longest edge of the box."""
+AGAINST = 0.05
+"""Share of the views that must see the table through a cell for it to be free; one view at least."""
 SIDE = 480
 """Longest side of the pictures in which colours are compared [px]."""
 UNKNOWN = 0.5
@@ -135,9 +137,10 @@ class _Pictures:
         cameras = [_small_camera(view.camera, picture) for view, picture in zip(self.views, self.small, strict=True)]
         poses = np.stack([view.world_from_camera for view in self.views])
         found = silhouettes(self.small, cameras, poses, corners.mean(0)[:2], table_z)
-        inside = np.zeros(len(points), bool)
-        inside[upheld(found, points, 0.0)[0]] = True
-        bodies, number = label(inside.reshape(counts))
+        against = np.zeros(len(points), int)
+        for one in found:
+            against += one.votes(points.T.copy(), distance_to(one.inside), 0.0)[1]
+        bodies, number = label((against < max(1, np.ceil(AGAINST * len(found)))).reshape(counts))
         if not number:
             return None
         largest = 1 + int(np.bincount(bodies.ravel())[1:].argmax())
