@@ -118,7 +118,11 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
     from capture.planning import plan
     from capture.recording.recorder import record
     from capture.rig.opening import describe, open_rig
+    from datasets.core.errors import UsageError
+    from datasets.recording import MANIFEST, Recording, chosen_views
 
+    if options.resume and (out / MANIFEST).is_file() and chosen_views(Recording.open(out)):
+        raise UsageError("chose its own views", where=out, remedy="continue it with --adaptive")
     mount = describe(options.rig).carrier()
     start = time.monotonic()
     planned = plan(session, mount)

@@ -25,8 +25,22 @@ SAME = 0.03
 """Mean difference of sRGB in a patch up to which it shows the table."""
 FEWEST = 3
 """Pictures that must agree."""
+HEIGHTS_M = np.arange(-0.012, 0.0121, 0.003)
+"""How far the table may be above or below where the trajectory has it."""
+COARSE = 2
+"""Distance of the points by which its height is found, in those of `STEP_M`."""
 SMOOTH_PX = 0.7
 """Blur of the pictures before they are compared: noise is less than what differs."""
+
+
+def table_height(
+    pictures: Sequence[Picture], cameras: Sequence[Camera], world_from_camera: Array, middle: Array, table_z: float
+) -> float:
+    """The height about `table_z` at which the pictures agree most; arguments as in `silhouettes` [m]."""
+    blurred = [cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX) for picture in pictures]
+    heights = table_z + HEIGHTS_M
+    agreeing = [_table(blurred, cameras, world_from_camera, middle, height, COARSE * STEP_M).sum() for height in heights]
+    return float(heights[int(np.argmax(agreeing))])
 
 
 def silhouettes(
@@ -42,15 +56,22 @@ def silhouettes(
         table_z: of its top [m].
     """
     blurred = [cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX) for picture in pictures]
-    steps = np.arange(-REACH_M, REACH_M, STEP_M)
-    points = np.stack([*np.meshgrid(middle[0] + steps, middle[1] + steps), np.full((len(steps),) * 2, table_z)], -1)
-    shown = [_sampled(*one, points) for one in zip(blurred, cameras, world_from_camera, strict=True)]
-    agreeing = _agreeing(np.stack([colours for colours, _ in shown]), np.stack([inside for _, inside in shown]))
+    agreeing = _table(blurred, cameras, world_from_camera, middle, table_z, STEP_M)
     found = []
     for picture, camera, pose, table in zip(blurred, cameras, world_from_camera, agreeing, strict=True):
         inside = ~_looked_up(table, picture, camera, pose, middle, table_z)
         found.append(Silhouette(camera, pose, cv2.medianBlur(inside.astype(np.uint8), 5) > 0))
     return found
+
+
+def _table(
+    pictures: Sequence[Picture], cameras: Sequence[Camera], world_from_camera: Array, middle: Array, table_z: float, step: float
+) -> NDArray[np.bool_]:
+    """(m, rows, columns) which points of the table, `step` apart, each picture shows as the others do."""
+    steps = np.arange(-REACH_M, REACH_M, step)
+    points = np.stack([*np.meshgrid(middle[0] + steps, middle[1] + steps), np.full((len(steps),) * 2, table_z)], -1)
+    shown = [_sampled(*one, points) for one in zip(pictures, cameras, world_from_camera, strict=True)]
+    return _agreeing(np.stack([colours for colours, _ in shown]), np.stack([inside for _, inside in shown]))
 
 
 def _sampled(picture: Picture, camera: Camera, world_from_camera: Array, points: Array) -> tuple[Picture, NDArray[np.bool_]]:

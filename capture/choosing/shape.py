@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.background import silhouettes
+from capture.choosing.background import silhouettes, table_height
 from capture.choosing.candidates import seen_from
 from capture.choosing.gain import Seen
 from capture.choosing.loop import Known
@@ -88,6 +88,7 @@ class Shape:
         self.corners = trajectory.object.corners
         self._places, self._source, self._count = of_box(self.corners, trajectory.upwards), BOX, 0
         self._read: dict[str, NDArray[np.float32]] = {}
+        self._table: float | None = None  # where the pictures find its top [m]
 
     def known(self) -> Known:
         """What the pictures on the disk show."""
@@ -100,7 +101,8 @@ class Shape:
         camera, _ = camera_for(recording, self.calibration)
         pictures, table = self._pictures(recording, frames, camera, poses), self.trajectory.safety.table_z
         if table is not None and len(frames) >= GROWTH * self._count:
-            self._count, found = len(frames), pictures.shape(self.corners, table)
+            self._table = pictures.table_height(self.corners, table) if self._table is None else self._table
+            self._count, found = len(frames), pictures.shape(self.corners, self._table)
             self._places = found or of_box(self.corners, self.trajectory.upwards)
             self._source = BOX if found is None else f"{len(frames)} pictures"
         return Known(self._places, pictures.changing(self._places), train, camera, self._source)
@@ -125,6 +127,16 @@ class _Pictures:
     small: tuple[NDArray[np.float32], ...]
     """For each view (height, width, 3) sRGB from 0 to 1."""
 
+    @property
+    def _cameras(self) -> tuple[list[Camera], Array]:
+        """The cameras of the small pictures, and their (m, 4, 4) poses [m]."""
+        cameras = [_small_camera(view.camera, picture) for view, picture in zip(self.views, self.small, strict=True)]
+        return cameras, np.stack([view.world_from_camera for view in self.views])
+
+    def table_height(self, corners: Array, table_z: float) -> float:
+        """Where the pictures find the top of the table, near `table_z` [m]."""
+        return table_height(self.small, *self._cameras, corners.mean(0)[:2], table_z)
+
     def shape(self, corners: Array, table_z: float) -> Places | None:
         """The surface of the largest body in a box that the pictures do not show to be free; None where there is none."""
         from scipy.ndimage import label
@@ -134,9 +146,7 @@ class _Pictures:
         cell = (high - low) / counts
         axes = [low[k] + cell[k] * (np.arange(counts[k]) + 0.5) for k in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        cameras = [_small_camera(view.camera, picture) for view, picture in zip(self.views, self.small, strict=True)]
-        poses = np.stack([view.world_from_camera for view in self.views])
-        found = silhouettes(self.small, cameras, poses, corners.mean(0)[:2], table_z)
+        found = silhouettes(self.small, *self._cameras, corners.mean(0)[:2], table_z)
         against = np.zeros(len(points), int)
         for one in found:
             against += one.votes(points.T.copy(), distance_to(one.inside), 0.0)[1]
