@@ -54,7 +54,7 @@ class Coverage:
 
 def coverage(places: Places, taken: Seen, within_reach: Seen) -> Coverage:
     """How far the views that are taken cover what these and those within reach can cover."""
-    possible = taken.counts + within_reach.counts >= ENOUGH
+    possible = (taken.counts >= ENOUGH) | (within_reach.counts >= ENOUGH)
     reachable = float(places.shares[possible].sum())
     covered = float(places.shares[possible & (taken.counts >= ENOUGH)].sum())
     return Coverage(covered / reachable if reachable else 1.0, reachable)
