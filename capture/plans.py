@@ -111,7 +111,7 @@ def _covering(
     """The trajectory that covers a mesh, written where that is asked for; what to report of it."""
     from capture.choosing.candidates import dense
     from capture.choosing.known_shape import cover, surface_of, write
-    from capture.choosing.loop import MOST
+    from capture.choosing.loop import LEAST, MOST
     from capture.choosing.session import check
     from capture.choosing.shape import eye_of, lens_of
     from datasets.calibration import Calibration
@@ -123,12 +123,14 @@ def _covering(
     with console.progress("planning", len(dense(session)), "views") as bar:
         found = cover(session, mount, places, eye=eye, camera=camera, until=limits[0], views=limits[1] or MOST, done=bar.advance)
     covered, reachable = found.coverage.covered, found.coverage.reachable
+    train = sum(split == "train" for split in found.trajectory.splits)
+    enough = train == limits[1] or covered >= limits[0]
+    ended = "" if enough else f"; one more adds less than {100 * LEAST:g} %"
     if out is not None:
         write(found.trajectory, out)
-    train = sum(split == "train" for split in found.trajectory.splits)
     words = (
         f"{train} of {found.candidates} views within reach cover {100 * covered:.1f} % of the surface that these can cover, "
-        f"which is {100 * reachable:.1f} % of {mesh}" + (f"; written to {out}\n" if out else "\n")
+        f"which is {100 * reachable:.1f} % of {mesh}{ended}" + (f"; written to {out}\n" if out else "\n")
     )
     facts = {"out": out, "candidates": found.candidates, "covered": covered, "reachable": reachable}
     return found.trajectory, words, facts
