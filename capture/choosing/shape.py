@@ -34,7 +34,7 @@ GROWTH = 1.15
 """The shape is found again when there are so many times more views."""
 CELLS = 48
 """Cells along the longest edge of the box."""
-AGAINST = 0.05
+AGAINST = 0.025
 """Share of the views that must see the table through a cell for it to be free; one view at least."""
 SIDE = 480
 """Longest side of the pictures in which colours are compared [px]."""
