@@ -37,7 +37,7 @@ def table_height(
     pictures: Sequence[Picture], cameras: Sequence[Camera], world_from_camera: Array, middle: Array, table_z: float
 ) -> float:
     """The height about `table_z` at which the pictures agree most; arguments as in `silhouettes` [m]."""
-    blurred = [cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX) for picture in pictures]
+    blurred = _blurred(pictures)
     heights = table_z + HEIGHTS_M
     agreeing = [_table(blurred, cameras, world_from_camera, middle, height, COARSE * STEP_M).sum() for height in heights]
     return float(heights[int(np.argmax(agreeing))])
@@ -55,13 +55,17 @@ def silhouettes(
         middle: (2,) of the part of the table that is looked at [m].
         table_z: of its top [m].
     """
-    blurred = [cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX) for picture in pictures]
+    blurred = _blurred(pictures)
     agreeing = _table(blurred, cameras, world_from_camera, middle, table_z, STEP_M)
     found = []
     for picture, camera, pose, table in zip(blurred, cameras, world_from_camera, agreeing, strict=True):
         inside = ~_looked_up(table, picture, camera, pose, middle, table_z)
         found.append(Silhouette(camera, pose, cv2.medianBlur(inside.astype(np.uint8), 5) > 0))
     return found
+
+
+def _blurred(pictures: Sequence[Picture]) -> list[Picture]:
+    return [np.asarray(cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX), np.float32) for picture in pictures]
 
 
 def _table(
@@ -81,7 +85,7 @@ def _sampled(picture: Picture, camera: Camera, world_from_camera: Array, points:
     pixels = camera.project(np.where(ahead[..., None], local, [0.0, 0.0, 1.0]))
     inside = ahead & (pixels >= 1).all(-1) & (pixels < [camera.width - 1, camera.height - 1]).all(-1)
     at = np.where(inside[..., None], pixels - 0.5, 0.0).astype(np.float32)  # OpenCV's first pixel is at zero
-    return cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR), inside
+    return np.asarray(cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float32), inside
 
 
 def _agreeing(colours: Picture, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -97,7 +101,8 @@ def _median(colours: Picture, inside: NDArray[np.bool_]) -> Picture:
     ordered = np.sort(np.where(inside[..., None], colours, np.float32(2.0)), axis=0)
     middle = np.maximum(inside.sum(0) - 1, 0) // 2
     usual = np.take_along_axis(ordered, middle[None, ..., None], axis=0)[0]
-    return np.where(inside.any(0)[..., None], usual, np.float32(0.0))
+    shown = np.asarray(inside.any(0))
+    return np.where(shown[..., None], usual, np.float32(0.0))
 
 
 def _patch_mean(values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:

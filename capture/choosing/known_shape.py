@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +136,7 @@ def _tests(trajectory: Trajectory, obstacles: Obstacles) -> list[Candidate]:
     return within_reach([view for view in trajectory.viewpoints() if view.split == "test"], obstacles)[0]
 
 
-def _groups(views: list[Viewpoint], use: str | None) -> list[PoseViews]:
+def _groups(views: list[Viewpoint], use: Literal["train", "test"] | None) -> list[PoseViews]:
     """Views as groups of a trajectory, one for each set of rolls."""
     by_rolls = sorted(views, key=lambda view: view.rolls)
     found = []

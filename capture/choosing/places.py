@@ -60,7 +60,8 @@ def of_cells(inside: NDArray[np.bool_], low: Array, cell: Array) -> Places:
     from scipy.ndimage import gaussian_filter
 
     padded = np.pad(inside, 2)
-    slopes = np.stack(np.gradient(gaussian_filter(padded.astype(np.float64), 1.2)), -1) / cell
+    smooth = gaussian_filter(padded.astype(np.float64), 1.2)
+    slopes = np.stack([np.gradient(smooth, axis=axis) for axis in range(3)], -1) / cell
     area = np.zeros(padded.shape)
     for axis in range(3):
         face = float(np.delete(cell, axis).prod())

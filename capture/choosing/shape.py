@@ -150,9 +150,10 @@ class _Pictures:
         against = np.zeros(len(points), int)
         for one in found:
             against += one.votes(points.T.copy(), distance_to(one.inside), 0.0)[1]
-        bodies, number = label((against < max(1, np.ceil(AGAINST * len(found)))).reshape(counts))
-        if not number:
+        occupied = (against < max(1, np.ceil(AGAINST * len(found)))).reshape(counts)
+        if not occupied.any():
             return None
+        bodies = np.asarray(label(occupied)[0])  # type: ignore[index]
         largest = 1 + int(np.bincount(bodies.ravel())[1:].argmax())
         return of_cells(bodies == largest, low, cell)
 

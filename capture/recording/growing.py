@@ -103,8 +103,8 @@ class GrowingRecording:
         files.write_json(self.out / MANIFEST, {**Recording.open(self.out).manifest, **notes})
 
     def _grown(self) -> Trajectory:
-        groups = itertools.groupby(self.views, key=lambda view: view.use)
-        views = [JointViews(kind="joints", use=use, joints_deg=[view.joints_deg for view in group]) for use, group in groups]
+        groups = [list(group) for _, group in itertools.groupby(self.views, key=lambda view: view.use)]
+        views = [JointViews(kind="joints", use=one[0].use, joints_deg=[view.joints_deg for view in one]) for one in groups]
         return self.trajectory.model_copy(update={"views": views, "split": None})
 
     def _record(self, rig: Rig, *, resume: bool, advance: Callable[[str], None] = lambda name: None) -> None:

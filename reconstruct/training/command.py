@@ -101,6 +101,7 @@ def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, over
         return finetuned(run.config, overrides), Path(run.scene_path), run.scene(), run
     if run is not None:
         require_model(run, model, preset)
+        console.hint(f"begins with the weights of {from_}: model {run.config.model}, preset {run.config.preset}")
     config, where = load_config(model, preset, overrides) if run is None else changed(run.config, overrides), find(str(scene))
     return config, where, load_scene(where, measure=not begun), run  # a run keeps its bounds
 
