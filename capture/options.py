@@ -21,3 +21,10 @@ RigName = Annotated[
 ]
 TimeScale = Annotated[float, Option(min=0.1, max=1000, help="Simulation only: speed of the arm relative to real time.")]
 TakeOver = Annotated[bool, Option("--take-over", help="End a program that runs on the robot; else it is left alone.")]
+CalibrationFile = Annotated[
+    Path | None,
+    Option("--calibration", metavar="CALIBRATION.json", help="Camera and mount as they were calibrated: what pictures show."),
+]
+MeshScale = Annotated[
+    float, Option("--mesh-scale", min=1e-6, max=1000, help="Metres per unit of the mesh: 0.001 for millimetres.")
+]

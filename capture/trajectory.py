@@ -135,6 +135,9 @@ class Trajectory(Schema):
             raise ValueError(f"split has {self.split.train} + {self.split.test} views, but 'views' gives {count}")
         if self.split is not None and self.target is not None:
             raise ValueError("a session with a target has no split: remove 'split' or 'target'")
+        if any(group.use for group in self.views) and (self.split is not None or self.target is not None):
+            other = "split" if self.split is not None else "target"
+            raise ValueError(f"views with 'use' and '{other}' contradict each other: remove one of them")
         if self.lights is not None and len(set(self.lights)) < len(self.lights):
             raise ValueError(f"lights: one lamp is listed twice: {', '.join(self.lights)}")
         return self
@@ -182,7 +185,9 @@ class Trajectory(Schema):
         count = self.number
         if self.target is not None:
             return ["calibration"] * count
-        test = spread(count, self.split.test) if self.split is not None else frozenset()
+        if self.split is None:
+            return [group.use or "train" for group in self.views for _ in range(_taken(group))]
+        test = spread(count, self.split.test)
         return ["test" if index in test else "train" for index in range(count)]
 
     @property

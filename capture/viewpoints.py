@@ -48,6 +48,9 @@ def spread(count: int, chosen: int) -> frozenset[int]:
 
 class _Group(Schema):
     turntable: Turning | None = Field(default=None, description="angles of the turntable; null: zero, or there is none")
+    use: Literal["train", "test"] | None = Field(
+        default=None, description="what all views of the group are for; null: train, or what 'split' of the trajectory says"
+    )
 
 
 class _Rolled(_Group):

@@ -40,6 +40,8 @@ LEAST_TURN = float(np.radians(0.1))
 """Angles of a turntable that differ by less are one [rad]."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 RADIOMETRY = "radiometry.npz"
+CHOSEN = "chosen"
+"""Part of the manifest of a session that chose its own views; see `chosen_views`."""
 DEPTH = "depth"
 DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
 """What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth
@@ -303,6 +305,12 @@ class Recording:
     def image_path(self, frame: Frame) -> Path:
         """Path of a frame's image."""
         return self.path / frame.image
+
+
+def chosen_views(recording: Recording) -> dict[str, dict[str, Any]]:
+    """Why each view was taken, by name; empty where the session did not choose its views."""
+    views = recording.part(CHOSEN).get("views")
+    return {name: why for name, why in views.items() if isinstance(why, dict)} if isinstance(views, dict) else {}
 
 
 def _angle(content: dict[str, Any], name: str) -> float | None:

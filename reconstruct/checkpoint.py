@@ -84,10 +84,14 @@ def load(folder: Path, like: Tree) -> tuple[Tree, dict[str, float]]:
     return _filled(path, like, stored, ""), {name: float(value) for name, value in content["clock"].items()}
 
 
-def load_model(folder: Path, like: Tree) -> tuple[Tree, int]:
-    """Model of the newest undamaged checkpoint, in the structure of `like`, and the number of its step. Raises as `load` does."""
+def load_model(folder: Path, like: Tree, *, other_scene: bool = False) -> tuple[Tree, int]:
+    """Model of the newest undamaged checkpoint, in the structure of `like`, and the number of its step. Raises as `load` does.
+
+    Args:
+        other_scene: leaves whose length is the scene's stay those of `like`.
+    """
     path, content = _newest(folder)
-    return _filled(path, like, _by_name(content["state"], _names(like)), MODEL), int(path.name)
+    return _filled(path, like, _by_name(content["state"], _names(like)), MODEL, other_scene), int(path.name)
 
 
 def _newest(folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -144,16 +148,24 @@ def _names(tree: Any) -> list[str]:
     return [jax.tree_util.keystr(path) for path, _ in jax.tree.leaves_with_path(tree)]
 
 
-def _filled(path: Path, like: Tree, stored: dict[str, Any], prefix: str) -> Tree:
+def _filled(path: Path, like: Tree, stored: dict[str, Any], prefix: str, other_scene: bool = False) -> Tree:
     """The stored arrays in the structure of `like`, whose paths follow `prefix`."""
     leaves, structure = jax.tree.flatten(like)
     filled = []
     for name, leaf in zip(_names(like), leaves, strict=True):
+        if other_scene and name.endswith(SCENE_SIZED):
+            filled.append(leaf)
+            continue
         found = stored.get(prefix + name)
         if found is None or (np.shape(found) != np.shape(leaf) and not name.endswith(SCENE_SIZED)):
-            raise ReconstructError("checkpoint does not fit the configuration", where=path, remedy="train again")
+            why = f"{name.lstrip('.')} is {_size(found)} in the checkpoint and {_size(leaf)} here"
+            raise ReconstructError("checkpoint does not fit the configuration", where=path, why=why, remedy="train again")
         filled.append(jax.numpy.asarray(found, leaf.dtype))
     return jax.tree.unflatten(structure, filled)
+
+
+def _size(array: Any) -> str:
+    return "missing" if array is None else "x".join(map(str, np.shape(array))) or "a number"
 
 
 def _by_name(stored: dict[str, Any], model: list[str]) -> dict[str, Any]:

@@ -55,6 +55,11 @@ def over_run(config: Config, model: str, overrides: list[str] | None = None) -> 
     return _validated(merged(config.model_dump(mode="json"), changes), overrides)
 
 
+def changed(config: Config, overrides: list[str]) -> Config:
+    """A run's configuration with `key=value` overrides."""
+    return _validated(config.model_dump(mode="json"), overrides)
+
+
 def finetuned(config: Config, overrides: list[str] | None = None) -> Config:
     """A run's configuration for going on with the surface regularisers (supplement F), as `configs/models/finetune.yaml` says.
 

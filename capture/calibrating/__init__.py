@@ -1,1 +1,1 @@
-"""Calibration sessions that choose their own views: candidates, the loop, the recording that grows, and rehearsals of it."""
+"""Calibration sessions that choose their own views: candidates, the loop, the rig with its adviser, and rehearsals of it."""

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from capture.calibrating import loop
+from capture.calibrating.advised import AdvisedRig
 from capture.calibrating.adviser import Adviser
-from capture.calibrating.growing import GrowingRecording
 from capture.calibrating.loop import Goal, Outcome
 from capture.trajectory import Trajectory
 from datasets.advice import Answer, Figures, Question
@@ -53,7 +53,7 @@ def run(
     checks = {"examine": examination(out, trajectory.upwards, encoded, options.take_over), "take_over": options.take_over}
     simulated = {"scene": scene, "seed": options.seed, "time_scale": options.time_scale}
     with Adviser(str(out), [*arm, *until]) as adviser, open_rig(options.rig, trajectory, **simulated, **checks) as rig:
-        recording = GrowingRecording(trajectory, rig, out, adviser)
+        recording = AdvisedRig(trajectory, rig, out, adviser)
         if options.resume:
             recording.resume()
         outcome = loop.run(trajectory, rig.carrier, recording, goal, seed=options.seed, show=show)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from capture.trajectory import recorded_trajectory
 from datasets.core import files
 from datasets.core.errors import KoalaError
 from datasets.imaging import images
-from datasets.recording import Frame, Recording
+from datasets.recording import CHOSEN, Frame, Recording, chosen_views
 from datasets.reports.html import Number, ReportPage
 
 THUMBNAIL = 190  # width of the small pictures [px]
@@ -59,6 +60,7 @@ def write(
         ("view", "split", "at", "exposure", "settled for", "sharpness", "white pixels", "99 % darker than"),
         (_row(one, measured[0]) for one in measured),
     )
+    _chosen(page, recording)
     page.section("Pictures")
     page.pictures((f"{one.frame.name} ({one.frame.split})", one.thumbnail) for one in measured if one.thumbnail is not None)
     _rig(page, recording)
@@ -100,6 +102,21 @@ def _findings(page: ReportPage, findings: list[check.Finding]) -> None:
     if again := check.to_take_again(findings):
         advice = "'capture check --discard' removes them, and 'capture run --resume' retakes them."
         page.paragraph(f"To retake: {', '.join(again)}. {advice}")
+
+
+def _chosen(page: ReportPage, recording: Recording) -> None:
+    """Why each view was taken, where the session chose its views."""
+    if not (reasons := chosen_views(recording)):
+        return
+    ended = recording.part(CHOSEN).get("ended")
+    words = f"Ended: {ended['words']}." if isinstance(ended, dict) and "words" in ended else "The session has not ended."
+    page.section("Why each view was taken", words)
+    page.table(("view", "why", "covered before"), (_reason(name, why) for name, why in sorted(reasons.items())))
+
+
+def _reason(name: str, why: dict[str, Any]) -> tuple:
+    covered = why.get("covered")
+    return name, str(why.get("words", "")), Number(None if covered is None else 100 * covered, "%", digits=1)
 
 
 def _row(one: Measured, first: Measured) -> tuple:

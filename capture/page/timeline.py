@@ -10,7 +10,7 @@ from capture.arms.carrier import Mount, carrier_of
 from capture.errors import UnreachableError
 from capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
 from capture.trajectory import Trajectory, recorded_trajectory
-from datasets.recording import Recording
+from datasets.recording import Recording, chosen_views
 
 WAIT_S = 1.0  # longest pause of the arm in the playback of a recording, in addition to settling
 
@@ -104,12 +104,14 @@ def of_recording(recording: Recording, mount: Mount) -> Timeline:
     trajectory = recorded_trajectory(recording)
     clock = np.array([frame.robot_time_s for frame in frames]) - frames[0].robot_time_s
     seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory)
-    stops = []
+    stops, reasons = [], chosen_views(recording)
     for frame, when in zip(frames, seconds, strict=True):
         base_from_camera, image = carrier.camera_at(frame.base_from_flange), recording.image_path(frame)
         measured = f"exposed for {1e-3 * frame.exposure_us:g} ms, {frame.settle_s:.2f} s after the motion"
         if frame.turntable_angle is not None:
             measured += f", turntable at {np.degrees(frame.turntable_angle):.1f} degrees"
+        if frame.name in reasons:
+            measured += f"  \nwhy: {reasons[frame.name].get('words', '')}"
         stops.append(Stop(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
     waits = f", without {clock[-1] - seconds[-1]:.0f} s of waiting" if clock[-1] - seconds[-1] > WAIT_S else ""
     count = f"{len(frames)} of {len(trajectory.viewpoints())} views in {seconds[-1]:.0f} s{waits}"

@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 from functools import lru_cache
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -11,8 +10,8 @@ from pydantic import Field
 
 from capture.geometry import PoseDescription
 from capture.shapes.distances import box_distance, least
+from capture.shapes.meshes import FORMATS, read_mesh
 from datasets import pose
-from datasets.core.errors import UsageError
 from datasets.core.schema import Schema
 
 Array = NDArray[np.float64]
@@ -20,7 +19,7 @@ Positive = Annotated[float, Field(gt=0, le=100)]
 SPACING_M = 0.01  # of the points along a segment whose distances from a mesh are measured
 EDGE_M, MAX_POINTS = 0.008, 300_000
 """A mesh is refined until no edge is longer, or more for a mesh that would get more points than this."""
-FORMATS = (".ply", ".obj", ".stl", ".off", ".glb")
+OBSTACLE = "the mesh of an obstacle"
 
 
 class Solid(Schema):
@@ -108,34 +107,11 @@ class MeshSolid(Solid):
 
     def outline(self) -> tuple[Array, NDArray[np.int64]]:
         """See `Solid`."""
-        vertices, faces = _mesh(self.file, self.scale)
+        vertices, faces = read_mesh(self.file, self.scale, OBSTACLE)
         return self._placed(vertices), faces
 
 
 AnySolid = Annotated[BoxSolid | CylinderSolid | MeshSolid, Field(discriminator="kind")]
-
-
-@lru_cache(16)
-def _mesh(file: str, scale: float) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices [m] and triangles of a mesh file; raises UsageError where it cannot be read."""
-    import trimesh
-
-    path = Path(file)
-    if path.suffix.lower() not in FORMATS or not path.is_file():
-        why = "no such file" if not path.is_file() else f"'{path.suffix}' is no known suffix"
-        raise UsageError(
-            "the mesh of an obstacle cannot be read", where=path, why=why, remedy=f"give one of {', '.join(FORMATS)}"
-        )
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-        vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # the readers of a dozen formats raise anything
-        raise UsageError("the mesh of an obstacle cannot be read", where=path, why=str(error)[:200]) from None
-    if not len(faces) or not np.isfinite(vertices).all():
-        raise UsageError(
-            "the mesh of an obstacle cannot be read", where=path, why="it has no triangles, or a vertex is not finite"
-        )
-    return vertices * scale, faces
 
 
 @lru_cache(16)
@@ -144,7 +120,7 @@ def _surface(file: str, scale: float) -> tuple[Any, float]:
     import trimesh
     from scipy.spatial import KDTree
 
-    vertices, faces = _mesh(file, scale)
+    vertices, faces = read_mesh(file, scale, OBSTACLE)
     corners = vertices[faces]
     area = float(0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum())
     edge = max(EDGE_M, float(np.sqrt(4 * area / MAX_POINTS)))  # halving leaves triangles of about a quarter of the squared edge

@@ -18,7 +18,7 @@ from reconstruct.sampling.samples import cloud_of
 from reconstruct.scene.rays import Normalisation
 from reconstruct.surface.first_surface import RULES, find_surfaces
 from reconstruct.training.batches import ONE_DEVICE, drawn_batch
-from reconstruct.training.starting import start
+from reconstruct.training.beginning.starting import start
 from reconstruct.training.training import Training
 
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)

@@ -22,6 +22,7 @@ from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.pictures import Picture
 from reconstruct.run import Run
 from reconstruct.scene import poses
+from reconstruct.training.beginning.series import WEIGHTS
 from reconstruct.training.skipping import record
 
 VIEWS = 4
@@ -230,6 +231,8 @@ def _commands(run: Run, result: dict[str, Any], out: Path, calibration: Path | N
     train = f"reconstruct train {run.scene_path} --model {run.config.model} --preset {run.config.preset}{scale}"
     if "from" in run.content:
         train = f"reconstruct train --from {run.content['from']} --finetune"
+    if WEIGHTS in run.content:
+        train = f"reconstruct train {run.scene_path} --from {run.content[WEIGHTS]['run']}"
     stands_on = f" --stands-on {side}" if (side := result.get("mesh_stands_on")) else ""
     aligned = " --align" if "aligned" in result else ""
     lines = [f"{train}{f' --budget {budget:g}' if budget else ''} --out {path}", f"reconstruct eval {path}{stands_on}{aligned}"]

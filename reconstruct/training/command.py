@@ -12,7 +12,7 @@ from reconstruct.options import Budget, ModelName, Preset, Settings
 def train(
     scene: Annotated[
         str | None,
-        Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --from."),
+        Argument(help="Scene folder: Koala (or koala/NAME), Blender, LLFF, nerfstudio or instant-ngp; not with --finetune."),
     ] = None,
     out: Annotated[Path | None, Option("--out", help="Folder to write; must be new unless --resume is given.")] = None,
     model: ModelName = "surfnerf",
@@ -20,8 +20,12 @@ def train(
     budget: Budget = None,
     set_: Settings = None,
     resume: Annotated[bool, Option("--resume", help="Resume the run in --out.")] = False,
-    from_: Annotated[Path | None, Option("--from", metavar="RUN", help="Run whose weights to start from.")] = None,
-    finetune: Annotated[bool, Option("--finetune", help="With --from: train on with the surface regularisers.")] = False,
+    from_: Annotated[
+        Path | None, Option("--from", metavar="RUN", help="Run whose weights to start from; its configuration is used.")
+    ] = None,
+    finetune: Annotated[
+        bool, Option("--finetune", help="With --from: train on, on its scene, with the surface regularisers.")
+    ] = False,
     rays: Annotated[int | None, Option(min=256, help="Rays per step; learning rate and steps follow by linear scaling.")] = None,
     no_skip: Annotated[
         list[str] | None, Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.")
@@ -45,7 +49,6 @@ def train(
     as_json: console.Json = False,
 ) -> None:
     """Train a model on the training views of a scene."""
-    from datasets.core.errors import UsageError
     from reconstruct.backend import cache_compilations
     from reconstruct.run import RUN
     from reconstruct.training import distributed
@@ -56,16 +59,26 @@ def train(
     set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
     if list_settings:
         return _list_settings(model, preset, set_, as_json)
-    if (scene is None) == (from_ is None) or finetune != (from_ is not None):
-        raise UsageError("give either a scene, or --from RUN --finetune")
-    if out is None:
-        raise UsageError("give the folder of the run: --out DIR")
+    out = _agreed(scene, from_, finetune, out)
     distributed.join(coordinator, processes, process)
     config, where, loaded, start_from = _inputs(scene, from_, model, preset, set_, resume and (out / RUN).is_file())
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
-    result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from)
+    series = start_from is not None and not finetune
+    result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from, series=series)
     console.report(result, as_json=as_json, text=_summary(result, out))
+
+
+def _agreed(scene: str | None, from_: Path | None, finetune: bool, out: Path | None) -> Path:
+    """The folder of the run. Raises UsageError where something is missing or contradicts something else."""
+    from datasets.core.errors import UsageError
+
+    if (scene is None) != finetune or (finetune and from_ is None):
+        remedy = "with a scene, --from RUN begins with its weights"
+        raise UsageError("give either a scene, or --from RUN --finetune", remedy=remedy)
+    if out is None:
+        raise UsageError("give the folder of the run: --out DIR")
+    return out
 
 
 def _list_settings(model: str, preset: str, overrides: list[str], as_json: bool) -> None:
@@ -79,14 +92,18 @@ def _list_settings(model: str, preset: str, overrides: list[str], as_json: bool)
 def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, overrides: list[str], begun: bool) -> Any:
     """Configuration, path of the scene, the scene, and the run to start from (or None)."""
     from datasets.formats import find, load_scene
-    from reconstruct.models import finetuned, load_config
+    from reconstruct.models import changed, finetuned, load_config
     from reconstruct.run import Run
+    from reconstruct.training.beginning.series import require_model
 
-    if from_ is not None:
-        run = Run.open(from_)
+    run = None if from_ is None else Run.open(from_)
+    if run is not None and scene is None:
         return finetuned(run.config, overrides), Path(run.scene_path), run.scene(), run
-    config, where = load_config(model, preset, overrides), find(str(scene))
-    return config, where, load_scene(where, measure=not begun), None  # a run keeps its bounds
+    if run is not None:
+        require_model(run, model, preset)
+        console.hint(f"begins with the weights of {from_}: model {run.config.model}, preset {run.config.preset}")
+    config, where = load_config(model, preset, overrides) if run is None else changed(run.config, overrides), find(str(scene))
+    return config, where, load_scene(where, measure=not begun), run  # a run keeps its bounds
 
 
 def _summary(result: dict[str, Any], out: Path) -> str:

@@ -18,11 +18,11 @@ from reconstruct.convergence import figures_of, warn_early
 from reconstruct.run import Run
 from reconstruct.scene import poses
 from reconstruct.training import distributed
+from reconstruct.training.beginning.starting import LOOKS, resumed, start
 from reconstruct.training.event_log import event_log, require_writer
 from reconstruct.training.pace import budget
 from reconstruct.training.pace.pause import give_way
 from reconstruct.training.skipping import outcome, record
-from reconstruct.training.starting import LOOKS, resumed, start
 from reconstruct.training.training import Training
 
 
@@ -35,6 +35,7 @@ def train(
     budget_s: float | None = None,
     resume: bool = False,
     start_from: Run | None = None,
+    series: bool = False,
 ) -> dict[str, Any]:
     """Train on the scene's train views and leave a run in `out`.
 
@@ -45,6 +46,7 @@ def train(
         resume: continue the run in `out`, to the result that an undisturbed training would have had. One that was killed before
             its first checkpoint starts over.
         start_from: begin with what this run has learned, optimiser and occupancy grid included, instead of fresh weights.
+        series: the run is of another object of a series: begin with its weights alone, see `training.beginning.series`.
 
     Raises:
         UsageError: no train views, `out` holds something else, or nothing to resume.
@@ -57,7 +59,10 @@ def train(
     with distributed.folder_for(out, resume=resume) as folder:
         started = time.perf_counter()
         begun = resume and not Run.never_begun(folder)
-        training = resumed(scene, folder, budget_s) if begun else start(scene, scene_path, config, folder, budget_s, start_from)
+        if begun:
+            training = resumed(scene, folder, budget_s)
+        else:
+            training = start(scene, scene_path, config, folder, budget_s, start_from, series=series)
         return _completed(training, scene, time.perf_counter() - started) | {"run": str(out)}
 
 

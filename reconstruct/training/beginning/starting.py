@@ -14,6 +14,7 @@ from reconstruct import checkpoint
 from reconstruct.config import Config
 from reconstruct.rendering.pictures import Renderer
 from reconstruct.run import CHECKPOINTS, Run, copies_beside
+from reconstruct.training.beginning.series import WEIGHTS, facts_of_series, with_weights
 from reconstruct.training.pace.budget import Plan
 from reconstruct.training.pace.clock import Clock
 from reconstruct.training.preparation import Prepared, prepare
@@ -29,11 +30,18 @@ LINE_BYTES = 4000
 
 
 def start(
-    scene: Scene, scene_path: Path, config: Config, out: Path, budget_s: float | None = None, start_from: Run | None = None
+    scene: Scene,
+    scene_path: Path,
+    config: Config,
+    out: Path,
+    budget_s: float | None = None,
+    start_from: Run | None = None,
+    *,
+    series: bool = False,
 ) -> Training:
     """A training that is about to begin, its run written into `out`; see `train`."""
     refuse_existing(out)
-    known = None if start_from is None else start_from.facts
+    known = None if start_from is None else facts_of_series(scene, start_from) if series else start_from.facts
     normalisation = normalisation_of(scene, config) if known is None else known.normalisation
     prepared = prepare(scene, config, normalisation, known, copies=copies_beside(out))
     config, state = prepared.step.config, prepared.state
@@ -47,7 +55,10 @@ def start(
         "devices": jax.device_count(),
         "versions": {"jax": jax.__version__, "numpy": np.__version__},
     }
-    if start_from is not None:
+    if start_from is not None and series:
+        state, taken = with_weights(state, start_from)
+        about[WEIGHTS] = {"run": str(start_from.path.resolve()), "step": taken, "scene": start_from.scene_path}
+    elif start_from is not None:
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
     _require_room(out, state)
@@ -75,6 +86,8 @@ def resumed(scene: Scene, out: Path, budget_s: float | None) -> Training:
         state, stored = checkpoint.load(run.path / CHECKPOINTS, state)
     elif source is not None:
         state = _continued(state, Run.open(Path(source)))
+    elif WEIGHTS in run.content:
+        state, _ = with_weights(state, Run.open(Path(run.content[WEIGHTS]["run"])))
     _require_room(out, state)
     run.rewind(int(state.step))
     seconds = stored.pop("seconds")

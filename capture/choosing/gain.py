@@ -1,0 +1,90 @@
+"""What one more view adds: surface that few views have seen, and new directions onto surface whose colour changes with them.
+
+A place is covered once `ENOUGH` views see it at 60° or less. A view that sees a place for the first time adds more than one that
+sees it for the second or third time, since what no picture shows cannot be reconstructed at all.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture.choosing.places import Places
+from capture.choosing.sight import GOOD
+
+Array = NDArray[np.float64]
+Facing = NDArray[np.float32]
+
+ENOUGH = 3
+WORTH = np.array([3, 2, 1, 0]) / 6
+"""What the first, second and third view of a place are worth; together all of it."""
+KNOWN, NEW = np.cos(np.radians([8.0, 20.0]))
+"""A direction nearer than 8° to one from which a place was seen adds nothing; one further than 20° from all of them is new."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """How views see the places."""
+
+    facing: Facing
+    """(views, n), see `sight.facing`."""
+    eyes: Array
+    """(views, 3) where the cameras are [m]."""
+
+    @property
+    def well(self) -> NDArray[np.bool_]:
+        """(views, n) which views see which places at 60° or less."""
+        return self.facing >= GOOD
+
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """(n,) number of views that see each place well."""
+        return self.well.sum(0)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Shares of a surface, from 0 to 1."""
+
+    covered: float
+    """Seen well by three views, of what views within reach can cover."""
+    reachable: float
+    """What views within reach can cover, of all."""
+
+
+def coverage(places: Places, taken: Seen, within_reach: Seen) -> Coverage:
+    """How far the views that are taken cover what these and those within reach can cover."""
+    possible = (taken.counts >= ENOUGH) | (within_reach.counts >= ENOUGH)
+    reachable = float(places.shares[possible].sum())
+    covered = float(places.shares[possible & (taken.counts >= ENOUGH)].sum())
+    return Coverage(covered / reachable if reachable else 1.0, reachable)
+
+
+def surface_gains(places: Places, taken: Seen, within_reach: Seen) -> Array:
+    """(candidates,) what each view within reach adds by seeing places well that fewer than `ENOUGH` views have seen [share]."""
+    return within_reach.well @ (places.shares * WORTH[np.minimum(taken.counts, ENOUGH)])
+
+
+def angle_gains(places: Places, changing: Array, taken: Seen, within_reach: Seen) -> Array:
+    """(candidates,) what each view within reach adds by new directions onto places whose colour changes [share].
+
+    Args:
+        changing: (n,) from 0, the same colour from everywhere, to 1.
+    """
+    which = np.flatnonzero((changing > 0) & (taken.counts > 0))
+    if not len(which):
+        return np.zeros(len(within_reach.eyes))
+    points, worth = places.points[which], (places.shares * changing)[which]
+    ways = _ways(points, within_reach.eyes)
+    nearest = np.full(ways.shape[:2], -1.0, np.float32)
+    for way, seen in zip(_ways(points, taken.eyes), taken.well[:, which], strict=True):
+        cosine = np.einsum("cnd,nd->cn", ways, way)
+        np.maximum(nearest, np.where(seen, cosine, -1.0), out=nearest)
+    new = np.clip((KNOWN - nearest) / (KNOWN - NEW), 0, 1)
+    return np.where(within_reach.well[:, which], new, 0) @ worth
+
+
+def _ways(points: Array, eyes: Array) -> NDArray[np.float32]:
+    """(views, n, 3) unit vectors from places to cameras."""
+    ways = (eyes[:, None] - points[None]).astype(np.float32)
+    return np.asarray(ways / np.linalg.norm(ways, axis=-1, keepdims=True), np.float32)

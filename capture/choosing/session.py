@@ -1,0 +1,129 @@
+"""One session of `capture run --adaptive`, from the rig's opening to its end, and what it shows."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from capture.choosing import loop
+from capture.choosing.candidates import COUNT, dense, within_reach
+from capture.choosing.gain import ENOUGH, Coverage
+from capture.choosing.loop import Goal, Outcome, Reach, Why
+from capture.choosing.recording import ChosenRecording
+from capture.choosing.shape import Shape, eye_of
+from capture.choosing.tour import TourView, tour
+from capture.errors import UnreachableError
+from capture.planning import Obstacles
+from capture.trajectory import Trajectory
+from datasets.calibration import Calibration
+from datasets.core import console
+from datasets.core.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Options:
+    """How the rig is opened; as in `capture run`."""
+
+    rig: str
+    scene: str = ""
+    seed: int = 0
+    time_scale: float = 20.0
+    radiometry: Path | None = None
+    take_over: bool = False
+    resume: bool = False
+
+
+Show = Callable[[int, Why, Coverage | None], None]
+
+
+def run(trajectory: Trajectory, out: Path, goal: Goal, options: Options, calibration: Calibration | None, show: Show) -> Outcome:
+    """Record a session.
+
+    Args:
+        calibration: of camera and mount; None: the object's box stands for its shape.
+        show: called after each view with the number of views, why it was taken, and the coverage once views are chosen by it.
+
+    Raises UsageError: `out` holds something else, or the trajectory is of another kind. CaptureError: an error of the rig; the
+    arm stands still, and `out` can be resumed.
+    """
+    from capture.doctor.examine import examination
+    from capture.rig.opening import describe, open_rig
+
+    check(trajectory)
+    carrier = describe(options.rig).carrier()
+    eye = eye_of(carrier.flange_from_camera, calibration)
+    shape = Shape(trajectory, out, eye, calibration)
+    reach = Reach(_reachable(trajectory, Obstacles.of(trajectory, carrier)), Obstacles.of(trajectory, carrier), eye)
+    first, lost = tour(trajectory, carrier)
+    if lost:
+        console.hint(f"{lost} test views of the trajectory cannot be taken and are left out")
+    encoded = trajectory.camera.pixel_format == "rgb8"
+    checks = {"examine": examination(out, trajectory.upwards, encoded, options.take_over), "take_over": options.take_over}
+    simulated = {"scene": options.scene, "seed": options.seed, "time_scale": options.time_scale}
+    with open_rig(options.rig, trajectory, **simulated, **checks, radiometry=options.radiometry) as rig:
+        recording = ChosenRecording(trajectory, rig, out, shape)
+        if options.resume:
+            recording.resume()
+        _tour(recording, first, goal, show)
+        outcome = loop.run(reach, recording, goal, trajectory.motion, show=show)
+        recording.ended(outcome, loop.REASONS[outcome.reason])
+        return outcome
+
+
+def check(trajectory: Trajectory) -> None:
+    """Raise UsageError where views of a trajectory cannot be chosen."""
+    if trajectory.target is not None:
+        raise UsageError("looks at a calibration target", where=trajectory.name, remedy="use 'capture calibrate'")
+    if trajectory.turns:
+        remedy = "leave --adaptive out, or use a trajectory without 'turntable'"
+        raise UsageError("a session that chooses its views turns no turntable", where=trajectory.name, remedy=remedy)
+
+
+def _reachable(trajectory: Trajectory, obstacles: Obstacles) -> list[loop.Candidate]:
+    viewpoints = dense(trajectory, COUNT)
+    with console.progress("planning", len(viewpoints), "views") as bar:
+        found, reasons = within_reach(viewpoints, obstacles, bar.advance)
+    if not found:
+        remedy = "see 'capture plan'"
+        raise UnreachableError("no view within reach", where=trajectory.name, why=reasons[0] if reasons else "", remedy=remedy)
+    console.hint(f"{len(found)} of {len(viewpoints)} views can be taken and are chosen from")
+    return found
+
+
+def _tour(recording: ChosenRecording, first: list[TourView], goal: Goal, show: Show) -> None:
+    """Take the first views that are missing."""
+    for view in first[recording.taken :]:
+        if recording.taken >= (goal.views or len(first)) or (goal.minutes and recording.seconds >= 60 * goal.minutes):
+            return
+        why = Why("first" if view.use == "train" else "test")
+        recording.take(view.joints, why, view.use)
+        show(recording.taken, why, None)
+
+
+def show(views: int, why: Why, coverage: Coverage | None) -> None:
+    """Print why a view was taken, and the coverage after it."""
+    after = "" if coverage is None else f"; {100 * coverage.covered:.1f} % covered"
+    console.hint(f"view {views - 1:03d}: {why.words}{after}")
+
+
+def describe(out: Path, outcome: Outcome, views: int, seconds: float) -> str:
+    """The outcome in a few lines."""
+    coverage = outcome.coverage
+    lines = [f"{out}: {views} views in {seconds:.0f} s", f"ended: {loop.REASONS[outcome.reason]}"]
+    lines.append(
+        f"covered: {100 * coverage.covered:.1f} % of the surface within reach, by {ENOUGH} training views at 60 degrees or less "
+        f"(shape: {outcome.known.source})"
+    )
+    if coverage.reachable < 0.995:
+        lines.append(
+            f"out of reach: {100 * (1 - coverage.reachable):.1f} % of the surface; a wider elevation_deg or azimuth_deg of the "
+            "trajectory may show more of it"
+        )
+    return "\n".join(lines)
+
+
+def facts(out: Path, outcome: Outcome, views: int, seconds: float) -> dict[str, Any]:
+    """The outcome for a program."""
+    coverage = {"covered": outcome.coverage.covered, "reachable": outcome.coverage.reachable}
+    found = {"recording": str(out), "frames": views, "seconds": round(seconds, 2)}
+    return {**found, "ended": outcome.reason, **coverage, "shape": outcome.known.source}
