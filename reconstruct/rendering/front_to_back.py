@@ -16,7 +16,7 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.volume import OPAQUE, volume_weights
-from reconstruct.rendering.model import values_of
+from reconstruct.rendering.compositing import values_of
 from reconstruct.sampling.sampler import Sampled
 from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.rays import Rays
