@@ -1,4 +1,4 @@
-"""Reflected rays cast through the scene itself (after NeRF-Casting, Verbin et al. 2024): a mirror shows the table that it stands on.
+"""Reflected rays cast through the scene itself (after NeRF-Casting, Verbin et al. 2024): a mirror shows the table it stands on.
 
 Where a ray is shaded once, on its composited material, one reflected ray leaves its surface. It is cut into steps, those in
 occupied cells are evaluated as wide as the lobe of the material's roughness, and what is composited there is shaded in turn, by
@@ -31,7 +31,7 @@ from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Rays
 
 LIFT = 2.5
-"""Height above its surface, in cells of the grid, at which a reflected ray begins: in front of the cells of the surface itself."""
+"""Height above its surface, in cells of the grid, at which a reflected ray begins: before the cells of the surface itself."""
 GRAZING = 0.2
 """Cosine to the normal below which that height is not reached, lest a grazing ray begin far away."""
 CONFIDENT = 0.5
@@ -42,6 +42,8 @@ ROUGH = 0.05
 """Roughness up to which the light of what is met counts fully; at twice this, the light from afar counts alone."""
 STEP = 32
 """Numbers of steps are multiples of this."""
+CASTING = 4
+"""One in so many rays is under way at once: most rays meet nothing, or come from no mirror."""
 
 
 class Casting(eqx.Module):
@@ -99,8 +101,9 @@ class Caster(eqx.Module):
         found = self.sampler.look(reflected)
         samples = eqx.tree_at(lambda s: s.valid, found.samples, found.samples.valid & (share > 0)[found.samples.ray])
         found = eqx.tree_at(lambda f: (f.samples, f.footprint), found, (samples, Footprint("gaussian")))
-        queue = Queue.of(samples, jnp.asarray(share.shape[0]))
-        sums = barrier(composited(field, reflected, found, queue, self.sampler.space, normals=False)).T
+        queue, under_way = Queue.of(samples, jnp.asarray(share.shape[0])), -(-share.shape[0] // CASTING)
+        space = self.sampler.space
+        sums = barrier(composited(field, reflected, found, queue, space, normals=False, under_way=under_way)).T
         mean = sums / jnp.maximum(sums[0], 1e-6)
         there = reflected.origins.T + reflected.directions.T * mean[1]
         light = Lit.at(rays, there)
@@ -111,7 +114,7 @@ class Caster(eqx.Module):
     def _reflected(
         self, rays: Rays, material: Material, places: Float[Array, "3 rays"], opacity: Float[Array, " rays"]
     ) -> tuple[Rays, Float[Array, " rays"]]:
-        """The reflected rays, a little off their surfaces and as wide as the roughness's lobe; what counts of each, 0 for none."""
+        """The reflected rays, a little off their surfaces and as wide as the roughness's lobe; how much each counts, 0 for none."""
         normals = normalise(material.normals_pred, axis=0)
         facing, directions = mirrored(rays.viewdirs.T, normals)
         height = LIFT * 2 / self.sampler.grid.grid

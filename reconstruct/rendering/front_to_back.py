@@ -42,14 +42,16 @@ class _Round(eqx.Module):
 
 
 def composited(
-    field: Field, rays: Rays, found: Sampled, queue: "Queue", space: Space, *, normals: bool
+    field: Field, rays: Rays, found: Sampled, queue: "Queue", space: Space, *, normals: bool, under_way: int | None = None
 ) -> Float[Array, "rays _"]:
     """Sums of weights, t and `values_of` over each ray of a queue, and of weighted unit density normals if they are wanted.
 
     Args:
         found: samples in rows.
+        under_way: rays at once, where other than `UNDER_WAY`: fewer are better where most rays have no samples.
     """
-    samples, places = found.samples, min(UNDER_WAY[jax.default_backend() != "cpu"], rays.radii.shape[0])
+    samples, most = found.samples, under_way or UNDER_WAY[jax.default_backend() != "cpu"]
+    places = min(most, rays.radii.shape[0])
     shape = (samples.num_rays, samples.max_per_ray)
     t, length = samples.t.reshape(shape), samples.length.reshape(shape)
     spare = ((0, 0), (0, -shape[1] % TOGETHER))
