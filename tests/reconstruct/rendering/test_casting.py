@@ -103,7 +103,7 @@ def test_a_mirror_shows_the_wall_beside_it() -> None:
     seen, (_, ends) = shown(corner()), some_rays()
     assert np.asarray(seen.opacity).min() > 0.99 and (np.abs(ends[TOWARDS]) < 0.95).all(), "mirrors, beside the wall"
     assert (ends[~TOWARDS, 2] > 1).all(), "and others that show nothing"
-    # a step of 0.03 along the reflected ray moves what is seen by less than 0.02 on the wall, whose paint changes by up to 1.5 per unit
+    # a step of 0.03 along the reflected ray moves what is seen by less than 0.02; the paint changes by up to 1.5 per unit
     np.testing.assert_allclose(seen.specular[TOWARDS], painted(ends[TOWARDS]), atol=0.03)
     np.testing.assert_allclose(linear_from_srgb((seen.rgb + 0.001) / 1.002)[TOWARDS], seen.specular[TOWARDS], atol=0.01)
     assert np.abs(shown(corner(), cast=False).specular - seen.specular)[TOWARDS].max() > 0.1, "the light from afar differs"
