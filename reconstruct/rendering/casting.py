@@ -114,7 +114,7 @@ class Caster(eqx.Module):
     def _reflected(
         self, rays: Rays, material: Material, places: Float[Array, "3 rays"], opacity: Float[Array, " rays"]
     ) -> tuple[Rays, Float[Array, " rays"]]:
-        """The reflected rays, a little off their surfaces and as wide as the roughness's lobe; how much each counts, 0 for none."""
+        """The reflected rays, a little off their surfaces and as wide as the roughness's lobe, and how much each counts."""
         normals = normalise(material.normals_pred, axis=0)
         facing, directions = mirrored(rays.viewdirs.T, normals)
         height = LIFT * 2 / self.sampler.grid.grid

@@ -3,7 +3,7 @@
 The five of `shiny` stand in a room among cameras all around. For two of them there is also `NAME_room`, `NAME_turntable`,
 `NAME_ring_light` and `NAME_side_light`: the same object from cameras on rings, in the same room, turning among lamps and camera
 that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. The five of
-`near` stand under near lamps, and shade and mirror each other; so does `mirror_on_table`, which is in no benchmark. All are frozen.
+`near` stand under near lamps, and shade and mirror each other; so does `mirror_on_table`, which no benchmark has. All are frozen.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Reflected rays through the scene: a mirror on the floor beside a painted wall shows the wall, where the law of reflection says."""
+"""Reflected rays through the scene: a mirror on the floor beside a painted wall shows the wall, by the law of reflection."""
 
 from dataclasses import replace
 
@@ -73,7 +73,7 @@ def corner(roughness: float = 1e-4, tint: float = 1.0) -> Model:
 
 
 def some_rays() -> tuple[Rays, np.ndarray]:
-    """Down onto the mirror and on towards the wall or, the second half, past it; (n, 3) where reflections meet the wall's plane."""
+    """Down onto the mirror and on towards the wall or, the second half, past it; (n, 3) where they then meet the wall's plane."""
     rng = np.random.default_rng(0)
     target = np.stack([rng.uniform(-0.2, 0.2, COUNT), rng.uniform(-0.4, 0.4, COUNT), np.zeros(COUNT)], -1)
     towards = np.stack([rng.uniform(0.9, 1.3, COUNT), rng.uniform(-0.2, 0.2, COUNT), -np.ones(COUNT)], -1)
