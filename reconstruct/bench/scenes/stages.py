@@ -3,7 +3,7 @@
 The five of `shiny` stand in a room among cameras all around. For two of them there is also `NAME_room`, `NAME_turntable`,
 `NAME_ring_light` and `NAME_side_light`: the same object from cameras on rings, in the same room, turning among lamps and camera
 that stand still, and in a dark room under lamps that ride on the camera, in a ring around the lens or beside it. The five of
-`near` stand under near lamps, and shade and mirror each other; so does `mirror_on_table`, which no benchmark has. All are frozen.
+`near` stand under near lamps, and shade and mirror each other. All are frozen.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datasets import pose
 from reconstruct.bench.scenes.lamps import Ring
-from reconstruct.bench.scenes.near.scenes import NEAR, NearScene, mirror_on_table
+from reconstruct.bench.scenes.near.scenes import NEAR, NearScene
 from reconstruct.bench.scenes.near.views import Lit
 from reconstruct.bench.scenes.shiny import RADIUS_M, SCENES
 from reconstruct.bench.scenes.tracer import Tracer
@@ -103,7 +103,6 @@ def _near(scene: NearScene) -> Stage:
 
 STAGES: dict[str, Stage] = {name: Stage(made) for name, made in SCENES.items()}
 STAGES |= {name: _near(made()) for name, made in NEAR.items()}
-STAGES["mirror_on_table"] = _near(mirror_on_table())
 for _name in OBJECTS:
     STAGES[f"{_name}_room"] = Stage(SCENES[_name], rings)
     STAGES[f"{_name}_turntable"] = Stage(SCENES[_name], rings, turning)

@@ -143,20 +143,5 @@ def half_mirror() -> NearScene:
     return NearScene((Part(pebble, Partly(pattern, Metal("Ag", 0.04), above(0.02, 0.02))),), 15)
 
 
-def mirror_on_table() -> NearScene:
-    """A polished ball on a chequered table beside a matte block: nearly all that the lower half of the ball shows is near."""
-    table = placed(puck(0.85, 0.05, 0.03), (0.0, 0.0, -0.42))
-    mirror = placed(ball(0.38), (-0.14, 0.0, 0.01))
-    other = placed(block((0.12, 0.16, 0.26), 0.04), (0.48, 0.1, -0.1), (0, 0, 25))
-    return NearScene(
-        (
-            Part(table, Matte(patches((0.6, 0.55, 0.45), (0.12, 0.15, 0.2), 8.0))),
-            Part(mirror, Metal("Ag", 0.03)),
-            Part(other, Matte(plain(0.5, 0.08, 0.06))),
-        ),
-        16,
-    )
-
-
 _MADE = (steel_kettle, lacquered_egg, glass_and_copper, painted_stones, half_mirror)
 NEAR: dict[str, Callable[[], NearScene]] = {made.__name__: made for made in _MADE}
