@@ -232,6 +232,25 @@ class LightConfig(Schema):
     axis: tuple[float, float, float] | None = setting(
         None, "Turntable: the axis of rotation, in the scene's axes; none: measured from the cameras."
     )
+    parallax: float | None = setting(
+        None,
+        "Radius of the sphere about the object on which reflected rays end [scene unit]; none: they end infinitely far away. "
+        "Lamps on the camera have no such sphere.",
+        gt=1,
+    )
+    parallax_learned: bool = setting(False, "Learn that radius, beginning with `parallax`, or with 10 where that is none.")
+    cast: int = setting(
+        0,
+        "Samples of the scene itself along each reflected ray, whose light comes before that from afar; 0: no ray is cast. For "
+        "deferred shading with an occupancy grid.",
+        ge=0,
+    )
+    cast_from: float = setting(
+        0.2,
+        "Share of the training before reflected rays are cast; over the next tenth they come to their full share.",
+        ge=0,
+        le=1,
+    )
 
 
 class SkipConfig(Schema):

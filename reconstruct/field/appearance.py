@@ -20,6 +20,8 @@ from reconstruct.field.encodings.directional import ide_channels, integrated_dir
 from reconstruct.field.lit import Lit
 from reconstruct.field.mlp import Mlp
 from reconstruct.field.moving_lamps import MovingLamps
+from reconstruct.field.near import Near, mirrored
+from reconstruct.field.parallax import Parallax
 from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
 from reconstruct.scene.light import STILL, LightFrame
 
@@ -71,6 +73,8 @@ class Start:
     """Half the size of the object's box [scene unit], where there is something around it."""
     light: LightFrame = STILL
     """Where the lamps stand still."""
+    parallax: Parallax | None = None
+    """How far away the lamps are; None: infinitely."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,8 @@ class Reflection(eqx.Module):
     matte: StartMatte = eqx.field(static=True)
     moving: MovingLamps | None = None
     """None where lamps stand still about the object."""
+    parallax: Parallax | None = None
+    """None where lamps are infinitely far, or near and on the camera: their light depends on the place already."""
 
     heads: ClassVar[int] = 10
     """Diffuse (3), tint (3), roughness, normal (3); the bottleneck follows."""
@@ -148,7 +154,9 @@ class Reflection(eqx.Module):
         channels = field.bottleneck + ide_channels(field.ide_degree) + 1 + (moving.channels if moving else 0)
         network = _view_network(key, channels, field)
         biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
-        return cls(network, field.ide_degree, *biases, StartNormals.of(field, start), StartMatte.of(field, start), moving)
+        parallax = None if start.light.near else start.parallax
+        begin = StartNormals.of(field, start), StartMatte.of(field, start)
+        return cls(network, field.ide_degree, *biases, *begin, moving, parallax)
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
@@ -167,17 +175,20 @@ class Reflection(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`; `normals` instead of the predicted ones where given."""
         normals = normalise(material.normals_pred, axis=0) if normals is None else normals
-        facing = -jnp.sum(normals * viewdirs, axis=0)
-        reflected = 2 * facing * normals + viewdirs  # Ref-NeRF equation 4, with the direction towards the camera -viewdirs
+        facing, reflected = mirrored(viewdirs, normals)
+        if self.parallax is not None and near is not None:
+            reflected = self.parallax.towards(reflected, near.places)
         places = []
         if self.moving is not None and light is not None:
             reflected, places = self.moving.seen_by(light, reflected)
         encoded = integrated_directional_encoding(reflected, material.roughness[0], self.ide_degree)
         raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None], *places]))
-        return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw + self.specular_bias))
+        seen = jax.nn.sigmoid(raw + self.specular_bias)
+        return _sum_of_parts(material.diffuse, material.tint * (seen if near is None else near.before(seen)))
 
     def lit(self, material: Material, light: Lit) -> Material:
         """The material with its diffuse colour under lamps that move about it."""
@@ -196,6 +207,7 @@ class ViewColour(eqx.Module):
     diffuse_bias: float = eqx.field(static=True)
 
     predicts_normals: ClassVar[bool] = False
+    parallax: ClassVar[None] = None
 
     @classmethod
     def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "ViewColour":
@@ -220,6 +232,7 @@ class ViewColour(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`, whatever the normals."""
         raw = self.view(jnp.concatenate([material.bottleneck, view_encoding(viewdirs, self.degree)]))
@@ -243,6 +256,7 @@ class Matte(eqx.Module):
     """Diffuse (3), normal (3); the bottleneck follows."""
     has_diffuse: ClassVar[bool] = True
     predicts_normals: ClassVar[bool] = True
+    parallax: ClassVar[None] = None
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
@@ -256,6 +270,7 @@ class Matte(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         """The same colour from all sides."""
         return _sum_of_parts(material.diffuse, jnp.zeros_like(material.diffuse))

@@ -16,6 +16,7 @@ from reconstruct.field.encodings.create import create_encoding
 from reconstruct.field.encodings.encoding import Encoding
 from reconstruct.field.lit import Lit
 from reconstruct.field.mlp import Mlp
+from reconstruct.field.near import Near
 from reconstruct.numerics.safe import normalise, safe_exp
 
 
@@ -85,14 +86,16 @@ class Field(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         """Colour of a `lit` material towards a camera that looks along unit `viewdirs`.
 
         Args:
             normals: unit normals to reflect about; None takes the predicted ones.
             light: how the points are to lamps that move about them.
+            near: what is near the points; None: all that they reflect is far away.
         """
-        return self.appearance.shade(material, viewdirs, normals, light)
+        return self.appearance.shade(material, viewdirs, normals, light, near)
 
     def _activated(self, raw: Float[Array, " n"]) -> Float[Array, " n"]:
         return safe_exp(raw + self.density_bias)

@@ -27,6 +27,7 @@ from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.scene.space import Space
@@ -180,7 +181,8 @@ def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray
     _, material = field(Cloud(jnp.asarray(position, jnp.float32)[:, None], None, space))
     repeated = Material.unstacked(jnp.repeat(material.stacked(), len(outward), axis=1))
     viewdirs = jnp.asarray(-outward.T, jnp.float32)
-    shading = field.shade(repeated, viewdirs, light=Lit.towards(trained.run.facts.light, viewdirs))
+    near = Near(jnp.broadcast_to(jnp.asarray(position, jnp.float32)[:, None], viewdirs.shape))
+    shading = field.shade(repeated, viewdirs, light=Lit.towards(trained.run.facts.light, viewdirs), near=near)
     return {"outward": outward, "specular": np.asarray(shading.specular.T), "diffuse": np.asarray(material.diffuse[:, 0])}
 
 

@@ -3,10 +3,15 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from reconstruct.field.appearance import Material
+from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.kernels import compositing
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.sampling.samples import RaySamples
+from reconstruct.scene.rays import Rays
 
 
 def composited(
@@ -41,3 +46,15 @@ def composite(
     """Sum of weighted sample values over each ray."""
     rows = (values * weights).T
     return jnp.zeros((samples.num_rays, values.shape[0]), values.dtype).at[samples.ray].add(rows, mode="promise_in_bounds")
+
+
+def values_of(field: Field, material: Material, rays: Rays, samples: RaySamples) -> tuple[Float[Array, "_ n"], ...]:
+    """What is composited of each sample: the material and, where samples are shaded, colour and specular part."""
+    light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
+    material = field.lit(material, light)
+    if field.deferred:
+        return material.parts
+    directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
+    near = Near.on(rays, samples.t, samples.ray) if field.appearance.parallax is not None else None
+    shading = barrier(field.shade(material, directions, light=light, near=near))
+    return (*material.parts, shading.rgb, shading.specular)

@@ -16,7 +16,7 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.volume import OPAQUE, volume_weights
-from reconstruct.rendering.model import values_of
+from reconstruct.rendering.compositing import values_of
 from reconstruct.sampling.sampler import Sampled
 from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.rays import Rays
@@ -42,14 +42,16 @@ class _Round(eqx.Module):
 
 
 def composited(
-    field: Field, rays: Rays, found: Sampled, queue: "Queue", space: Space, *, normals: bool
+    field: Field, rays: Rays, found: Sampled, queue: "Queue", space: Space, *, normals: bool, under_way: int | None = None
 ) -> Float[Array, "rays _"]:
     """Sums of weights, t and `values_of` over each ray of a queue, and of weighted unit density normals if they are wanted.
 
     Args:
         found: samples in rows.
+        under_way: rays at once, where other than `UNDER_WAY`: fewer are better where most rays have no samples.
     """
-    samples, places = found.samples, min(UNDER_WAY[jax.default_backend() != "cpu"], rays.radii.shape[0])
+    samples, most = found.samples, under_way or UNDER_WAY[jax.default_backend() != "cpu"]
+    places = min(most, rays.radii.shape[0])
     shape = (samples.num_rays, samples.max_per_ray)
     t, length = samples.t.reshape(shape), samples.length.reshape(shape)
     spare = ((0, 0), (0, -shape[1] % TOGETHER))

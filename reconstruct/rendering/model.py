@@ -13,17 +13,20 @@ from reconstruct.field.appearance import Material, Start
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
+from reconstruct.field.parallax import Parallax
 from reconstruct.numerics.compiling import barrier
 from reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from reconstruct.rendering.compositing import composited
+from reconstruct.rendering.casting import Caster, Casting
+from reconstruct.rendering.compositing import composited, values_of
 from reconstruct.sampling.create import create
 from reconstruct.sampling.sampler import Sampler
 from reconstruct.sampling.samples import RaySamples
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Rays
 
-HELD = ("blur", "grid")
-"""Names of the parts of a model that no gradient goes to: an encoding's blur follows a schedule, a grid what training meets."""
+HELD = ("blur", "grid", "cast_share")
+"""Names of the parts of a model that no gradient goes to: blur and share follow a schedule, a grid what training meets."""
 
 
 class Model(eqx.Module):
@@ -35,6 +38,8 @@ class Model(eqx.Module):
     """Logarithm of each training view's gain, one for all colours or one for each; counted from the views' mean."""
     poses: Float[Array, "views 6"] | None = None
     """Correction of each training view's pose; see `twists`."""
+    casting: Casting | None = None
+    """None where reflected rays are not cast."""
 
     @classmethod
     def create(
@@ -47,11 +52,14 @@ class Model(eqx.Module):
         """
         config = config if facts.normalisation.bounded else config.with_surroundings()
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
-        start = Start(config.field.towards or facts.towards, config.field.half_box or facts.half_box, facts.light)
+        start = Start(
+            config.field.towards or facts.towards, config.field.half_box or facts.half_box, facts.light, Parallax.of(config.light)
+        )
         field = Field.create(field_key, config.encoding, config.field, volume=facts.table_volume(config), start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
-        return cls(field, sampler, gains, jnp.zeros((views, 6)) if config.poses.enabled is True else None)
+        poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
+        return cls(field, sampler, gains, poses, Casting.of(config, sampler))
 
     @property
     def log_gains(self) -> Float[Array, "views gains"]:
@@ -62,6 +70,15 @@ class Model(eqx.Module):
     def blurred(self, blur: Float[Array, ""]) -> "Model":
         """The same with every sample as wide as `blur` [scene unit]."""
         return eqx.tree_at(lambda m: m.field.encoding.blur, self, blur)
+
+    def casting_with(self, share: Float[Array, ""]) -> "Model":
+        """The same with so much of what its reflected rays meet; as it is where none are cast."""
+        return self if self.casting is None else eqx.tree_at(lambda m: m.casting.cast_share, self, share)
+
+    @property
+    def caster(self) -> Caster | None:
+        """What casts its reflected rays."""
+        return None if self.casting is None else self.casting.through(self.sampler)
 
     def split(self) -> tuple["Model", "Model"]:
         """What is learned, and the rest (see `HELD`); `eqx.combine` joins them."""
@@ -112,37 +129,43 @@ class Rendered(eqx.Module):
         return eqx.tree_at(lambda r: r.rgb, self, srgb_from_linear(light) * opacity)
 
 
-def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
+def render(
+    field: Field, rays: Rays, samples: RaySamples, cloud: Cloud, caster: Caster | None = None
+) -> tuple[Rendered, Float[Array, " n"]]:
     """Composite the samples of each ray, and shade them as the field is shaded.
+
+    Args:
+        caster: of reflected rays; None: none are cast.
 
     Returns:
         The rays, and the density of every sample [1 / scene unit].
     """
     density, material = barrier(field(cloud))
     weights, sums = barrier(composited(density, values_of(field, material, rays, samples), samples, rays.speed))
-    return barrier((seen(field, rays, sums, weights), density))
+    return barrier((seen(field, rays, sums, weights, caster), density))
 
 
-def values_of(field: Field, material: Material, rays: Rays, samples: RaySamples) -> tuple[Float[Array, "_ n"], ...]:
-    """What is composited of each sample: the material and, where samples are shaded, colour and specular part."""
-    light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
-    material = field.lit(material, light)
-    if field.deferred:
-        return material.parts
-    directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
-    shading = barrier(field.shade(material, directions, light=light))
-    return (*material.parts, shading.rgb, shading.specular)
+def seen(
+    field: Field,
+    rays: Rays,
+    sums: Float[Array, "channels rays"],
+    weights: Float[Array, "rays slots"],
+    caster: Caster | None = None,
+) -> Rendered:
+    """Rays whose samples are composited, shaded where the field shades rays.
 
-
-def seen(field: Field, rays: Rays, sums: Float[Array, "channels rays"], weights: Float[Array, "rays slots"]) -> Rendered:
-    """Rays whose samples are composited, shaded where the field shades rays. `sums`: of weights, of t and of `values_of`."""
+    Args:
+        sums: of weights, of t and of `values_of`.
+        caster: see `render`.
+    """
     opacity = sums[0]
     mean = sums / jnp.maximum(opacity, 1e-6)
     diffuse = sums[2:5]
     if field.deferred:
         light = Lit.on(rays, mean[1])
         material = field.lit(Material.unstacked(barrier(mean[2:])), light)
-        shading = barrier(field.shade(material, rays.viewdirs.T, light=light))
+        near = _near(field, rays, material, mean[1], opacity, caster)
+        shading = barrier(field.shade(material, rays.viewdirs.T, light=light, near=near))
         rgb, specular = shading.rgb * opacity, shading.specular * opacity
         diffuse = diffuse if light is None else material.diffuse * opacity
     else:
@@ -157,3 +180,17 @@ def seen(field: Field, rays: Rays, sums: Float[Array, "channels rays"], weights:
         depth=mean[1],
         weights=weights,
     )
+
+
+def _near(
+    field: Field,
+    rays: Rays,
+    material: Material,
+    t: Float[Array, " rays"],
+    opacity: Float[Array, " rays"],
+    caster: Caster | None,
+) -> Near | None:
+    """What is near the rays' surfaces; None where it makes no difference."""
+    if caster is not None:
+        return barrier(caster.near(field, rays, material, t, opacity))
+    return Near.on(rays, t) if field.appearance.parallax is not None else None

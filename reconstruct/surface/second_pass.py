@@ -12,6 +12,7 @@ from reconstruct.field.appearance import Material
 from reconstruct.field.cloud import Cloud, points_on_rays
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import Space
 from reconstruct.surface import regularisers
@@ -57,8 +58,8 @@ class SecondPass:
             density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
             per_point |= self._around(density, normals, directions, normal, reach)
         if self.surface.variation or (self.surface.bias and field.appearance.has_diffuse):
-            light = Lit.on(rays, surface.t, surface.ray)
-            per_point |= self._over_directions(field, material, directions, normal, light)
+            light, near = Lit.on(rays, surface.t, surface.ray), Near.on(rays, surface.t, surface.ray)
+            per_point |= self._over_directions(field, material, directions, normal, light, near)
         used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
         return {name: jnp.sum(surface.weight * value) / used for name, value in per_point.items()}
 
@@ -86,17 +87,20 @@ class SecondPass:
         directions: Float[Array, "n around 3"],
         normal: Float[Array, "3 n"],
         light: Lit | None,
+        near: Near,
     ) -> PerPoint:
         """L_b and L_s: the reflected colour over the visible hemisphere; all of the colour where nothing is diffuse.
 
-        Lamps that move about the object stay where they were for the ray's picture.
+        Lamps that move about the object stay where they were for the ray's picture. No rays are cast.
         """
         outward = jax.lax.stop_gradient(normal.T)
         facing = jnp.sum(directions * outward[:, None], -1, keepdims=True)
         inward = jnp.where(facing > 0, -directions, directions)  # light travels into the surface: d . n <= 0
         repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
         light = None if light is None else light.repeated(directions.shape[1])
-        shading, diffuse = field.shade(repeated, inward.reshape(-1, 3).T, light=light), field.appearance.has_diffuse
+        near = Near(jnp.repeat(near.places, directions.shape[1], axis=1))
+        shading = field.shade(repeated, inward.reshape(-1, 3).T, light=light, near=near)
+        diffuse = field.appearance.has_diffuse
         colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
         likeness = regularisers.direction_likeness(inward, self.surface.neighbour_form)
         variation = regularisers.specular_variation(colour, likeness, self.surface.neighbours)

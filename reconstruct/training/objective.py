@@ -97,7 +97,7 @@ class Objective:
 
 
 def _rendered(model: Model, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
-    return render(model.field, rays, samples, replace(cloud, followed=model.poses is not None))
+    return render(model.field, rays, samples, replace(cloud, followed=model.poses is not None), model.caster)
 
 
 def photometric(

@@ -24,7 +24,7 @@ from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
 from reconstruct.training.faults import FAULTS, finite_parts, packed
 from reconstruct.training.objective import Objective, Terms, total
 from reconstruct.training.optimiser import Optimiser
-from reconstruct.training.pace.schedules import encoding_blur
+from reconstruct.training.pace.schedules import encoding_blur, late
 from reconstruct.training.programs import Programs, traced
 
 UPKEEP = 16
@@ -124,7 +124,8 @@ class Step:
         """The model as it is trained at this time."""
         train = self.config.train
         blur = encoding_blur(progress, first=train.first_blur, last=train.last_blur, until=train.blur_until)
-        return model.blurred(blur.astype(jnp.float32))
+        cast = late(progress, start=self.config.light.cast_from)
+        return model.blurred(blur.astype(jnp.float32)).casting_with(cast.astype(jnp.float32))
 
     def begun(
         self,

@@ -19,6 +19,7 @@ from reconstruct.field.encodings.frequencies import Frequencies
 from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
 from reconstruct.field.encodings.simplex import VERTICES_PER_UNIT_VOLUME
 from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
+from reconstruct.field.parallax import ends_on_sphere
 from reconstruct.numerics import stepfun
 from reconstruct.numerics.lattice_constants import LIFT
 from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
@@ -41,6 +42,7 @@ DIRECTIONS = RNG.normal(size=(200, 3)) / np.sqrt(3)
 DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3), DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=-1, keepdims=True)])
 VECTORS = (DIRECTIONS[:, None] * np.concatenate([[0.0], np.geomspace(1e-25, 1e30, 56)])[:, None]).reshape(-1, 3)
 SEAM = (DIRECTIONS[:, None] * (1 + np.array([0, 1e-7, -1e-7, 1e-4, -1e-4, 0.5, -0.5]))[:, None]).reshape(-1, 3)
+LIMITED = (np.roll(DIRECTIONS, 7, 0)[:, None] * np.array([0, 1e-6, 0.1, 0.5, 0.89, 0.91, 1, 1e6])[:, None]).reshape(-1, 3)
 HISTOGRAM = np.sort(RNG.random((64, 17)), -1)
 HISTOGRAM[:8, 4:9] = HISTOGRAM[:8, 4:5]  # intervals of no length
 HISTOGRAM[8:16] = 0.5  # and rays of none
@@ -326,6 +328,15 @@ ROWS = [
         0,
         2e-5,
         "the recurrence adds an ulp of its largest term per degree",
+    ),
+    Row(
+        "ends_on_sphere",
+        lambda d, x: ends_on_sphere(d.T, x.T),
+        (np.repeat(DIRECTIONS, 8, 0), LIMITED),
+        "all directions, places to 1e6 radii",
+        0,
+        2e-6,
+        "a root of 0.19 or more",
     ),
     Row("view_encoding", lambda d: view_encoding(d.T, 4), (DIRECTIONS,), "all directions", 0, 2e-6, "1 ulp of an angle of 8"),
     Row(

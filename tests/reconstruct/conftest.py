@@ -22,6 +22,7 @@ from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.models import load_config
 from reconstruct.numerics import compiling
 from reconstruct.numerics.safe import srgb_from_linear
@@ -66,7 +67,12 @@ class Ball(Field):
         return density, material, material.normals_pred
 
     def shade(
-        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+        self,
+        material: Material,
+        viewdirs: jax.Array,
+        normals: jax.Array | None = None,
+        light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         """As `Field.shade`: the same light in all directions."""
         specular = jnp.broadcast_to(jnp.asarray(SPECULAR, jnp.float32)[:, None], viewdirs.shape)

@@ -11,6 +11,7 @@ from datasets.core.console import progress
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.numerics.compiling import compiled
 from reconstruct.numerics.safe import normalise
 from reconstruct.output.trained_model import TrainedModel
@@ -94,7 +95,7 @@ def _colour(
 ) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, space))
     light = Lit.towards(frame, -normals)
-    return field.shade(field.lit(material, light), -normals, light=light).rgb
+    return field.shade(field.lit(material, light), -normals, light=light, near=Near(points)).rgb
 
 
 @compiled

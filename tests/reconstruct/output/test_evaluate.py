@@ -14,6 +14,7 @@ from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.output import evaluate
 from reconstruct.output.trained_model import TrainedModel
 
@@ -60,7 +61,12 @@ class Walled(Field):
         return self.density(cloud), self.inner(cloud)[1]
 
     def shade(
-        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+        self,
+        material: Material,
+        viewdirs: jax.Array,
+        normals: jax.Array | None = None,
+        light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         return self.inner.shade(material, viewdirs, normals)
 

@@ -9,9 +9,8 @@ from reconstruct.config import Config
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import jit
 from reconstruct.rendering import front_to_back
-from reconstruct.rendering.compositing import composite, sample_weights
+from reconstruct.rendering.compositing import composite, sample_weights, values_of
 from reconstruct.rendering.front_to_back import Queue, composited
-from reconstruct.rendering.model import values_of
 from reconstruct.sampling.sampler import Sampled
 from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.scene.frustum import Frustum

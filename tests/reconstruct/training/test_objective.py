@@ -13,6 +13,7 @@ from reconstruct.field.appearance import Material, Shading
 from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
 from reconstruct.models import load_config
 from reconstruct.rendering.model import Model, Rendered
 from reconstruct.sampling.samples import RaySamples
@@ -46,7 +47,12 @@ class HalfSpace(Field):
         return jnp.where(z <= 0, 10.0, 0.0), material, normals
 
     def shade(
-        self, material: Material, viewdirs: jax.Array, normals: jax.Array | None = None, light: Lit | None = None
+        self,
+        material: Material,
+        viewdirs: jax.Array,
+        normals: jax.Array | None = None,
+        light: Lit | None = None,
+        near: Near | None = None,
     ) -> Shading:
         specular = jnp.broadcast_to(jnp.maximum(-viewdirs[2], 0.0), viewdirs.shape)
         return Shading(2 * specular, specular)
