@@ -65,9 +65,9 @@ def test_the_calibration_states_the_figures(rehearsed):
     adviser.update(session_of(rehearsed), anew=True)
     found = adviser.calibration().flange_from_camera
     assert found is not None and adviser.known is not None
-    assert information.limits(information.at_the_pose(found.covariance, adviser.known.state)) == pytest.approx(
-        adviser.figures, rel=1e-4
-    )
+    stated = np.array(information.limits(information.at_the_pose(found.covariance, adviser.known.state)))
+    assert (stated > 0.9999 * np.array(adviser.figures)).all()
+    assert (stated < 1.05 * np.array(adviser.figures)).all(), "little is added for errors of the arm that may repeat"
     distance, _ = pose.difference(found.matrix, draw_rig(3).flange_from_camera)
     assert 1e3 * distance < adviser.figures[0]
 
