@@ -25,8 +25,10 @@ def test_skips_are_listed_with_their_evidence(make_run: Callable[..., Any]) -> N
     (run.path / record.SKIPS).unlink(missing_ok=True)
     assert skips_text(run) == ""
     fine = record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB")
-    reflection = record.Skip("reflection", False, "the pilot lost 1.2 dB without", "half a step", "what the pilot lost")
+    reflection = record.Skip("reflection", False, "5% of the object keeps its colour", "half a step", "nothing")
     record.write(run.path, [fine, reflection])
     words = skips_text(run)
     assert words.startswith("- **detail that is finer than a pixel can show** skipped: no pixel is finer than 2 mm")
-    assert "cost: up to 0.4 dB" in words and words.endswith("- the model's reflection kept: the pilot lost 1.2 dB without")
+    assert "cost: up to 0.4 dB" in words and words.endswith(
+        "- reflections of a matte object kept: 5% of the object keeps its colour"
+    )

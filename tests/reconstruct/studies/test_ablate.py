@@ -22,12 +22,15 @@ def test_the_grid_changes_one_thing_at_a_time() -> None:
         "published density",
         "without hollowness",
         "without normal",
+        "without bias",
         "without variation",
         "no second pass",
         "no regulariser",
     }
     assert forms | without <= set(cells)
-    assert cells["with bias"] == ("surface.bias=0.03",), "the fast preset has it off: the published weight is tried"
+    assert cells["without bias"] == ("surface.bias=0",)
+    off = ablate.grid(load_config(overrides=["surface.bias=0"]))
+    assert off["with bias"] == ("surface.bias=0.03",), "what is off is tried with its published weight"
     base = load_config()
     for name, changes in cells.items():
         changed = load_config(overrides=list(changes))
