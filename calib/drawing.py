@@ -59,7 +59,7 @@ def difference(
         remedy = "compare two of one camera setting"
         raise UsageError("is for images of another size", where=second, why=f"{sizes[1]}, not {sizes[0]}", remedy=remedy)
     found = crossval.difference(*cameras)
-    most = float(found.distance_px.max())
+    most = float(found.values_px.max())
     title = f"{first.stem} and {second.stem} differ by {found.rms_px:.3f} px rms"
     _write(out, figures.map_over_image(cameras[0], title, found, "difference [px]"))
     text = f"{title}, at most {most:.3f} px\nwritten to {out}"

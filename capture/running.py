@@ -13,7 +13,7 @@ from datasets.core import console
 
 if TYPE_CHECKING:
     from capture.choosing.loop import Goal
-    from capture.choosing.session import Options
+    from capture.starting import Options
     from capture.trajectory import Trajectory
 
 Adaptive = Annotated[
@@ -58,8 +58,8 @@ def run(
     few views have seen and most new angles where colours change, less its travel.
     """
     from capture.choosing.loop import Goal
-    from capture.choosing.session import Options
     from capture.rig.opening import scene_for
+    from capture.starting import Options
     from capture.trajectory import load_trajectory
     from datasets.core.errors import KoalaError
     from datasets.core.files import refuse_existing
@@ -114,10 +114,9 @@ def _chosen(
 
 def _every(session: "Trajectory", out: Path, options: "Options", port: int | None) -> tuple[dict[str, Any], str]:
     """Record every view of a trajectory, with a page at a port where one is given; what to report."""
-    from capture.doctor.examine import examination
     from capture.planning import plan
     from capture.recording.recorder import record
-    from capture.rig.opening import describe, open_rig
+    from capture.rig.opening import describe
     from datasets.core.errors import UsageError
     from datasets.recording import MANIFEST, Recording, chosen_views
 
@@ -126,14 +125,11 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
     mount = describe(options.rig).carrier()
     start = time.monotonic()
     planned = plan(session, mount)
-    rig: dict[str, Any] = {"radiometry": options.radiometry, "take_over": options.take_over}
-    rig["examine"] = examination(out, session.upwards, session.camera.pixel_format == "rgb8", options.take_over)
-    simulated = {"scene": options.scene, "seed": options.seed, "time_scale": options.time_scale}
     with ExitStack() as stack:
         if port is not None:
             stack.enter_context(viewing.watched(out, session, mount, planned, port))
         shown = stack.enter_context(console.progress("capture", len(planned), "views"))
-        with open_rig(options.rig, session, **simulated, **rig) as opened:
+        with options.opened(session, out) as opened:
 
             def advance(name: str) -> None:
                 shown.advance()

@@ -268,7 +268,7 @@ class SkipConfig(Schema):
     table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")
     multisampling: bool = setting(False, "Six Gaussians per frustum, where pixels' footprints are alike everywhere.")
     reflection: bool = setting(
-        False, "Reflections, predicted normals and the regularisers, where most of the object keeps its colour from view to view."
+        False, "Reflections and predicted normals, where most of the object keeps its colour from view to view."
     )
     consistent_passes: bool = setting(False, "Second passes, while the last one found normals that agree already.")
     converged: bool = setting(False, "The rest of the training, once held-out pixels stop improving.")

@@ -5,33 +5,19 @@ a shift of its principal point. The best rotation is therefore removed first (as
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.intrinsics import estimate
+from calib.intrinsics import estimate, over_image
 from calib.intrinsics.estimate import Lens
+from calib.intrinsics.over_image import Map
 from calib.targets.detection import Observation
 from datasets import pose
 from datasets.camera_model import Camera
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A map of how far two cameras put the same direction apart."""
-
-    columns: Array  # (w,) where in the image [px]
-    rows: Array  # (h,) where in the image [px]
-    distance_px: Array  # (h, w) [px]
-
-    @property
-    def rms_px(self) -> float:
-        """Over the image [px]."""
-        return float(np.sqrt(np.mean(self.distance_px**2)))
-
-
-def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Difference:
+def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Map:
     """Fit every other view, and the rest, with one lens, and compare. Raises CalibrationError where a half cannot be fitted.
 
     The fits start from `camera` and the (views, 4, 4) poses `camera_from_board`.
@@ -40,11 +26,9 @@ def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observatio
     return difference(halves[0], halves[1])
 
 
-def difference(first: Camera, second: Camera, cells: int = 24) -> Difference:
+def difference(first: Camera, second: Camera, cells: int = 24) -> Map:
     """Distance between where `first` and `second` see the same directions, on a grid over the image."""
-    columns = (np.arange(cells) + 0.5) * first.width / cells
-    rows = (np.arange(cells) + 0.5) * first.height / cells
-    pixels = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
+    columns, rows, pixels = over_image.cells(first, cells, cells)
     directions = first.directions(pixels)
     turn = np.eye(3)
     for _ in range(5):  # Gauss-Newton for the rotation that brings the two closest
@@ -58,4 +42,4 @@ def difference(first: Camera, second: Camera, cells: int = 24) -> Difference:
         step = np.linalg.lstsq(jacobian.reshape(-1, 3), off.ravel(), rcond=None)[0]
         turn = pose.from_rotation_vector(step)[:3, :3] @ turn
     distance = np.linalg.norm(pixels - second.project(directions @ turn.T), axis=-1)
-    return Difference(columns, rows, distance.reshape(cells, cells))
+    return Map(columns, rows, distance.reshape(cells, cells))

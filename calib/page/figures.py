@@ -10,9 +10,8 @@ from matplotlib.patches import Ellipse
 
 from calib.arrays import Array
 from calib.handeye import verify
-from calib.intrinsics.crossval import Difference
+from calib.intrinsics.over_image import Map
 from calib.page.evidence import Evidence
-from calib.page.maps import Map
 from datasets import pose
 from datasets.calibration import UncertainPose
 from datasets.camera_model import Camera
@@ -122,7 +121,7 @@ def _ellipse(axes: Any, covariance: Array) -> None:
     axes.add_patch(Ellipse((0, 0), width, height, angle=angle, facecolor="tab:blue", alpha=0.3, edgecolor="tab:blue"))
 
 
-def difference_map(difference: Difference, evidence: Evidence) -> bytes:
+def difference_map(difference: Map, evidence: Evidence) -> bytes:
     """Where cameras from two halves of the session disagree."""
     title = f"cameras of two halves of the views, {difference.rms_px:.3f} px rms; white: corners"
     figure, axes = _mapped(evidence.calibration.camera, title, difference, "difference [px]")
@@ -130,28 +129,24 @@ def difference_map(difference: Difference, evidence: Evidence) -> bytes:
     return _png(figure)
 
 
-def map_over_image(camera: Camera, title: str, values: Difference | Map, label: str) -> bytes:
+def map_over_image(camera: Camera, title: str, values: Map, label: str) -> bytes:
     """Values over the image of a camera, with lines of equal value; a wide range is shown by its logarithm."""
-    low, high = float(_values(values).min()), float(_values(values).max())
+    low, high = float(values.values_px.min()), float(values.values_px.max())
     wide = 0 < 0.01 * high < low < 0.2 * high
     figure, axes = _mapped(camera, title, values, label, "log" if wide else None)
     if high > low:
         levels = np.geomspace(low, high, 7)[1:-1] if wide else np.linspace(low, high, 7)[1:-1]
-        lines = axes.contour(values.columns, values.rows, _values(values), colors="white", linewidths=0.7, levels=levels)
+        lines = axes.contour(values.columns, values.rows, values.values_px, colors="white", linewidths=0.7, levels=levels)
         axes.clabel(lines, fontsize=8, fmt="%.2g")
     return _png(figure)
 
 
-def _mapped(camera: Camera, title: str, values: Difference | Map, label: str, norm: str | None = None) -> tuple[Figure, Any]:
+def _mapped(camera: Camera, title: str, values: Map, label: str, norm: str | None = None) -> tuple[Figure, Any]:
     figure, axes = _over_image(camera, title)
     style: dict[str, Any] = {"cmap": "magma", "shading": "nearest", "norm": norm}
-    shown = axes.pcolormesh(values.columns, values.rows, _values(values), **style)
+    shown = axes.pcolormesh(values.columns, values.rows, values.values_px, **style)
     figure.colorbar(shown, ax=axes, label=label, shrink=0.8)
     return figure, axes
-
-
-def _values(values: Difference | Map) -> Array:
-    return values.values_px if isinstance(values, Map) else values.distance_px
 
 
 def rotations(evidence: Evidence) -> bytes:

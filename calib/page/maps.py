@@ -1,32 +1,16 @@
 """How certain a calibration is over the image, from the covariance that its file keeps."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from calib.arrays import Array
 from calib.intrinsics import projection
+from calib.intrinsics.over_image import Map, cells
 from calib.solver.geometry import by_motion
 from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
 
 AXES = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
-COLUMNS = 48  # cells of a map along the image's width
-
-
-@dataclass(frozen=True)
-class Map:
-    """A value for each cell of the image."""
-
-    columns: Array  # (w,) middles of the cells [px]
-    rows: Array  # (h,) [px]
-    values_px: Array  # (h, w) [px]
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square over the image [px]."""
-        return float(np.sqrt(np.mean(self.values_px**2)))
+COLUMNS = 48  # square cells along the image's width
 
 
 def projection_uncertainty(calibration: Calibration, distance_m: float) -> Map:
@@ -40,10 +24,11 @@ def projection_uncertainty(calibration: Calibration, distance_m: float) -> Map:
     Raises:
         UsageError: nothing was estimated, or the file is of a version that does not keep all correlations.
     """
-    columns, rows, pixels = grid(calibration.camera)
-    directions = calibration.camera.directions(pixels)
-    points = distance_m * directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     camera = calibration.camera
+    down = max(round(COLUMNS * camera.height / camera.width), 1)
+    columns, rows, pixels = cells(camera, COLUMNS, down)
+    directions = camera.directions(pixels)
+    points = distance_m * directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     _, by_point, by_intrinsics = projection.project(points, projection.vector(camera), camera.fisheye)
     mount = calibration.flange_from_camera or calibration.base_from_camera
     names, covariance = _covariance(calibration, mount)
@@ -79,10 +64,3 @@ def _covariance(calibration: Calibration, mount: UncertainPose | None) -> tuple[
     values, vectors = np.linalg.eigh(np.asarray(kept["matrix"], np.float64)[np.ix_(chosen, chosen)])
     among = (vectors * np.maximum(values, 0.0)) @ vectors.T  # rounded in the file: kept from becoming negative
     return names, np.asarray(among * np.outer(std, std), np.float64)
-
-
-def grid(camera: Camera) -> tuple[Array, Array, Array]:
-    """(w,) columns, (h,) rows and (h w, 2) pixels of the middles of square cells over an image."""
-    down = max(round(COLUMNS * camera.height / camera.width), 1)
-    columns, rows = (np.arange(COLUMNS) + 0.5) * camera.width / COLUMNS, (np.arange(down) + 0.5) * camera.height / down
-    return columns, rows, np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)

@@ -40,6 +40,7 @@ def calibrate(
     """
     from capture.calibrating import session
     from capture.calibrating.loop import Goal
+    from capture.starting import Options
     from capture.trajectory import load_trajectory
     from datasets.core.errors import KoalaError, UsageError
     from datasets.core.files import refuse_existing
@@ -51,7 +52,7 @@ def calibrate(
         refuse_existing(out)
     goal = Goal((until_mm, until_deg), max_views)
     arm = ["--arm-mm", str(arm_mm), "--arm-deg", str(arm_deg), "--lens", lens]
-    options = session.Options(rig, scene, seed, time_scale, take_over, resume)
+    options = Options(rig, scene, seed, time_scale, take_over=take_over, resume=resume)
     try:
         outcome = session.run(room, out, goal, options, arm, show=lambda views, answer: session.show(views, answer, goal.until))
     except KeyboardInterrupt:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +10,13 @@ from capture.calibrating import loop
 from capture.calibrating.advised import AdvisedRig
 from capture.calibrating.adviser import Adviser
 from capture.calibrating.loop import Goal, Outcome
+from capture.starting import Options
 from capture.trajectory import Trajectory
 from datasets.advice import Answer, Figures, Question
 from datasets.core import console
 from datasets.core.errors import UsageError
 
 BAR = 24  # characters of the longer bar
-
-
-@dataclass(frozen=True)
-class Options:
-    """How the rig is opened; as in `capture run`."""
-
-    rig: str
-    scene: str = ""
-    seed: int = 0
-    time_scale: float = 20.0
-    take_over: bool = False
-    resume: bool = False
 
 
 def run(
@@ -41,18 +30,14 @@ def run(
 
     Raises UsageError: `out` holds something else. CaptureError: an error of the rig; the arm stands still, `out` can be resumed.
     """
-    from capture.doctor.examine import examination
-    from capture.rig.opening import open_rig, scene_for
+    from capture.rig.opening import scene_for
 
     if trajectory.turns:
         remedy = "calibrate with a board that stands still, then record calibration_turntable for 'calib turntable'"
         raise UsageError("a session that chooses its views turns no turntable", where=trajectory.name, remedy=remedy)
-    scene = scene_for(options.rig, options.scene, trajectory)
+    options = replace(options, scene=scene_for(options.rig, options.scene, trajectory))
     until = ["--until", *map(str, goal.until)]
-    encoded = trajectory.camera.pixel_format == "rgb8"
-    checks = {"examine": examination(out, trajectory.upwards, encoded, options.take_over), "take_over": options.take_over}
-    simulated = {"scene": scene, "seed": options.seed, "time_scale": options.time_scale}
-    with Adviser(str(out), [*arm, *until]) as adviser, open_rig(options.rig, trajectory, **simulated, **checks) as rig:
+    with Adviser(str(out), [*arm, *until]) as adviser, options.opened(trajectory, out) as rig:
         recording = AdvisedRig(trajectory, rig, out, adviser)
         if options.resume:
             recording.resume()

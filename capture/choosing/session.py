@@ -1,7 +1,6 @@
 """One session of `capture run --adaptive`, from the rig's opening to its end, and what it shows."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +13,11 @@ from capture.choosing.shape import Shape, eye_of
 from capture.choosing.tour import TourView, tour
 from capture.errors import UnreachableError
 from capture.planning import Obstacles
+from capture.starting import Options
 from capture.trajectory import Trajectory
 from datasets.calibration import Calibration
 from datasets.core import console
 from datasets.core.errors import UsageError
-
-
-@dataclass(frozen=True)
-class Options:
-    """How the rig is opened; as in `capture run`."""
-
-    rig: str
-    scene: str = ""
-    seed: int = 0
-    time_scale: float = 20.0
-    radiometry: Path | None = None
-    take_over: bool = False
-    resume: bool = False
-
 
 Show = Callable[[int, Why, Coverage | None], None]
 
@@ -46,21 +32,18 @@ def run(trajectory: Trajectory, out: Path, goal: Goal, options: Options, calibra
     Raises UsageError: `out` holds something else, or the trajectory is of another kind. CaptureError: an error of the rig; the
     arm stands still, and `out` can be resumed.
     """
-    from capture.doctor.examine import examination
-    from capture.rig.opening import describe, open_rig
+    from capture.rig.opening import describe
 
     check(trajectory)
     carrier = describe(options.rig).carrier()
     eye = eye_of(carrier.flange_from_camera, calibration)
     shape = Shape(trajectory, out, eye, calibration)
-    reach = Reach(_reachable(trajectory, Obstacles.of(trajectory, carrier)), Obstacles.of(trajectory, carrier), eye)
+    obstacles = Obstacles.of(trajectory, carrier)
+    reach = Reach(_reachable(trajectory, obstacles), obstacles, eye)
     first, lost = tour(trajectory, carrier)
     if lost:
         console.hint(f"{lost} test views of the trajectory cannot be taken and are left out")
-    encoded = trajectory.camera.pixel_format == "rgb8"
-    checks = {"examine": examination(out, trajectory.upwards, encoded, options.take_over), "take_over": options.take_over}
-    simulated = {"scene": options.scene, "seed": options.seed, "time_scale": options.time_scale}
-    with open_rig(options.rig, trajectory, **simulated, **checks, radiometry=options.radiometry) as rig:
+    with options.opened(trajectory, out) as rig:
         recording = ChosenRecording(trajectory, rig, out, shape)
         if options.resume:
             recording.resume()

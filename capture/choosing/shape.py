@@ -161,14 +161,15 @@ class _Pictures:
         """(n,) how much the colour of each place changes between the training views that see it well, from 0 to 1."""
         train = [(view, picture) for view, picture in zip(self.views, self.small, strict=True) if view.split == "train"]
         seen = seen_from(np.stack([view.world_from_camera for view, _ in train]), places, self.views[0].camera)
-        return colour_changes(np.stack([_colours(view, picture, places) for view, picture in train]), seen)
+        found = [_colours(view, picture, places, well) for (view, picture), well in zip(train, seen.well, strict=True)]
+        return colour_changes(np.stack(found), seen)
 
 
 def colour_changes(colours: NDArray[np.float32], seen: Seen) -> Array:
     """(n,) how much each place's colour changes with direction, from 0 to 1; 0 where fewer than three views see it well.
 
     Args:
-        colours: (views, n, 3) sRGB from 0 to 1.
+        colours: (views, n, 3) sRGB from 0 to 1; those that are not seen well do not count.
     """
     well, counts = seen.well[..., None], seen.counts[:, None]
     mean = (colours * well).sum(0) / np.maximum(counts, 1)
@@ -187,11 +188,11 @@ def _read_small(view: View) -> NDArray[np.float32]:
     return images.as_float(view.read_resized(width, height)[..., :3])
 
 
-def _colours(view: View, picture: NDArray[np.float32], places: Places) -> NDArray[np.float32]:
-    """(n, 3) sRGB of the pixels that show the places; of places outside the picture that of the pixel next to them."""
-    local = (places.points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-    local[:, 2] = np.maximum(local[:, 2], 1e-3)
-    column, row = np.floor(_small_camera(view.camera, picture).project(local)).T
-    column = np.clip(np.nan_to_num(column), 0, picture.shape[1] - 1).astype(int)
-    row = np.clip(np.nan_to_num(row), 0, picture.shape[0] - 1).astype(int)
-    return picture[row, column]
+def _colours(view: View, picture: NDArray[np.float32], places: Places, well: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(n, 3) sRGB of the pixels that show the places which the view sees well; black for the others."""
+    local = (places.points[well] - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+    column, row = np.floor(_small_camera(view.camera, picture).project(local)).T.astype(int)
+    height, width = picture.shape[:2]
+    colours = np.zeros((len(well), 3), np.float32)
+    colours[well] = picture[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return colours

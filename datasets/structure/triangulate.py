@@ -6,6 +6,7 @@ more than two pixels are dropped, and so are points seen by fewer than three vie
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,12 +83,20 @@ def explained(
     matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """(k,) for each match of one of the pairs, whether its rays meet in front of both cameras, to within the tolerance."""
-    return _meets(matches, pair, world_from_camera)[0]
+    return _meets(matches, pair, world_from_camera).agreed
+
+
+def meeting_places(
+    matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """`explained`, and the (k, 3) points of the first view's rays that are nearest to the second's, in the world."""
+    found = _meets(matches, pair, world_from_camera)
+    return found.agreed, found.places
 
 
 def agreement(matches: Matches, world_from_camera: NDArray[np.float64]) -> float:
     """Share of matches that the poses can explain: rays that meet in front of both cameras, to within the tolerance."""
-    agreed = sum(int(_meets(matches, pair, world_from_camera)[0].sum()) for pair in matches.pairs)
+    agreed = sum(int(explained(matches, pair, world_from_camera).sum()) for pair in matches.pairs)
     return agreed / max(matches.count, 1)
 
 
@@ -98,16 +107,25 @@ def endless_share(matches: Matches, world_from_camera: NDArray[np.float64], base
         i, j, _ = pair
         if np.linalg.norm(world_from_camera[i, :3, 3] - world_from_camera[j, :3, 3]) < baseline:
             continue
-        agreed, angle = _meets(matches, pair, world_from_camera)
-        parallel += int((agreed & (angle < NO_PARALLAX)).sum())
-        total += int(agreed.sum())
+        found = _meets(matches, pair, world_from_camera)
+        parallel += int((found.agreed & (found.angle < NO_PARALLAX)).sum())
+        total += int(found.agreed.sum())
     return parallel / max(total, 1)
 
 
-def _meets(
-    matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """For each match of a pair: whether its rays meet in front of both cameras, and the angle between them [rad]."""
+class _Meetings(NamedTuple):
+    """How the rays of k matches meet."""
+
+    agreed: NDArray[np.bool_]
+    """(k,) whether they do, in front of both cameras."""
+    angle: NDArray[np.float64]
+    """(k,) between them [rad]."""
+    places: NDArray[np.float64]
+    """(k, 3) where the first is nearest to the second, in the world."""
+
+
+def _meets(matches: Matches, pair: tuple[int, int, NDArray[np.int64]], world_from_camera: NDArray[np.float64]) -> _Meetings:
+    """How the rays of the matches of a pair meet."""
     i, j, index = pair
     first, second = matches.features[i], matches.features[j]
     a = first.directions[index[:, 0]] @ world_from_camera[i, :3, :3].T
@@ -124,7 +142,8 @@ def _meets(
     along_b = (cosine * (a @ baseline) - b @ baseline) / sine2
     angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), cosine)
     in_front = ((along_a > 0) & (along_b > 0)) | (angle < NO_PARALLAX)
-    return (out_of_plane < tolerance) & in_front & (length > 0), angle
+    places = world_from_camera[i, :3, 3] + along_a[:, None] * a
+    return _Meetings((out_of_plane < tolerance) & in_front & (length > 0), angle, places)
 
 
 def _tracks(matches: Matches, world_from_camera: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:

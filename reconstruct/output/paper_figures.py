@@ -145,7 +145,8 @@ def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int]
                 seen.append(training.clock.step)
                 weights.append(np.asarray(evaluate(training.state.model.field)))
     stacked = np.stack(weights)
-    first = np.asarray(first_surface(jnp.asarray(stacked), jnp.ones(stacked.shape, bool)))
+    rule = config.surface.first_in_scene(bounded=normalisation.bounded)  # as the training finds it
+    first = np.asarray(first_surface(jnp.asarray(stacked), jnp.ones(stacked.shape, bool), rule))
     return seen, t * length, stacked, first
 
 

@@ -73,13 +73,13 @@ def prepare(
     if fresh:
         gains = None if matches is None else gains_between(matches)
         stated = (scene.light_frame, scene.light_axis)
-        light, lamps = decided_light(views, pixels, normalisation, possible, config, stated)
-        telling = matches is not None and normalisation.bounded and not light.moves
-        matte = matte_share(matches, scene.box, matched.SIDE) if telling else None
+        light, lamps = (known.light, None) if known else decided_light(views, pixels, normalisation, possible, config, stated)
+        telling = matched.asks_for_matte(config) and normalisation.bounded and not light.moves
+        matte = matte_share(matches, scene.box, matched.SIDE) if matches is not None and telling else None
         evidence = evidence_of(scene, views, pixels, normalisation, possible, config.scale, gains, matte)
         lean, skips = plan(evidence, config)
         skips.append(refined)
-        if known is None:
+        if lamps is not None:
             skips.append(lamps)
             if light.moves:
                 hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")

@@ -16,10 +16,14 @@ SIDE = 400
 
 def matches_of(scene: Scene, views: tuple[View, ...], config: Config) -> Matches | None:
     """Matches between neighbouring views, where the configuration leaves something to be decided by them, or begins with it."""
-    asked = config.skip.reflection and config.field.appearance == "reflection"
-    if config.train.per_image == "none" and config.poses.enabled != "auto" and not asked:
+    if config.train.per_image == "none" and config.poses.enabled != "auto" and not asks_for_matte(config):
         return None
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))]
     matrices = np.stack([view.world_from_camera for view in chosen])
     with progress("comparing views", len(chosen), "images") as shown:
         return matching.matched(chosen, matching.pairs_of(matrices, scene.box.mean(0)), side=SIDE, done=shown.advance)
+
+
+def asks_for_matte(config: Config) -> bool:
+    """Whether reflections may be left out where matches tell that the object is matte."""
+    return config.skip.reflection and config.field.appearance == "reflection"

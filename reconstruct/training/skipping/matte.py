@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.structure.matching import SIDE, Features, Matches, shrunk
-from datasets.structure.triangulate import explained
+from datasets.structure.triangulate import meeting_places
 
 ALIKE = 0.1
 """Largest difference of logarithmic light between two views that see the same place in the same colour."""
@@ -51,24 +51,14 @@ def matte_features(matches: Matches, box: NDArray[np.float64]) -> list[NDArray[n
     kept = [np.zeros(len(features.directions), bool) for features in matches.features]
     for pair in matches.pairs:
         i, j, index = pair
-        same = index[explained(matches, pair, poses)]
-        places = _meeting(poses[[i, j]], matches.features[i].directions[same[:, 0]], matches.features[j].directions[same[:, 1]])
-        same = same[np.all((low <= places) & (places <= high), -1)]
+        agreed, places = meeting_places(matches, pair, poses)
+        same = index[agreed & np.all((low <= places) & (places <= high), -1)]
         if not len(same):
             continue
         ratio = _log_light(matches.features[i], same[:, 0]) - _log_light(matches.features[j], same[:, 1])
         alike = same[np.abs(ratio - np.median(ratio)) < ALIKE]
         kept[i][alike[:, 0]] = kept[j][alike[:, 1]] = True
     return kept
-
-
-def _meeting(poses: NDArray[np.float64], first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) points of the first camera's rays that are nearest to the second's; rays are (n, 3) in their cameras' frames."""
-    d, e = (rays @ pose[:3, :3].T for rays, pose in zip((first, second), poses, strict=True))
-    d, e = (rays / np.linalg.norm(rays, axis=-1, keepdims=True) for rays in (d, e))
-    apart, cosine = poses[1, :3, 3] - poses[0, :3, 3], np.sum(d * e, -1)
-    along = (d @ apart - cosine * (e @ apart)) / np.maximum(1 - cosine**2, 1e-12)
-    return poses[0, :3, 3] + along[:, None] * d
 
 
 def _log_light(features: Features, index: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ COSTS = {
     "fine_levels": "0.17 dB better to 0.12 dB worse on three scenes",
     "table_size": "0.42 dB better to 0.30 dB and 2 deg worse on three scenes",
     "multisampling": "not measured; aliasing where footprints differ",
-    "reflection": "none: 1.4 to 1.6 dB better on two scenes; no predicted normals",
+    "reflection": "not measured; without any regulariser 1.6 and 2.7 dB better on two scenes; no predicted normals",
     "consistent_passes": "not measured; normals may drift apart between passes",
     "converged": "0.15 dB better to 1.78 dB worse where it stopped a training",
     "distortion": "none: the same figures",

@@ -11,7 +11,7 @@ CAMERA = KOALA.camera
 
 
 def test_one_camera_does_not_differ_from_itself():
-    assert crossval.difference(CAMERA, CAMERA).distance_px.max() < 1e-6
+    assert crossval.difference(CAMERA, CAMERA).values_px.max() < 1e-6
 
 
 def test_a_turned_camera_is_the_same_camera():
@@ -22,8 +22,8 @@ def test_a_turned_camera_is_the_same_camera():
 
 def test_a_focal_length_shows_at_the_rim():
     wide = crossval.difference(CAMERA, replace(CAMERA, fx=1.01 * CAMERA.fx, fy=1.01 * CAMERA.fy))
-    assert wide.distance_px.shape == (24, 24)
-    middle, rim = wide.distance_px[11, 11], wide.distance_px[0, 0]
+    assert wide.values_px.shape == (24, 24)
+    middle, rim = wide.values_px[11, 11], wide.values_px[0, 0]
     assert middle < 1 and rim == pytest.approx(0.01 * np.hypot(wide.columns[0] - CAMERA.cx, wide.rows[0] - CAMERA.cy), rel=0.1)
 
 
@@ -32,7 +32,7 @@ def test_halves_of_a_session_agree_where_corners_were_seen():
     drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, 24, Pattern()), sigma_px=0.1, arm=ARM)
     found = estimate.calibrate(drawn.observations(), CAMERA.width, CAMERA.height, lenses=[estimate.USUAL])
     halves = crossval.cross_validate(found.camera, found.lens, found.observations, found.camera_from_board)
-    middle = halves.distance_px[8:16, 8:16]
+    middle = halves.values_px[8:16, 8:16]
     # the centre trades against rotation and is taken out; what is left is a tenth of a pixel and less
     assert np.sqrt(np.mean(middle**2)) < 0.15 < 5
-    assert halves.distance_px[0, 0] > middle.mean()
+    assert halves.values_px[0, 0] > middle.mean()
