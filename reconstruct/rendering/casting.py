@@ -4,9 +4,9 @@ Where a ray is shaded once, on its composited material, one reflected ray leaves
 occupied cells are evaluated as wide as the lobe of the material's roughness, and what is composited there is shaded in turn, by
 the light from afar alone. Its light comes before the light from afar, as far as it is opaque.
 
-No gradient goes to what is met. Without a way back the loop over the rays can end when none is left, so that the cost follows
-what mirrors show; and a mirror whose shape is still wrong does not paint its wishes onto its neighbours, which cameras see
-themselves. Nor does a gradient go through what is met to the mirror's normals.
+No gradient goes to what is met. So the loop over the rays can stop when none is left, and the cost depends on how much mirrors
+show. A mirror whose shape is still wrong does not change its neighbours either, which the cameras see themselves. Nor does a
+gradient go through what is met to the mirror's normals.
 """
 
 from dataclasses import replace
