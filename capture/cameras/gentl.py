@@ -4,6 +4,8 @@ A producer is a library with the ending .cti that each maker ships; `camera.sour
 """
 
 import os
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -148,7 +150,8 @@ class GenTlCamera:
             remedy = "write the serial number into the rig file"
             raise RigConnectionError("several GenICam cameras are connected", where=self._name(), why=found, remedy=remedy)
         self._info = chosen[0]
-        self._acquirer = self._harvester.create({"id_": self._info["id_"]})
+        with _ctrl_c_stays():
+            self._acquirer = self._harvester.create({"id_": self._info["id_"]})
 
     @property
     def _nodes(self) -> "GenTlNodes":
@@ -265,6 +268,17 @@ def opened(device: Device) -> Iterator[tuple[GenTlNodes, str]]:
         yield driver._nodes, driver._info["serial_number"]
     finally:
         driver._close()
+
+
+@contextmanager
+def _ctrl_c_stays() -> Iterator[None]:
+    """Leave Ctrl-C as it was. Harvesters takes it to close its camera, and for good: it would no longer stop the arm."""
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():  # others may not, and harvesters does not there
+            signal.signal(signal.SIGINT, before)
 
 
 def _producers(source: str) -> list[Path]:

@@ -1,5 +1,6 @@
 """Through harvesters, on the GenTL producer that comes with the genicam package: a camera that shows a game."""
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,14 @@ def test_pictures_move_on_in_colour_and_in_grey():
         assert first.pixels.shape == (104, 104, channels) and (first.pixels != second.pixels).any(), "the ball has moved"
         assert (state["BouncingBallSize"], state["Width"]) == (40, 104)
         assert np.unique(first.pixels).size > 1
+
+
+def test_ctrl_c_still_interrupts_while_the_camera_is_open_and_afterwards():
+    with GenTlCamera(SETTINGS, device()) as camera, pytest.raises(KeyboardInterrupt):
+        camera.grab()
+        signal.raise_signal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 @pytest.mark.parametrize(
