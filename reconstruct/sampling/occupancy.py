@@ -37,7 +37,7 @@ class Occupancy(eqx.Module):
     @classmethod
     def create(
         cls,
-        key: PRNGKeyArray,
+        seed: int,
         *,
         grid: int,
         outer_grid: int,
@@ -48,6 +48,7 @@ class Occupancy(eqx.Module):
         """All cells occupied, or those that are `possible`: of the only grid where there is one, else of the outer one.
 
         Args:
+            seed: of the order in which cells are visited.
             steps: of a ray, where they are even in the map.
         """
         inner, outer = grid**3, 0 if space.single_grid else outer_grid**3
@@ -65,7 +66,7 @@ class Occupancy(eqx.Module):
             if possible is not None:
                 cells[inner:] &= possible
             extent[inner:] = 4 / outer_grid / np.square(np.maximum(2 - np.maximum(radius, 1), 0.05))
-        visits = np.random.default_rng(np.asarray(jax.random.key_data(key))).permutation(np.flatnonzero(cells))
+        visits = np.random.default_rng(seed).permutation(np.flatnonzero(cells))
         density = jnp.where(jnp.asarray(cells), jnp.inf, 0.0)
         depth = jnp.where(jnp.asarray(cells), UNKNOWN, 0.0).astype(jnp.float16)
         order, cursor = jnp.asarray(visits, jnp.int32), jnp.zeros((), jnp.int32)

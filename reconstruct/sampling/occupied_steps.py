@@ -71,7 +71,12 @@ class OccupiedSteps(Sampler):
         focused = None if space.single_grid or half_box is None or candidates == 1 else focus.Focus(half_box, candidates)
         return cls(
             grid=Occupancy.create(
-                key, grid=sampler.grid, outer_grid=sampler.outer_grid, space=space, steps=sampler.steps, possible=possible
+                config.train.seed,
+                grid=sampler.grid,
+                outer_grid=sampler.outer_grid,
+                space=space,
+                steps=sampler.steps,
+                possible=possible,
             ),
             rays=sampler.rays,
             capacity=sampler.samples,

@@ -199,9 +199,7 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer:
     axis = (np.arange(grid) + 0.5) / grid * 2 - 1
     distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1).reshape(-1)
     radius = RADIUS * run.normalisation.scale
-    occupancy = Occupancy.create(
-        jax.random.key(0), grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid
-    )
+    occupancy = Occupancy.create(0, grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid)
     field = model.field
     solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))

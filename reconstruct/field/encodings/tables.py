@@ -73,10 +73,10 @@ def combine(table: Float[Array, "features rows"], rows: list, coefficients: list
 
 def combine_rows(table: Float[Array, "features rows"], rows: list, coefficients: list) -> list:
     """The same by reading all features of a row at once: a GPU fetches 32 bytes wherever it reads, eight numbers or one."""
-    by_row = barrier(table.T)
+    by_row = _adjacent(table.T)
     vertices = [by_row.at[row].get(mode="promise_in_bounds") for row in rows]
     products = [[v * c[..., None] for v, c in zip(vertices, one, strict=True)] for one in coefficients]
-    sums = [sum(one[1:], one[0]) for one in products]
+    sums = [_adjacent(sum(one[1:], one[0])) for one in products]
     return [[one[..., feature] for feature in range(table.shape[0])] for one in sums]
 
 
@@ -96,9 +96,17 @@ def spread(shape: tuple[int, int], rows: list, coefficients: list, cotangents: l
 
 def spread_rows(shape: tuple[int, int], rows: list, coefficients: list, cotangents: list) -> Float[Array, "features rows"]:
     """The same with all features of a row added at once, one vertex after the other."""
-    pulled = [jnp.stack(one, -1) for one in cotangents]
-    by_row = jnp.zeros(shape[::-1], pulled[0].dtype)
+    pulled = [_adjacent(jnp.stack(one, -1)) for one in cotangents]
+    by_row = _adjacent(jnp.zeros(shape[::-1], pulled[0].dtype))
     for vertex, row in enumerate(rows):
         update = sum(one[vertex][..., None] * pull for one, pull in zip(coefficients, pulled, strict=True))
         by_row = by_row.at[row].add(update, mode="promise_in_bounds")
-    return by_row.T
+    return _adjacent(by_row).T
+
+
+def _adjacent(array: Float[Array, "... n features"]) -> Float[Array, "... n features"]:
+    """The same with all features of a row side by side in memory; left to itself the compiler keeps each feature's in one piece.
+
+    The order within one axis is not the compiler's to choose.
+    """
+    return barrier(array.reshape(*array.shape[:-2], -1)).reshape(array.shape)

@@ -43,7 +43,7 @@ def steps_of(rays: Rays, space: Space) -> Steps:
 
 def some_grid(space: Space, share: float) -> Occupancy:
     """With this share of the cells occupied, and depths of all sizes."""
-    made = Occupancy.create(jax.random.key(0), grid=32, outer_grid=16, space=space, steps=STEPS, possible=None)
+    made = Occupancy.create(0, grid=32, outer_grid=16, space=space, steps=STEPS, possible=None)
     rng = np.random.default_rng(1)
     flags = jnp.asarray(rng.random(made.depth.shape) < share)
     density = jnp.asarray(rng.exponential(4, made.depth.shape), jnp.float32)

@@ -17,7 +17,7 @@ CELL = np.sqrt(3) / GRID
 
 def opaque(solid: np.ndarray) -> Occupancy:
     """A grid with opaque matter in the given inner cells, and in all that are around them."""
-    fresh = Occupancy.create(jax.random.key(0), grid=GRID, outer_grid=8, space=BALL, steps=32, possible=None)
+    fresh = Occupancy.create(0, grid=GRID, outer_grid=8, space=BALL, steps=32, possible=None)
     cells = np.concatenate([solid, np.ones(len(fresh.extent) - len(solid), bool)])
     return eqx.tree_at(lambda o: o.density, fresh, jnp.full(len(cells), 1e3)).with_occupied(jnp.asarray(cells))
 

@@ -10,9 +10,7 @@ from reconstruct.scene.space import BALL, BOX
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_updates_find_a_ball_and_forget_what_has_gone(bounded: bool) -> None:
-    occupancy = Occupancy.create(
-        jax.random.key(0), grid=16, outer_grid=8, space=BOX if bounded else BALL, steps=32, possible=None
-    )
+    occupancy = Occupancy.create(0, grid=16, outer_grid=8, space=BOX if bounded else BALL, steps=32, possible=None)
     assert occupancy.occupied.sum() > 2000
 
     @jax.jit
@@ -40,7 +38,7 @@ def test_updates_find_a_ball_and_forget_what_has_gone(bounded: bool) -> None:
 
 
 def test_update_points_lie_in_their_cells() -> None:
-    occupancy = Occupancy.create(jax.random.key(0), grid=6, outer_grid=8, space=BALL, steps=32, possible=None)
+    occupancy = Occupancy.create(0, grid=6, outer_grid=8, space=BALL, steps=32, possible=None)
     cells = occupancy.visits
     points = occupancy._points(cells, jax.random.uniform(jax.random.key(1), (3, len(cells)), minval=0.01, maxval=0.99))
     outside = np.asarray(cells) >= 6**3
@@ -52,7 +50,7 @@ def test_update_points_lie_in_their_cells() -> None:
 def test_masks_rule_cells_out_for_good() -> None:
     possible = np.zeros(8**3, bool)
     possible[100:200] = True
-    occupancy = Occupancy.create(jax.random.key(0), grid=8, outer_grid=8, space=BOX, steps=32, possible=possible)
+    occupancy = Occupancy.create(0, grid=8, outer_grid=8, space=BOX, steps=32, possible=possible)
     look = jax.jit(lambda o, key: o.updated(lambda p: jnp.full(p.shape[1], 1e3), key, 60, 0.01))
     for key in jax.random.split(jax.random.key(1), 4):
         occupancy = look(occupancy, key)
@@ -60,14 +58,14 @@ def test_masks_rule_cells_out_for_good() -> None:
 
 
 def test_densities_that_training_met_are_kept() -> None:
-    occupancy = Occupancy.create(jax.random.key(0), grid=8, outer_grid=8, space=BOX, steps=32, possible=np.zeros(512, bool))
+    occupancy = Occupancy.create(0, grid=8, outer_grid=8, space=BOX, steps=32, possible=np.zeros(512, bool))
     occupancy = occupancy.noted(jnp.array([3, 3, 7]), jnp.array([5.0, 2.0, 1.0]))
     np.testing.assert_array_equal(occupancy.density[jnp.array([3, 7, 8])], [5, 1, 0])
 
 
 def test_the_outer_extent_is_a_step_in_the_scene() -> None:
     """A cell of the contracted surroundings stands for a step that contraction shrinks: checked radially by differences."""
-    occupancy = Occupancy.create(jax.random.key(0), grid=8, outer_grid=32, space=BALL, steps=32, possible=None)
+    occupancy = Occupancy.create(0, grid=8, outer_grid=32, space=BALL, steps=32, possible=None)
     for radius in (1.2, 2.0, 5.0):
         point = jnp.array([radius, 0.05, 0.05])
         shrink = float((contract(point + jnp.array([0.01, 0, 0])) - contract(point - jnp.array([0.01, 0, 0])))[0]) / 0.02

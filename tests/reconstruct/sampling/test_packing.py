@@ -40,7 +40,7 @@ def test_a_camera_inside_the_ball_has_no_steps_of_no_length(some_rays, steps_of)
     rays = some_rays(16, distance=0.3)
     steps = steps_of(rays, bounded=False)
     assert (steps.enter == steps.near).all()
-    occupancy = Occupancy.create(jax.random.key(0), grid=16, outer_grid=8, space=BALL, steps=32, possible=None)
+    occupancy = Occupancy.create(0, grid=16, outer_grid=8, space=BALL, steps=32, possible=None)
     depth = DEPTH(occupancy, rays, steps, jnp.full(16, 0.5), BALL)
     assert not (depth[:, :FRONT] > 0).any()
     assert (depth[:, FRONT:] > 0).any(-1).all()
@@ -54,9 +54,7 @@ def test_a_camera_inside_the_ball_has_no_steps_of_no_length(some_rays, steps_of)
 @pytest.mark.parametrize("bounded", [True, False])
 def test_expected_depth_equals_a_loop(bounded: bool, some_rays, steps_of) -> None:
     rays, grid, outer = some_rays(24), 12, 10
-    occupancy = Occupancy.create(
-        jax.random.key(0), grid=grid, outer_grid=outer, space=BOX if bounded else BALL, steps=32, possible=None
-    )
+    occupancy = Occupancy.create(0, grid=grid, outer_grid=outer, space=BOX if bounded else BALL, steps=32, possible=None)
     rng = np.random.default_rng(1)
     flags = rng.random(occupancy.occupied.shape) < 0.4
     occupancy = occupancy.with_occupied(jnp.asarray(flags))

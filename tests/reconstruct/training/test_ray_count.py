@@ -1,13 +1,15 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from reconstruct.config import Config
 from reconstruct.errors import ReconstructError
-from reconstruct.models import load_config, merged
+from reconstruct.models import PRESETS, load_config, merged
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.training import ray_count
+from reconstruct.training.step import Step
 
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
 
@@ -70,3 +72,10 @@ def test_more_rays_need_more_memory() -> None:
     few, many = (ray_count.needed_bytes(ray_count.scaled(config, rays), FACTS, some_pixels()) for rays in (256, 1024))
     assert many > 1.5 * few > 0
     assert 0 < ray_count.memory_limit() < 2**50 and np.isfinite(ray_count.SHARE)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_memory_is_planned_from_shapes_without_values(preset: str) -> None:
+    step = Step.of(load_config("surfnerf", preset), FACTS)
+    state = jax.eval_shape(lambda: step.initial(jax.random.key(0), None, 1))
+    assert all(isinstance(leaf, jax.ShapeDtypeStruct) for leaf in jax.tree.leaves(state))
