@@ -13,7 +13,7 @@ def gpu_command(
     seconds: Annotated[
         float | None,
         Option(
-            "--seconds", min=0.1, help="Seconds of training in all; default: 240. Needed on a processor, which tries small sizes."
+            "--seconds", min=0.1, help="Seconds of training in all; default: 180. Needed on a processor, which tries small sizes."
         ),
     ] = None,
     data: Annotated[Path | None, Option(help="Folder with the real scenes; default: the usual places.")] = None,
@@ -22,7 +22,7 @@ def gpu_command(
     ] = False,
     as_json: console.Json = False,
 ) -> None:
-    """Measure a GPU in ten minutes: rays per second of both presets, error over time, rendering, memory, all devices and one."""
+    """Measure a GPU in some ten minutes: rays per second of both presets, error over time, rendering, memory, all devices and one."""
     from datasets.core.errors import UsageError
     from reconstruct.bench.gpu import memory, run
     from reconstruct.bench.gpu.plan import Sizes, trials

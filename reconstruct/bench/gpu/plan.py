@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from reconstruct.bench.suite import COST, QUALITY, Trial
 
-SECONDS = 240.0
+SECONDS = 180.0
 """Of training in all, by default: the rest of ten minutes goes to compiling and evaluating."""
 LEGO, LARGE = "lego400", "gold_rings_800"
 """Scenes: pictures of 400x400, read from the data folder; and of 800x800, rendered by Koala."""
@@ -47,7 +47,7 @@ class Sizes:
         """Full sizes on an accelerator; small ones on a processor."""
         if platform == "cpu":
             return cls(seconds or 1.0, SMALL, 32, (6, 2), 0.125, curves=False)
-        return cls(seconds or SECONDS, (), 800, (60, 5), 1.0, curves=True)
+        return cls(seconds or SECONDS, (), 800, (24, 3), 1.0, curves=True)
 
 
 def trials(sizes: Sizes, *, alone: bool = False) -> list[Trial]:
