@@ -9,6 +9,8 @@ from capture.doctor.lines import Line, judged, ok, unknown, wrong
 from capture.rig.description import InstallationDescription
 
 PLAYING, PAUSED, RESUMING = 2, 4, 5
+POLYSCOPE_X = 10
+"""Its first major version."""
 PAYLOAD_KG, CENTRE_M, TOOL_M, TOOL_RAD = 0.05, 0.01, 1e-4, 1e-3
 """What may differ from the rig file: payload and its centre by the accuracy of scales and rulers, the tool offset by rounding."""
 
@@ -19,11 +21,11 @@ def check(answers: Answers, stated: InstallationDescription) -> list[Line]:
 
 
 def _control(answers: Answers) -> list[Line]:
-    replies = answers.dashboard
-    if replies is None:
-        remedy = "on PolyScope 5 enable it under Settings > Security > Services; PolyScope X has none, and Koala needs it"
-        lines = [wrong("dashboard", f"no dashboard server at {answers.host}", remedy)]
-        lines.append(unknown("remote control", "only the dashboard says it", "see the top right of the pendant"))
+    if (replies := answers.dashboard) is None:
+        lines = [
+            _missing_dashboard(answers),
+            unknown("remote control", "only a dashboard says it", "see the top right of the pendant"),
+        ]
         state = answers.sample["runtime_state"] if answers.sample is not None else None
         program = {PLAYING: "PLAYING", RESUMING: "PLAYING", PAUSED: "PAUSED"}.get(state or 0, "STOPPED")
     else:
@@ -36,6 +38,14 @@ def _control(answers: Answers) -> list[Line]:
     remedy = "wait for it, stop it at the pendant, or let 'capture run --take-over' end it"
     lines.append(judged("program", not running, program if running else "none runs", remedy))
     return lines
+
+
+def _missing_dashboard(answers: Answers) -> Line:
+    version = answers.primary.version if answers.primary is not None else None
+    if version is not None and version[0] >= POLYSCOPE_X:
+        return ok("dashboard", "PolyScope X has none: RTDE and the primary interface stand in, client koala")
+    remedy = "enable it under Settings > Security > Services; PolyScope X has none, but says its version on the primary interface"
+    return wrong("dashboard", f"no dashboard server at {answers.host}", remedy)
 
 
 def _payload(sample: dict[str, Any] | None, stated: InstallationDescription) -> list[Line]:

@@ -4,13 +4,15 @@ import re
 import socket
 from typing import Self
 
-from capture.errors import NotReady, RigConnectionError
+from capture.errors import RigConnectionError
 
 PORT, TIMEOUT_S = 29999, 1.0
 
 
 class Dashboard:
     """One connection; `connect` opens it, `close` may be called twice."""
+
+    name = "dashboard"
 
     def __init__(self, link: socket.socket, host: str) -> None:
         self.link, self.host = link, host
@@ -58,21 +60,21 @@ class Dashboard:
         """ "RUNNING", "IDLE", "POWER_OFF", ..."""
         return self.ask("robotmode").partition(":")[2].strip()
 
-    def program_running(self) -> bool:
-        """Whether a program runs and is not paused."""
-        return self.ask("running").partition(":")[2].strip().lower() == "true"
+    def program_state(self) -> str:
+        """ "PLAYING palletizing.urp", "PAUSED ...", "STOPPED ..."."""
+        return self.ask("programState")
 
-    def require_ready(self) -> None:
-        """Raise NotReady unless the arm could move now."""
-        safety, mode = self.safety_status(), self.robot_mode()
-        if safety not in ("NORMAL", "REDUCED"):
-            remedy = "find the cause, release it at the pendant, then run again"
-            raise NotReady("the robot is stopped for safety", where=self.host, why=f"safety status {safety}", remedy=remedy)
-        if mode != "RUNNING":
-            remedy = "switch the arm on and release the brakes at the pendant"
-            raise NotReady("the robot is not running", where=self.host, why=f"robot mode {mode}", remedy=remedy)
-        if "true" not in self.ask("is in remote control").lower():
-            raise NotReady("the robot is in local control", where=self.host, remedy="choose remote control at the pendant")
+    def remote_control(self) -> bool:
+        """Whether the pendant has handed over control."""
+        return "true" in self.ask("is in remote control").lower()
+
+    def stop(self) -> str:
+        """End the program; "Stopped" where that was done."""
+        return self.ask("stop")
+
+    def serial(self) -> str:
+        """Serial number of the arm."""
+        return self.ask("get serial number")
 
     def close(self) -> None:
         """Close the connection."""

@@ -1,6 +1,6 @@
 """An arm of Universal Robots. The client of its controller lives in a child process because the vendor's can hang or crash.
 
-The parent keeps every deadline, watches the stream of states, and has a dashboard connection of its own to stop the arm.
+The parent keeps every deadline, watches the stream of states, and has a connection of its own to stop the arm.
 """
 
 import logging
@@ -18,8 +18,8 @@ from capture.kinematics import pose_from_six
 from capture.measurements import RobotState
 from capture.robots.brake import STILL_RAD_S, Answer, Brake
 from capture.robots.client import ClientChoice, StartFailure
-from capture.robots.dashboard import Dashboard
 from capture.robots.link import ChildLink, Sample
+from capture.robots.pendant import Pendant, client_for, require_ready
 from capture.robots.settling import Settling, Window
 from capture.robots.timing import Deadlines
 from capture.safety import Limits
@@ -48,7 +48,7 @@ class UniversalRobot:
     Args:
         tolerance: largest difference between measured and target angles at the end of a motion [rad].
         frequency: requested sample rate of the controller [Hz].
-        client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed.
+        client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed and there is a dashboard.
         take_over: end a program that runs on the controller; else entering leaves it alone and raises NotReady.
     """
 
@@ -78,14 +78,16 @@ class UniversalRobot:
         """Connect. Raises RigConnectionError or NotReady, with nothing left open."""
         self.close()
         try:
-            dashboard = self._brake.connect()
-            dashboard.require_ready()
+            pendant = self._brake.connect()
+            require_ready(pendant, self.host)
             self._brake.take(1.0 / self.deadlines.watchdog_hz + 1.0, by_force=self.take_over)
-            self._link = ChildLink.start(self.client, self.host, self.frequency, self.deadlines.watchdog_hz)
+            self._link = ChildLink.start(
+                client_for(pendant, self.client, self.host), self.host, self.frequency, self.deadlines.watchdog_hz
+            )
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
                 raise self._no_connection(self._link, ready)
-            self._describe(dashboard, ready["client"], ready["tcp_offset"])
+            self._describe(pendant, ready["client"], ready["tcp_offset"])
             self._description["model"] = _model(self.state())
         except BaseException:
             self.close()
@@ -155,7 +157,7 @@ class UniversalRobot:
         return self._connected().samples
 
     def stop(self) -> None:
-        """Bring the arm to rest, by the client where it answers, else by the dashboard; it stays there until `clear_stop`.
+        """Bring the arm to rest, by the client if it answers, else by the controller; it stays there until `clear_stop`.
 
         Any thread, any number of times. Raises RigConnectionError where nothing confirms that the arm stops.
         """
@@ -185,14 +187,14 @@ class UniversalRobot:
             raise RigConnectionError("the robot is not connected", where=self.host, remedy="enter the context again")
         return self._link
 
-    def _describe(self, dashboard: Dashboard, client: str, tcp_offset: list[float]) -> None:
+    def _describe(self, pendant: Pendant, client: str, tcp_offset: list[float]) -> None:
         if len(tcp_offset) != 6:
             raise RigConnectionError("the tool offset cannot be read", where=self.host, remedy="run again")
         self._tcp_from_flange = pose.inverse(pose_from_six(tcp_offset))
         self._description = {
             "host": self.host,
-            "serial": dashboard.ask("get serial number"),
-            "software": dashboard.version(),
+            "serial": pendant.serial(),
+            "software": pendant.version(),
             "client": client,
             "tcp_offset": [float(number) for number in tcp_offset],
         }

@@ -70,7 +70,7 @@ FAULTS = {
     ),
     "controller silent": Fault(
         _ask("hang", seconds=60),
-        ("data stream stands still", "the dashboard does not answer either", "stops by its own watchdog"),
+        ("data stream stands still", "the controller does not answer a second connection either", "stops by its own watchdog"),
         _ask("hang", seconds=0),
         deadline_s=10.0,
     ),

@@ -1,15 +1,12 @@
-"""The primary interface of the simulated controller: a version message, then its state ten times a second."""
+"""The primary interface of the simulated controller: a version message, then its state ten times a second; takes programs."""
 
 import asyncio
 import struct
-from typing import TYPE_CHECKING
 
 from capture.kinematics import six_from_pose
 from capture.robots import primary
 from capture.robots.primary import package
-
-if TYPE_CHECKING:
-    from capture.sim.controller.server import ControllerServer
+from capture.sim.controller.server import ControllerServer, closing
 
 PORTS = (30001, 30002)
 PERIOD_S = 0.1
@@ -23,7 +20,7 @@ def version_message(version: tuple[int, ...]) -> bytes:
     return package(primary.MESSAGE, content)
 
 
-def state_message(server: "ControllerServer") -> bytes:
+def state_message(server: ControllerServer) -> bytes:
     """Tool pose and offset, the calibrated links, and the checksum of the safety settings."""
     arm, links = server.arm, server.arm.links if server.installed.calibrated else server.arm.model.links
     pose = [*server.tcp_pose(arm.actual(server.now)[0]), *six_from_pose(arm.flange_from_tcp)]
@@ -36,19 +33,25 @@ def state_message(server: "ControllerServer") -> bytes:
     return package(primary.STATE, b"".join(parts))
 
 
-async def serve(server: "ControllerServer", reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Serve one connection until the client leaves; nothing that it sends is read."""
-    del reader
-    try:
-        if not server.installed.primary:
-            return
-        writer.write(version_message(server.installed.version))
+async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Serve one connection until the client leaves: it hears the state, and may send programs as to the script port."""
+    if not server.installed.primary:
+        writer.close()
+        return
+    writer.write(version_message(server.installed.version))
+    telling = asyncio.create_task(_tell(server, writer))
+    with closing(writer):
+        try:
+            await server.take_programs(reader)
+        finally:
+            telling.cancel()
+
+
+async def _tell(server: ControllerServer, writer: asyncio.StreamWriter) -> None:
+    """Send the state over and over."""
+    with closing(writer):
         while not writer.is_closing():
             if not server.silent:
                 writer.write(state_message(server))
                 await writer.drain()
             await asyncio.sleep(PERIOD_S)
-    except ConnectionError:
-        return
-    finally:
-        writer.close()

@@ -23,6 +23,7 @@ REGISTERS = 48  # of each kind and direction
 MAX_PROGRAM = 1 << 18  # bytes; the vendor's program has 50,000, and a path adds 100 per point
 EVERY_CYCLE = frozenset({58})
 """Commands that are carried out in every cycle while they are in the register, and never answered with done."""
+_STOP = re.compile(r"\s*def \w{1,50}\(\):\s{1,9}stopj\(([\d.]{1,9})\)\s{1,9}end\s*")
 _OFFSET = re.compile(r"#\s*int register offset.*\n\s*(?:[a-z_]+\s*=\s*)?(\d{1,20})")
 _REGISTER_CALL = re.compile(r"(?:read_input|write_output)_(integer|float|boolean)_register\(\s*(\d{1,20})")
 
@@ -44,6 +45,12 @@ def refusal_of_part(text: bytes | bytearray, *, ended: bool) -> str:
     if begun and (ended or b"\n" in begun) and not begun.startswith((b"def ", b"#")):
         return f"not simulated: the line {begun[:60].splitlines()[0].decode('latin-1')!r}; a program begins with 'def'"
     return "a program without its last line, 'end'" if begun and ended else ""
+
+
+def stop_of(text: str) -> float | None:
+    """Deceleration of a program that stops the arm and does nothing else [rad/s^2]; None: it is another program."""
+    found = _STOP.fullmatch(text)
+    return float(found[1]) if found else None
 
 
 def refusal(text: str) -> str:

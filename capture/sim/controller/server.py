@@ -95,6 +95,11 @@ class ControllerServer:
 
     def upload(self, text: str) -> str:
         """Start a program, as the script port does with every one that it receives; why it is refused, or nothing."""
+        if (deceleration := script.stop_of(text)) is not None:
+            if not self.unstoppable:
+                self.stop_program()
+                self.arm.stop(deceleration, self.now)
+            return ""
         if refused := script.refusal(text):
             return refused
         if self.arm.may_move:
@@ -167,22 +172,27 @@ class ControllerServer:
                 self.sessions.remove(session)
 
     async def serve_script(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one connection of the script port: every "def ...: ... end" is a program, and all else is refused."""
-        text, chunk = bytearray(), b"..."
+        """Serve one connection of the script port."""
         with closing(writer):
-            while chunk:
-                chunk = await reader.read(65536)
-                await self._answering()
-                text += chunk
-                if script.is_whole(text):
-                    refused = self.upload(text.decode("latin-1"))
-                    text.clear()
-                else:
-                    refused = script.refusal_of_part(text, ended=not chunk)
-                if refused:
-                    self.report(refused)
-                    writer.write(f"{refused}\n".encode())
-                    return
+            if refused := await self.take_programs(reader):
+                writer.write(f"{refused}\n".encode())
+
+    async def take_programs(self, reader: asyncio.StreamReader) -> str:
+        """Run what arrives: every "def ...: ... end" is a program. Returns why something was refused, or nothing at the end."""
+        text, chunk = bytearray(), b"..."
+        while chunk:
+            chunk = await reader.read(65536)
+            await self._answering()
+            text += chunk
+            if script.is_whole(text):
+                refused = self.upload(text.decode("latin-1"))
+                text.clear()
+            else:
+                refused = script.refusal_of_part(text, ended=not chunk)
+            if refused:
+                self.report(refused)
+                return refused
+        return ""
 
     async def serve_dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one connection of the dashboard; no more is read from a client that does not read the answers."""

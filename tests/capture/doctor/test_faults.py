@@ -160,11 +160,12 @@ def test_several_faults_are_all_named(controller, emulation, tmp_path, seed):
     assert sorted(named(examine(controller, emulation, chosen, tmp_path))) == sorted(fault.line for fault in chosen)
 
 
-def test_polyscope_x_has_no_dashboard_and_that_is_said(controller, emulation, tmp_path):
-    """The driver needs one, so that is wrong and not only unknown; all else is still found out."""
-    no_dashboard = Fault("dashboard", "dashboard", {"dashboard": False, "version": [10, 7, 0, 0]})
-    lines = {line.name: line for line in examine(controller, emulation, [no_dashboard], tmp_path)}
-    assert named(list(lines.values())) == ["dashboard"] and "PolyScope X" in lines["dashboard"].remedy
+def test_polyscope_x_has_no_dashboard_and_needs_none(controller, emulation, tmp_path):
+    """Without one nobody says who has control; all else is still found out."""
+    polyscope_x = Fault("dashboard", "dashboard", {"dashboard": False, "version": [10, 7, 0, 0]})
+    lines = {line.name: line for line in examine(controller, emulation, [polyscope_x], tmp_path)}
+    assert named(list(lines.values())) == [] and "PolyScope X" in lines["dashboard"].found
+    assert lines["remote control"].verdict is Verdict.UNKNOWN
     assert lines["software"].found == "10.7.0" and lines["program"].verdict is Verdict.OK
 
 

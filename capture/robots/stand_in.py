@@ -1,0 +1,108 @@
+"""Stands in for the dashboard, which PolyScope X does not have: asks over RTDE, and stops the arm by a program of its own.
+
+A program that arrives at the primary interface takes the place of the one that runs. This one brings the joints to rest and ends.
+"""
+
+import socket
+import time
+from typing import Any, Self
+
+from capture.errors import RigConnectionError
+from capture.robots import primary
+from capture.robots.rtde.stream import RtdeStream
+
+RATE_HZ, TIMEOUT_S = 50.0, 1.0
+STOP_S = 2.0  # until the arm rests: joints that turn at 2 rad/s slow down at 3 rad/s^2
+STOP = "def koala_stop():\n  stopj(3.0)\nend\n"
+PLAYING, PAUSING, PAUSED, RESUMING = 2, 3, 4, 5
+STATES = {PLAYING: "PLAYING", PAUSING: "PAUSED", PAUSED: "PAUSED", RESUMING: "PLAYING"}
+SAFETY = (
+    "UNKNOWN NORMAL REDUCED PROTECTIVE_STOP RECOVERY SAFEGUARD_STOP SYSTEM_EMERGENCY_STOP ROBOT_EMERGENCY_STOP VIOLATION FAULT"
+).split()
+MODES = "DISCONNECTED CONFIRM_SAFETY BOOTING POWER_OFF POWER_ON IDLE BACKDRIVE RUNNING UPDATING_FIRMWARE".split()
+"""Names of the numbers in `safety_mode` and `robot_mode` (Universal Robots, "Real-Time Data Exchange guide")."""
+
+
+class StandIn:
+    """A `Pendant` of a controller without dashboard; `connect` opens it.
+
+    Nobody says over these interfaces whether the controller takes orders from other computers, nor the arm's serial number.
+    """
+
+    name = "primary interface"
+
+    def __init__(self, host: str, stream: RtdeStream, version: tuple[int, ...]) -> None:
+        self.host, self._stream, self._version = host, stream, version
+
+    @classmethod
+    def connect(cls, host: str) -> Self:
+        """Open the connection. Raises RigConnectionError: RTDE or the primary interface does not answer."""
+        try:
+            version = primary.listen(host, TIMEOUT_S).version
+            if version is None:
+                raise ValueError("the primary interface says nothing")
+            stream = RtdeStream(host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
+        except (OSError, ValueError) as error:
+            raise _silent(host, str(error)) from None
+        return cls(host, stream, version)
+
+    def stop(self) -> str:
+        """End the program and wait until the arm rests."""
+        if self.program_state() == "STOPPED":
+            return "no program runs"
+        try:
+            with socket.create_connection((self.host, primary.PORT), TIMEOUT_S) as link:
+                link.sendall(STOP.encode())
+                deadline = time.monotonic() + STOP_S
+                while time.monotonic() < deadline:
+                    if self.program_state() == "STOPPED":
+                        return "Stopped"
+        except OSError as error:
+            raise _silent(self.host, str(error)) from None
+        return "its program goes on"
+
+    def program_state(self) -> str:
+        """Of whatever runs; its name is not known here."""
+        return STATES.get(self._now()["runtime_state"], "STOPPED")
+
+    def safety_status(self) -> str:
+        """By the names of the dashboard."""
+        return _named(SAFETY, self._now()["safety_mode"])
+
+    def robot_mode(self) -> str:
+        """By the names of the dashboard."""
+        return _named(MODES, self._now()["robot_mode"])
+
+    def remote_control(self) -> bool:
+        """Not asked: without it the control program does not start, and that is reported."""
+        return True
+
+    def serial(self) -> str:
+        """It is not said here."""
+        return "unknown"
+
+    def version(self) -> str:
+        """From the primary interface."""
+        return ".".join(map(str, self._version))
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._stream.close()
+
+    def _now(self) -> dict[str, Any]:
+        """A sample that arrives after this call."""
+        self._stream.newest()  # what came before
+        sample = self._stream.newest(TIMEOUT_S)
+        if sample is None:
+            self.close()
+            raise _silent(self.host, "no sample within a second")
+        return sample
+
+
+def _named(names: list[str], number: int) -> str:
+    return names[number] if 0 <= number < len(names) else str(number)
+
+
+def _silent(host: str, why: str) -> RigConnectionError:
+    remedy = "check the network; the arm stops by its own watchdog"
+    return RigConnectionError("the controller does not answer", where=host, why=why, remedy=remedy)
