@@ -181,10 +181,14 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
 
 def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float = uncertainty.MAX_STD_M) -> Calibration:
     """The calibration with its uncertainty, its held-out errors and its provenance."""
+    uncertainty.covariance(solution.fit.measured, solution.fit.refined, allow_m)
+    return described(solution, repeating.estimate(solution.fit.measured, solution.fit.refined), accuracy, given, allow_m)
+
+
+def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, given: bool, allow_m: float) -> Calibration:
+    """The calibration of a solution and what is known of the arm, the covariance among it."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
-    uncertainty.covariance(measured, refined, allow_m)
-    arm = repeating.estimate(measured, refined)
     covariance = uncertainty.checked(measured, refined, arm.covariance, allow_m)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     residuals = {

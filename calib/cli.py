@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from calib import drawing
+from calib.cameras import commands as camera_commands
 from calib.options import AllowMm, Arm, Import, Intrinsics, JointDeg, Lens, Pictures, Rig, allowed_m, check_lens, spread
 from calib.targets import commands as target_commands
 from calib.turntable import commands as turntable_commands
@@ -228,6 +229,9 @@ app.command("uncertainty")(drawing.uncertainty)
 
 
 app.command("difference")(drawing.difference)
+
+
+app.command("cameras")(camera_commands.cameras)
 
 
 app.command("turntable")(turntable_commands.turntable)

@@ -101,6 +101,31 @@ class Session:
         """The same with the corners of `chosen` (n,) alone; views keep their numbers."""
         return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
 
+    def predicted(self, state: "State") -> tuple[Array, Array, Array]:
+        """See `predict`."""
+        return predict(self, state)
+
+    def moved(self, state: "State", step: Array, view_steps: Array) -> "State":
+        """`state` after a step of the global unknowns and the (views, 6) corrections."""
+        return state.moved(self.columns, step, view_steps)
+
+    def known_rows(self, state: "State") -> Array:
+        """(k, p + 1) what is known of the global unknowns, whitened: derivatives, and the deviation of `state` from it.
+
+        The last rows are those of the joints' offsets, one each.
+        """
+        names, turning, known = self.free, self.turning, self.known
+        rows = np.zeros((len(turning), len(names) + len(turning) + 13))
+        rows[range(len(turning)), range(len(names), len(names) + len(turning))] = 1.0
+        rows[:, -1] = -state.offsets[turning]
+        rows /= self.accuracy.joint_rad or 1.0
+        if known is None:
+            return rows
+        of_camera = np.zeros((len(known.names), rows.shape[1]))
+        of_camera[:, [names.index(name) for name in known.names]] = known.whitening
+        of_camera[:, -1] = known.off(state.intrinsics)
+        return np.vstack([of_camera, rows])
+
 
 def measured(
     session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False

@@ -13,12 +13,13 @@ sigma_t and sigma_r starting from the stated accuracy of the arm, which counts a
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from calib.arrays import Array, Mask
+from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
-from calib.handeye.model import Session, State, perturbed, predict
+from calib.handeye.model import Accuracy, Session, State, perturbed, predict
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.levenberg_marquardt import Limits, minimise
 
@@ -28,6 +29,42 @@ OUTLIER = 6.0  # corners with larger residuals are left out [sigmas]
 MIN_SIGMA_PX = 1e-4  # lower limit of a corner's standard deviation: smaller residuals are rounding errors
 LIMITS = Limits(max_steps=50, tolerance=1e-9, least_cost=1.0, min_damping=1e-12)
 PRIOR_VIEWS = 4.0  # the stated accuracy of the arm counts as much as this number of views
+S = TypeVar("S")
+
+
+class Problem(Protocol[S]):
+    """What is refined: a `Session` with a `State`, or several cameras (`calib.cameras.model`)."""
+
+    @property
+    def view(self) -> Indices:
+        """(n,) view of each corner."""
+        ...
+
+    @property
+    def pixels(self) -> Array:
+        """(n, 2) corners as seen [px]."""
+        ...
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """Of the arm, as stated."""
+        ...
+
+    def some(self, chosen: Mask) -> Self:
+        """The same with the corners of `chosen` (n,) alone."""
+        ...
+
+    def predicted(self, state: S) -> tuple[Array, Array, Array]:
+        """(n, 2) corners, (n, 2, p) their derivatives by the global unknowns, (n, 2, 6) those by their view's correction."""
+        ...
+
+    def moved(self, state: S, step: Array, view_steps: Array) -> S:
+        """`state` after a step of (p,) global unknowns and (views, 6) corrections."""
+        ...
+
+    def known_rows(self, state: S) -> Array:
+        """(k, p + 1) what is known of the global unknowns, whitened."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -46,10 +83,10 @@ class Sigmas:
 
 
 @dataclass(frozen=True)
-class Refined:
+class Refined(Generic[S]):
     """The solution and whether it converged."""
 
-    state: State
+    state: S
     sigmas: Sigmas  # as estimated
     information: Array  # (p, p) of the global parameters, the corrections eliminated: its inverse is their covariance
     residuals: Array  # (n, 2) seen minus predicted, outliers too [px]
@@ -63,7 +100,7 @@ class Refined:
         return float(np.sqrt(np.mean(np.sum(self.residuals[self.inliers] ** 2, -1))))
 
 
-def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12) -> Refined:
+def refine(session: Problem[S], start: S, *, sigma_px: float, rounds: int = 12) -> Refined[S]:
     """Minimise from `start`; `sigma_px` is a first guess of a corner's standard deviation per axis [px].
 
     Raises CalibrationError where the start is too far off, or nearly all corners are outliers.
@@ -95,7 +132,7 @@ def refine(session: Session, start: State, *, sigma_px: float, rounds: int = 12)
     return Refined(point.state, sigmas, information, point.residuals, inliers, steps, settled)
 
 
-def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined:
+def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined[State]:
     """What `state` says of a session: each view gets the most likely correction, and everything else stays as it is.
 
     Raises CalibrationError where the target comes to lie behind the camera.
@@ -138,12 +175,12 @@ def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
 
 
 class _Point:
-    """A state with its predictions, weighed by sigmas."""
+    """A state of a problem with its predictions, weighed by sigmas."""
 
-    def __init__(self, session: Session, state: State, sigmas: Sigmas, prediction: tuple[Array, ...] | None = None) -> None:
+    def __init__(self, session: Any, state: Any, sigmas: Sigmas, prediction: tuple[Array, ...] | None = None) -> None:
         self.session, self.state, self.sigmas = session, state, sigmas
         if prediction is None:
-            pixels, by_global, by_view = predict(session, state)
+            pixels, by_global, by_view = session.predicted(state)
             prediction = session.pixels - pixels, by_global, by_view
         self._prediction = self.residuals, self._by_global, self._by_view = prediction
         self.cost = self._cost()
@@ -158,7 +195,7 @@ class _Point:
         distance = np.linalg.norm(self.residuals, axis=1) / sigmas.pixel
         cost = (distance**2 - np.maximum(distance - sigmas.width, 0.0) ** 2).sum()
         cost += ((state.corrections / sigmas.correction) ** 2).sum()
-        return float(cost + (_known_rows(self.session, state)[:, -1] ** 2).sum())
+        return float(cost + (self.session.known_rows(state)[:, -1] ** 2).sum())
 
     @cached_property
     def system(self) -> Eliminated:
@@ -169,7 +206,7 @@ class _Point:
         rows = np.concatenate([self._by_view, self._by_global, self.residuals[..., None]], -1) * root
         own = np.zeros((len(state.corrections), 6, 7))
         own[:, range(6), range(6)], own[..., 6] = 1 / sigmas.correction, -state.corrections / sigmas.correction
-        return eliminate(self.session.view, rows, own, _known_rows(self.session, state))
+        return eliminate(self.session.view, rows, own, self.session.known_rows(state))
 
     def stepped(self, damping: float) -> "_Point":
         """The point after one damped step.
@@ -178,7 +215,7 @@ class _Point:
         bent the valley in which corrections and global unknowns must move together (a second-order correction; Nocedal &
         Wright, 15.6).
         """
-        candidate = _Point(self.session, self.state.moved(self.session.columns, *self.system.step(damping)), self.sigmas)
+        candidate = _Point(self.session, self.session.moved(self.state, *self.system.step(damping)), self.sigmas)
         for _ in range(2):
             if candidate.cost <= self.cost:
                 break
@@ -189,27 +226,12 @@ class _Point:
         """The point after a Gauss-Newton step of the corrections alone."""
         own = np.asarray(np.linalg.solve(self.system.own, self.system.own_side[..., None])[..., 0], np.float64)
         still = np.zeros(len(self.system.side))
-        return _Point(self.session, self.state.moved(self.session.columns, still, own), self.sigmas)
+        return _Point(self.session, self.session.moved(self.state, still, own), self.sigmas)
 
 
-def linear_system(session: Session, state: State, sigmas: Sigmas) -> Eliminated:
+def linear_system(session: Problem[S], state: S, sigmas: Sigmas) -> Eliminated:
     """The linear problem about `state`: its information, and the Gauss-Newton step from there."""
     return _Point(session, state, sigmas).system
-
-
-def _known_rows(session: Session, state: State) -> Array:
-    """(k, p + 1) prior knowledge of the global unknowns, whitened: derivatives, and the deviation of `state` from it."""
-    names, turning, known = session.free, session.turning, session.known
-    rows = np.zeros((len(turning), len(names) + len(turning) + 13))
-    rows[range(len(turning)), range(len(names), len(names) + len(turning))] = 1.0
-    rows[:, -1] = -state.offsets[turning]
-    rows /= session.accuracy.joint_rad or 1.0
-    if known is None:
-        return rows
-    of_camera = np.zeros((len(known.names), rows.shape[1]))
-    of_camera[:, [names.index(name) for name in known.names]] = known.whitening
-    of_camera[:, -1] = known.off(state.intrinsics)
-    return np.vstack([of_camera, rows])
 
 
 def _estimated_sigmas(point: _Point) -> Sigmas:

@@ -60,14 +60,15 @@ def eliminate(view: Indices, rows: Array, own_rows: Array, global_rows: Array) -
     """Eliminate the views' unknowns.
 
     Args:
-        view: (n,) view of each corner, ascending; each corner has two rows.
+        view: (n,) view of each corner; each corner has two rows.
         rows: (n, 2, 6 + p + 1) derivatives by the view's unknowns and by the global ones, and targets; all whitened.
         own_rows: (views, 6, 6 + 1) what is known of each view's unknowns: rows and targets.
         global_rows: (k, p + 1) what is known of the global unknowns: rows and targets.
     """
     views, width = len(own_rows), rows.shape[-1]
     counts = np.bincount(view, minlength=views)
-    rank = np.arange(len(view)) - np.repeat(np.cumsum(counts) - counts, counts)
+    rank = np.empty(len(view), np.int64)  # of each corner among those of its view
+    rank[np.argsort(view, kind="stable")] = np.arange(len(view)) - np.repeat(np.cumsum(counts) - counts, counts)
     padded = np.zeros((views, 6 + 2 * counts.max(initial=0), width))
     padded[:, :6, :6], padded[:, :6, -1] = own_rows[..., :6], own_rows[..., 6]
     padded[view, 6 + 2 * rank], padded[view, 7 + 2 * rank] = rows[:, 0], rows[:, 1]
