@@ -11,7 +11,19 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms, flips, joints, mistakes, order, outliers, repeating, uncertainty, verify
+from calib.handeye import (
+    closed_forms,
+    flatness,
+    flips,
+    joints,
+    mistakes,
+    order,
+    outliers,
+    repeating,
+    surface,
+    uncertainty,
+    verify,
+)
 from calib.handeye.model import Accuracy, Known, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
@@ -212,6 +224,12 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
     if free:
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
     residuals["rig_correlation"] = correlation(tuple(uncertainty.parameter_names(measured)), covariance)
+    if measured.shaped:
+        std, before = np.zeros(4), len(free) + len(measured.turning)
+        std[measured.shaped] = np.sqrt(np.diag(covariance))[before : before + len(measured.shaped)]
+        residuals |= surface.facts(refined.state.shape, std)
+    if (shape := flatness.asked_for(measured, refined)) is not None:
+        residuals["target_seems"] = shape.tolist()
     offsets = joints.found(measured, refined, covariance)
     if offsets is not None:
         residuals |= joints.facts(measured, refined, offsets)
@@ -225,6 +243,8 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
             "translation_mm": 1e3 * accuracy.translation_m,
             "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
             "joint_deg": float(np.rad2deg(accuracy.joint_rad)),
+            "print_percent": 100 * accuracy.stretch,
+            "sag_mm": 1e3 * accuracy.sag_m,
         },
     }
     return Calibration(

@@ -7,7 +7,21 @@ from typer import Argument, Option
 
 from calib import drawing
 from calib.cameras import commands as camera_commands
-from calib.options import AllowMm, Arm, Import, Intrinsics, JointDeg, Lens, Pictures, Rig, allowed_m, check_lens, spread
+from calib.options import (
+    AllowMm,
+    Arm,
+    Import,
+    Intrinsics,
+    JointDeg,
+    Lens,
+    Pictures,
+    PrintPercent,
+    Rig,
+    SagMm,
+    allowed_m,
+    check_lens,
+    spread,
+)
 from calib.targets import commands as target_commands
 from calib.turntable import commands as turntable_commands
 from datasets.core import console
@@ -40,14 +54,22 @@ def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: 
 
 @app.command("handeye")
 @spread
-def handeye_command(rig: Rig, out: Out, joint_deg: JointDeg = 0.0, allow_mm: AllowMm = 5.0, json: Json = False) -> None:
+def handeye_command(
+    rig: Rig,
+    out: Out,
+    joint_deg: JointDeg = 0.0,
+    print_percent: PrintPercent = 0.0,
+    sag_mm: SagMm = 0.0,
+    allow_mm: AllowMm = 5.0,
+    json: Json = False,
+) -> None:
     """Calibrate the whole rig: the camera, its pose on the flange and the pose of the target.
 
     Everything is estimated together, with its uncertainty, and tested on views held out of the fit.
     """
     from calib.calibrate import calibrate_handeye
 
-    accuracy, allow_m = rig.accuracy(joint_deg), allowed_m(allow_mm)
+    accuracy, allow_m = rig.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
     _check_out(out)
     session, given = rig.read()
     _finish(calibrate_handeye(session, given, accuracy, rig.lens, allow_m), out, json)

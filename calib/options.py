@@ -36,6 +36,10 @@ ArmDeg = Annotated[float, Option("--arm-deg", help="The arm's stated orientation
 JointDeg = Annotated[
     float, Option("--joint-deg", help="Accuracy of the joints' zeros [deg]. Above 0, joint offsets are estimated.")
 ]
+PrintPercent = Annotated[
+    float, Option("--print-percent", help="Accuracy of the printed target's lengths [%]. Above 0, its stretch is estimated.")
+]
+SagMm = Annotated[float, Option("--sag-mm", help="How far the target may be bent [mm]. Above 0, its sag is estimated.")]
 AllowMm = Annotated[
     float,
     Option("--allow-mm", help="Accept poses uncertain by up to this many mm, for an inaccurate arm; the result is marked."),
@@ -49,14 +53,17 @@ class Arm:
     arm_mm: ArmMm = 0.05
     arm_deg: ArmDeg = 0.01
 
-    def accuracy(self, joint_deg: float = 0.0) -> "Accuracy":
-        """The arm's accuracy as given on the command line. Raises UsageError where it is impossible."""
+    def accuracy(self, joint_deg: float = 0.0, print_percent: float = 0.0, sag_mm: float = 0.0) -> "Accuracy":
+        """The accuracy of arm and target as given on the command line. Raises UsageError where it is impossible."""
         from calib.handeye.model import Accuracy
 
-        for name, value in {"--arm-mm": self.arm_mm, "--arm-deg": self.arm_deg, "--joint-deg": joint_deg}.items():
-            if not (math.isfinite(value) and value >= (0 if name == "--joint-deg" else 1e-9)):
+        stated = {"--arm-mm": self.arm_mm, "--arm-deg": self.arm_deg}
+        of_what_may_be_exact = {"--joint-deg": joint_deg, "--print-percent": print_percent, "--sag-mm": sag_mm}
+        for name, value in (stated | of_what_may_be_exact).items():
+            if not (math.isfinite(value) and value >= (1e-9 if name in stated else 0)):
                 raise UsageError("accuracy must be a positive number", where=name, why=f"{value:g} given")
-        return Accuracy(1e-3 * self.arm_mm, math.radians(self.arm_deg), math.radians(joint_deg))
+        arm = 1e-3 * self.arm_mm, math.radians(self.arm_deg), math.radians(joint_deg)
+        return Accuracy(*arm, stretch=print_percent / 100, sag_m=1e-3 * sag_mm)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -129,6 +129,7 @@ def _joined(alone: Sequence[Solution], names: Sequence[str], same_stops: bool) -
         first.stand_from_board,
         corrections,
         first.offsets,
+        first.shape,
     )
 
 

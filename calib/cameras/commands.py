@@ -5,7 +5,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from calib.options import AllowMm, Arm, Import, LeaveOut, Lens, Rig, allowed_m, check_lens, spread
+from calib.options import (
+    AllowMm,
+    Arm,
+    Import,
+    JointDeg,
+    LeaveOut,
+    Lens,
+    PrintPercent,
+    Rig,
+    SagMm,
+    allowed_m,
+    check_lens,
+    spread,
+)
 from datasets.core import console
 
 if TYPE_CHECKING:
@@ -28,6 +41,9 @@ def cameras(
     description: Import = None,
     leave_out: LeaveOut = False,
     lens: Lens = "auto",
+    joint_deg: JointDeg = 0.0,
+    print_percent: PrintPercent = 0.0,
+    sag_mm: SagMm = 0.0,
     allow_mm: AllowMm = 5.0,
     json: console.Json = False,
 ) -> None:
@@ -41,7 +57,7 @@ def cameras(
     from datasets.core.errors import UsageError
 
     check_lens(lens)
-    accuracy, allow_m = arm.accuracy(), allowed_m(allow_mm)
+    accuracy, allow_m = arm.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
     files.refuse_existing(out)
     names = [path.resolve().name for path in recordings]
     if len(set(names)) < len(names):

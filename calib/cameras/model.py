@@ -1,8 +1,8 @@
 """Several cameras on one mount that saw the same target: the equations of `calib.handeye.model` side by side.
 
-All cameras share the target's pose and the joints' offsets. Views that were taken at the same stop share the arm's error too,
+All cameras share the target's pose and shape and the joints' offsets. Views that were taken at the same stop share the arm's error too,
 which then drops out of the pose between the cameras. The global unknowns are, in this order: for each camera its free intrinsics
-and mount_from_camera (6); the joints' offsets; stand_from_board (6).
+and mount_from_camera (6); the joints' offsets; the target's shape; stand_from_board (6).
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from calib.arrays import Array, Indices, Mask
+from calib.handeye import surface
 from calib.handeye.model import Accuracy, Session, State, perturbed, predict
 from datasets.kinematics import Links
 
@@ -24,6 +25,7 @@ class CamerasState:
     stand_from_board: Array  # (4, 4)
     corrections: Array  # (stops, 6)
     offsets: Array = field(default_factory=lambda: np.zeros(6))  # (joints,)
+    shape: Array = field(default_factory=surface.FLAT.copy)  # (4,) of the target
 
     def of(self, camera: int, stops: Indices) -> State:
         """What one camera sees of them; `stops` (views,) are the stops of its views."""
@@ -33,6 +35,7 @@ class CamerasState:
             self.stand_from_board,
             self.corrections[stops],
             self.offsets,
+            self.shape,
         )
 
 
@@ -84,8 +87,13 @@ class Cameras:
         """Where among the global unknowns those of a camera's own session are, in that session's order."""
         widths = [len(session.free) + 6 for session in self.sessions]
         first, shared, free = sum(widths[:camera]), sum(widths), len(self.sessions[camera].free)
-        mount, offsets = range(first + free, first + free + 6), range(shared, shared + len(self.turning))
-        return [*range(first, first + free), *offsets, *mount, *range(offsets.stop, offsets.stop + 6)]
+        mount, common = range(first + free, first + free + 6), range(shared, shared + self._common)
+        return [*range(first, first + free), *common, *mount, *range(common.stop, common.stop + 6)]
+
+    @property
+    def _common(self) -> int:
+        """Number of unknowns of joints and target, which are the same for all cameras."""
+        return len(self.turning) + len(self.sessions[0].shaped)
 
     @property
     def unknowns(self) -> int:
@@ -127,16 +135,17 @@ class Cameras:
             perturbed(state.stand_from_board, step[-6:]),
             state.corrections + view_steps,
             each[0].offsets,
+            each[0].shape,
         )
 
     def known_rows(self, state: CamerasState) -> Array:
-        """What is known of the cameras, and once what is known of the joints."""
+        """What is known of the cameras, and once what is known of joints and target."""
         placed = []
         for camera, (session, stops) in enumerate(zip(self.sessions, self.stops, strict=True)):
             rows = session.known_rows(state.of(camera, stops))
             wide = np.zeros((len(rows), self.unknowns + 1))
             wide[:, [*self.columns_of(camera), -1]] = rows
-            placed.append(wide if camera == 0 else wide[: len(wide) - len(self.turning)])
+            placed.append(wide if camera == 0 else wide[: len(wide) - self._common])
         return np.concatenate(placed)
 
     def _at_stops(self, values: list[Array]) -> Array:

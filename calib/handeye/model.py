@@ -20,12 +20,12 @@ where mount_from_stand[i] is inverse(flange[i]) or flange[i]. A small motion of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
 
 import numpy as np
 
 from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
+from calib.handeye import surface
 from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
@@ -35,11 +35,13 @@ from datasets.kinematics import UR5E, Links
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far the arm's reported flange pose is from the true one: standard deviations per axis, and those of its joints."""
+    """How far arm and target are from what they are taken for: standard deviations."""
 
-    translation_m: float = 5e-5
+    translation_m: float = 5e-5  # of the reported flange pose, per axis
     rotation_rad: float = float(np.deg2rad(0.01))
     joint_rad: float = 0.0  # of each joint's offset, which is the same in all views; 0: the joints have no offsets
+    stretch: float = 0.0  # of the print's lengths along x and y, as a share; 0: it is exact
+    sag_m: float = 0.0  # of the target's middle over its edges; 0: it is flat
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,12 @@ class Session:
     eye_to_hand: bool = False  # whether the camera stands beside the arm and the board is on the flange
     joints: Array | None = None  # (views, n) joint angles as reported [rad], where they are known
     links: Links = UR5E  # the arm's nominal chain, with n joints
+    extent: Array | None = None  # (2, 2) of the target, see `surface.extent_of`; None: that of the corners
+
+    @property
+    def shaped(self) -> list[int]:
+        """Which numbers of the target's `shape` are estimated."""
+        return [0, 1] * (self.accuracy.stretch > 0) + [2, 3] * (self.accuracy.sag_m > 0)
 
     @property
     def turning(self) -> list[int]:
@@ -107,18 +115,33 @@ class Session:
 
     def moved(self, state: "State", step: Array, view_steps: Array) -> "State":
         """`state` after a step of the global unknowns and the (views, 6) corrections."""
-        return state.moved(self.columns, step, view_steps)
+        of_camera, of_joints, of_shape, of_mount, of_board = np.split(step, np.cumsum([*self._counts, 6]))
+        intrinsics, offsets, shape = state.intrinsics.copy(), state.offsets.copy(), state.shape.copy()
+        intrinsics[self.columns] += of_camera
+        offsets[self.turning] += of_joints
+        shape[self.shaped] += of_shape
+        mount, board = perturbed(state.mount_from_camera, of_mount), perturbed(state.stand_from_board, of_board)
+        return State(intrinsics, mount, board, state.corrections + view_steps, offsets, shape)
+
+    @property
+    def _counts(self) -> tuple[int, int, int]:
+        """Numbers of the global unknowns before the two poses."""
+        return len(self.free), len(self.turning), len(self.shaped)
 
     def known_rows(self, state: "State") -> Array:
         """(k, p + 1) what is known of the global unknowns, whitened: derivatives, and the deviation of `state` from it.
 
-        The last rows are those of the joints' offsets, one each.
+        The last rows are those of joints and target, one for each unknown.
         """
-        names, turning, known = self.free, self.turning, self.known
-        rows = np.zeros((len(turning), len(names) + len(turning) + 13))
-        rows[range(len(turning)), range(len(names), len(names) + len(turning))] = 1.0
-        rows[:, -1] = -state.offsets[turning]
-        rows /= self.accuracy.joint_rad or 1.0
+        names, turning, shaped, known = self.free, self.turning, self.shaped, self.known
+        own = len(turning) + len(shaped)
+        rows = np.zeros((own, len(names) + own + 13))
+        std = [self.accuracy.joint_rad] * len(turning) + [
+            [self.accuracy.stretch, self.accuracy.sag_m][one // 2] for one in shaped
+        ]
+        rows[range(own), range(len(names), len(names) + own)] = 1.0
+        rows[:, -1] = -np.concatenate([state.offsets[turning], state.shape[shaped]])
+        rows /= np.array(std)[:, None]
         if known is None:
             return rows
         of_camera = np.zeros((len(known.names), rows.shape[1]))
@@ -126,32 +149,33 @@ class Session:
         of_camera[:, -1] = known.off(state.intrinsics)
         return np.vstack([of_camera, rows])
 
+    def by_shape(self) -> Array:
+        """(n, 3, 4) derivatives of the corners on the target by its shape."""
+        return surface.by_shape(self.points, surface.extent_of(self.points) if self.extent is None else self.extent)
+
 
 def measured(
     session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
 ) -> Session:
     """All corners of a target session in one list."""
-    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints, session.links)
+    extent = surface.extent_of(session.board.points)
+    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints, session.links, extent)
     return Session(session.base_from_flange, *estimate.flat(session.observations), *options)
 
 
 @dataclass(frozen=True)
 class State:
-    """The unknowns. Order of the global ones: free intrinsics, joint offsets, mount_from_camera (6), stand_from_board (6)."""
+    """The unknowns.
+
+    Order of the global ones: free intrinsics, joint offsets, shape of the target, mount_from_camera (6), stand_from_board (6).
+    """
 
     intrinsics: Array  # (12,) in the order of `projection.NAMES`
     mount_from_camera: Array  # (4, 4); perturbed from the left, translation first
     stand_from_board: Array  # (4, 4); perturbed from the left, translation first
     corrections: Array  # (views, 6): translation [m] and rotation vector [rad] of C[i]
     offsets: Array = field(default_factory=lambda: np.zeros(6))  # (n,) of the joints: true angle minus reported angle [rad]
-
-    def moved(self, columns: list[int], step: Array, view_steps: Array) -> Self:
-        """The state after a step of the global parameters and the (views, 6) corrections; `columns` are the free intrinsics."""
-        intrinsics, offsets, turns = self.intrinsics.copy(), self.offsets.copy(), step[len(columns) : -12]
-        intrinsics[columns] += step[: len(columns)]
-        offsets[1 : 1 + len(turns)] += turns
-        mount, board = perturbed(self.mount_from_camera, step[-12:-6]), perturbed(self.stand_from_board, step[-6:])
-        return type(self)(intrinsics, mount, board, self.corrections + view_steps, offsets)
+    shape: Array = field(default_factory=surface.FLAT.copy)  # (4,) of the target, see `calib.handeye.surface`
 
 
 def perturbed(a_from_b: Array, twist: Array) -> Array:
@@ -178,6 +202,8 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     own = np.concatenate([by_flange[..., :3] @ np.swapaxes(rotation, 1, 2)[view], by_flange[..., 3:] @ right_jacobian[view]], -1)
     by_offsets = by_flange @ _joint_motions(session, state, rotation)[view]
     by_global = [by_intrinsics[..., session.columns], by_offsets, by_camera_pose, by_board_pose]
+    if session.shaped:
+        by_global.insert(2, by_stand @ state.stand_from_board[:3, :3] @ session.by_shape()[..., session.shaped])
     return pixels, np.concatenate(by_global, -1), own
 
 
@@ -202,7 +228,8 @@ def _chain(session: Session, state: State) -> _Chain:
     flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
     mounts = flange if session.eye_to_hand else pose.inverse(flange)
     camera_from_mount = pose.inverse(state.mount_from_camera)
-    on_stand = session.points @ state.stand_from_board[:3, :3].T + state.stand_from_board[:3, 3]
+    on_board = session.points + session.by_shape() @ state.shape if state.shape.any() else session.points
+    on_stand = on_board @ state.stand_from_board[:3, :3].T + state.stand_from_board[:3, 3]
     on_mount = rotate(mounts[session.view, :3, :3], on_stand) + mounts[session.view, :3, 3]
     in_camera = on_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
     return _Chain(on_stand, on_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])

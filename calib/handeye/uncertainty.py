@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import Unobservable
+from calib.handeye import surface
 from calib.handeye.model import Session
 from calib.handeye.refine import Refined
 from calib.intrinsics import estimate, projection
@@ -51,8 +52,11 @@ def check_motion(base_from_flange: Array) -> None:
 def parameter_names(session: Session) -> list[str]:
     """Names of the global parameters, with units, in the order of `Refined.information`."""
     axes = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
-    offsets = (f"offset of joint {number + 1}" for number in session.turning)
-    return [*session.free, *offsets, *(f"{p} {a}" for p in session.pose_names for a in axes)]
+    offsets, shape = (
+        (f"offset of joint {number + 1}" for number in session.turning),
+        (surface.NAMES[one] for one in session.shaped),
+    )
+    return [*session.free, *offsets, *shape, *(f"{p} {a}" for p in session.pose_names for a in axes)]
 
 
 def covariance(session: Session, refined: Refined, allow_m: float = MAX_STD_M) -> Array:
@@ -78,7 +82,8 @@ def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPo
 def _units(session: Session) -> Array:
     """(p,) errors that would matter: scales that make the parameters comparable."""
     of_camera, of_joints = np.where(np.array(session.columns) < 4, 10.0, 0.1), np.full(len(session.turning), MAX_STD_RAD)
-    return np.concatenate([of_camera, of_joints, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
+    of_shape = np.full(len(session.shaped), MAX_STD_M)  # a share, or metres
+    return np.concatenate([of_camera, of_joints, of_shape, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
 
 def checked(session: Session, refined: Refined, joint: Array, allow_m: float = MAX_STD_M) -> Array:

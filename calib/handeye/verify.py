@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.errors import CalibrationError
-from calib.handeye import closed_forms, model
+from calib.handeye import closed_forms, model, surface
 from calib.handeye.model import Accuracy, Session, State, camera_points, predict
 from calib.handeye.refine import Refined, fit_board, refine
 from calib.intrinsics import estimate, projection
@@ -50,7 +50,10 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     boards = estimate.camera_from_boards(camera, session.observations)
     board = closed_forms.assess(session.stand_from_mount, boards, mount.matrix, "given").stand_from_board
     measured = model.measured(session, projection.NAMES, None, Accuracy(), camera.fisheye)
-    state = fit_board(measured, State(projection.vector(camera), mount.matrix, board, np.zeros((len(boards), 6))))
+    same = calibration.provenance.get("board") == session.board.to_json()
+    shape = surface.known(calibration.residuals) if same else surface.FLAT
+    start = State(projection.vector(camera), mount.matrix, board, np.zeros((len(boards), 6)), shape=shape)
+    state = fit_board(measured, start)
     residuals, millimetres = errors(measured, state)
     by_view = {o.name: rms(residuals[measured.view == i]) for i, o in enumerate(session.observations)}
     return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), stand, state.stand_from_board)

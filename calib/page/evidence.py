@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
-from calib.handeye import flips, model, refine, verify
+from calib.handeye import flips, model, refine, surface, verify
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import estimate, projection
 from calib.sessions.session import TargetSession
@@ -132,7 +132,8 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
     else:
         offsets = np.zeros(6) if calibration.joint_offsets is None else calibration.joint_offsets.offsets
         still = np.zeros((len(chosen.observations), 6))
-        state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, offsets)
+        shape = surface.known(calibration.residuals)
+        state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, offsets, shape)
         refined = refine.with_corrections(measured, state, sigmas_of(calibration))
         plain = verify.errors(measured, replace(state, offsets=0 * offsets))[0]
         found = {CORRECTED: refined.residuals, REPORTED: plain}, refined.inliers, refined.state.corrections

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calib.handeye import surface
 from calib.handeye.uncertainty import MAX_STD_M
 from calib.handeye.verify import Verification
 from datasets import pose
@@ -24,6 +25,8 @@ def describe_calibration(calibration: Calibration) -> str:
     if offsets is not None:
         numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:-1]
         lines.append(f"joints 2 to {len(numbers) + 1}       offset by {', '.join(numbers)} deg")
+    if shape := surface.in_words(residuals):
+        lines.append(f"target              {shape}")
     lines.append(f"camera              {camera.width}x{camera.height}")
     for name, std in calibration.camera_std.items():
         digits = _DIGITS.get(name, 5)
@@ -56,6 +59,10 @@ def notes(calibration: Calibration) -> list[str]:
         usual = 1e3 * MAX_STD_M
         state = f"{worst:.2g} mm is above it" if worst > usual else "it would have been kept"
         found.append(f"the bound on uncertain poses was relaxed from {usual:g} to {allowed:g} mm by --allow-mm; {state}")
+    if seems := residuals.get("target_seems"):
+        stretch, sag = 100 * np.abs(seems[:2]).max(), 1e3 * np.abs(seems[2:]).max()
+        seen = f"the corners fit a target that is stretched by {stretch:.2g} % and bent by {sag:.2g} mm"
+        found.append(f"{seen}; --print-percent 0.5 --sag-mm 2 estimates that")
     if residuals.get("views_unseen"):
         found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
     reasons = residuals.get("why_left_out", {})

@@ -238,7 +238,7 @@ def _spread(residuals: Array, views: int, free: int) -> float:
 def efficient(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     """(4, 4) hand-eye pose of an efficient estimator: the truth plus one Gauss-Newton step on the session's noise."""
     step, _ = refine.linear_system(drawn.session, drawn.truth, sigmas).step(0.0)
-    return drawn.truth.moved(drawn.session.columns, step, 0 * drawn.truth.corrections).mount_from_camera
+    return drawn.session.moved(drawn.truth, step, 0 * drawn.truth.corrections).mount_from_camera
 
 
 def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:

@@ -56,9 +56,19 @@ class Simulated:
 
 
 def simulate(
-    rng: Generator, rig: Rig, base_from_camera: Array, *, sigma_px: float, arm: Accuracy, free: tuple[str, ...] = ()
+    rng: Generator,
+    rig: Rig,
+    base_from_camera: Array,
+    *,
+    sigma_px: float,
+    arm: Accuracy,
+    free: tuple[str, ...] = (),
+    printed: Array | None = None,
 ) -> Simulated:
-    """One session: corners inside the image with `sigma_px` of noise per axis, arm poses with errors of `arm`."""
+    """One session: corners inside the image with `sigma_px` of noise per axis, arm poses with errors of `arm`.
+
+    `printed` (n, 3) is where the corners of a bad print truly are; the session believes that they are where they should be.
+    """
     views = len(base_from_camera)
     errors = rng.normal(size=(views, 6)) * np.repeat([arm.translation_m, arm.rotation_rad], 3)
     missed = pose.from_rotation_vector(errors[:, 3:], errors[:, :3])
@@ -67,6 +77,7 @@ def simulate(
     truth = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, errors)
     view, unseen = np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2))
     every = Session(reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm)
-    pixels = projection.project(model.camera_points(every, truth), truth.intrinsics)[0]
+    truly = every if printed is None else replace(every, points=np.tile(printed, (views, 1)))
+    pixels = projection.project(model.camera_points(truly, truth), truth.intrinsics)[0]
     session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside_image(pixels, rig.camera))
     return Simulated(rig, base_from_camera, session, truth)

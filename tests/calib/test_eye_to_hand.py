@@ -65,8 +65,8 @@ def test_jacobian_agrees_with_central_differences():
     for index in range(by_global.shape[-1]):
         step = 1e-6 * np.eye(by_global.shape[-1])[index]
         numeric = (
-            model.predict(measured, state.moved(measured.columns, step, none))[0]
-            - model.predict(measured, state.moved(measured.columns, -step, none))[0]
+            model.predict(measured, measured.moved(state, step, none))[0]
+            - model.predict(measured, measured.moved(state, -step, none))[0]
         ) / 2e-6
         np.testing.assert_allclose(by_global[..., index], numeric, rtol=1e-5, atol=2e-3)
     for index in range(6):

@@ -89,7 +89,7 @@ def test_jacobian_agrees_with_central_differences(eye_to_hand):
     assert by_global.shape[-1] == 1 + 4 + 12
     for index in range(17):
         step = 1e-6 * np.eye(17)[index]
-        ahead, behind = (model.predict(measured, state.moved(measured.columns, s * step, np.zeros((4, 6))))[0] for s in (1, -1))
+        ahead, behind = (model.predict(measured, measured.moved(state, s * step, np.zeros((4, 6))))[0] for s in (1, -1))
         np.testing.assert_allclose(by_global[..., index], (ahead - behind) / 2e-6, rtol=1e-5, atol=2e-3)
 
 

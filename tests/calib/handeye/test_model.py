@@ -42,8 +42,8 @@ def test_jacobian_agrees_with_central_differences(bent):
     tolerance = {"rtol": 1e-5, "atol": 1e-3}
     for index in range(len(columns) + 12):
         step = 1e-6 * np.eye(len(columns) + 12)[index]
-        ahead = model.predict(session, state.moved(columns, step, none))[0]
-        behind = model.predict(session, state.moved(columns, -step, none))[0]
+        ahead = model.predict(session, session.moved(state, step, none))[0]
+        behind = model.predict(session, session.moved(state, -step, none))[0]
         np.testing.assert_allclose(by_global[..., index], (ahead - behind) / 2e-6, **tolerance)
     for index in range(6):
         step = np.zeros((12, 6))

@@ -66,7 +66,7 @@ def test_jacobian_agrees_with_central_differences(name: str) -> None:
     assert by_global.shape[-1] == count == len(uncertainty.parameter_names(measured))
     for index in range(count):
         step = 1e-6 * np.eye(count)[index]
-        ahead, behind = (model.predict(measured, state.moved(measured.columns, s * step, np.zeros((4, 6))))[0] for s in (1, -1))
+        ahead, behind = (model.predict(measured, measured.moved(state, s * step, np.zeros((4, 6))))[0] for s in (1, -1))
         np.testing.assert_allclose(by_global[..., index], (ahead - behind) / 2e-6, rtol=1e-5, atol=2e-3)
 
 
