@@ -1,8 +1,8 @@
 """Several cameras on one mount that saw the same target: the equations of `calib.handeye.model` side by side.
 
-All cameras share the target's pose and shape and the joints' offsets. Views that were taken at the same stop share the arm's error too,
-which then drops out of the pose between the cameras. The global unknowns are, in this order: for each camera its free intrinsics
-and mount_from_camera (6); the joints' offsets; the target's shape; stand_from_board (6).
+All cameras share the target's pose and shape and the joints' offsets. Views that were taken at the same stop share the arm's
+error too, which then drops out of the pose between the cameras. The global unknowns are, in this order: for each camera its free
+intrinsics and mount_from_camera (6); the joints' offsets; the target's shape; stand_from_board (6).
 """
 
 from dataclasses import dataclass, field, replace

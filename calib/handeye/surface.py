@@ -5,8 +5,8 @@ lies above the edges, along x and along y. With (u, v) the place on the target, 
 
     (x (1 + shape[0]),  y (1 + shape[1]),  z + shape[2] (1 - u^2) + shape[3] (1 - v^2)).
 
-This is linear in `shape`. A twist of the plate, u v, is left out. Since the arm measures in metres, the stretch is observable, and
-the focal length does not absorb it. The same form of bending: mrcal (Kogan), "calobject_warp".
+This is linear in `shape`. A twist of the plate, u v, is left out. Since the arm measures in metres, the stretch is observable,
+and the focal length does not absorb it. The same form of bending: mrcal (Kogan), "calobject_warp".
 """
 
 from collections.abc import Mapping

@@ -22,7 +22,7 @@ def gpu_command(
     ] = False,
     as_json: console.Json = False,
 ) -> None:
-    """Measure a GPU in some ten minutes: rays per second of both presets, error over time, rendering, memory, all devices and one."""
+    """Measure a GPU in ten minutes: rays per second of both presets, error over time, rendering, memory, all devices and one."""
     from datasets.core.errors import UsageError
     from reconstruct.bench.gpu import memory, run
     from reconstruct.bench.gpu.plan import Sizes, trials
