@@ -3,6 +3,7 @@
 A program that arrives at the primary interface takes the place of the one that runs. This one brings the joints to rest and ends.
 """
 
+import contextlib
 import socket
 import time
 from typing import Any, Self
@@ -24,32 +25,34 @@ MODES = "DISCONNECTED CONFIRM_SAFETY BOOTING POWER_OFF POWER_ON IDLE BACKDRIVE R
 
 
 class StandIn:
-    """A `Pendant` of a controller without dashboard; `connect` opens it.
+    """A `Pendant` of a controller without dashboard.
 
     Nobody says over these interfaces whether the controller takes orders from other computers, nor the arm's serial number.
     """
 
     name = "primary interface"
 
-    def __init__(self, host: str, stream: RtdeStream, version: tuple[int, ...]) -> None:
-        self.host, self._stream, self._version = host, stream, version
+    def __init__(self, host: str, version: tuple[int, ...]) -> None:
+        self.host, self._version = host, version
 
     @classmethod
     def connect(cls, host: str) -> Self:
-        """Open the connection. Raises RigConnectionError: RTDE or the primary interface does not answer."""
+        """Ask once. Raises RigConnectionError: RTDE or the primary interface does not answer."""
         try:
             version = primary.listen(host, TIMEOUT_S).version
-            if version is None:
-                raise ValueError("the primary interface says nothing")
-            stream = RtdeStream(host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
         except (OSError, ValueError) as error:
             raise _silent(host, str(error)) from None
-        return cls(host, stream, version)
+        if version is None:
+            raise _silent(host, "the primary interface says nothing")
+        found = cls(host, version)
+        found.robot_mode()
+        return found
 
     def stop(self) -> str:
-        """End the program and wait until the arm rests."""
-        if self.program_state() == "STOPPED":
-            return "no program runs"
+        """End the program and wait until the arm rests; where the state is not known, the order is sent all the same."""
+        with contextlib.suppress(RigConnectionError):
+            if self.program_state() == "STOPPED":
+                return "no program runs"
         try:
             with socket.create_connection((self.host, primary.PORT), TIMEOUT_S) as link:
                 link.sendall(STOP.encode())
@@ -86,15 +89,19 @@ class StandIn:
         return ".".join(map(str, self._version))
 
     def close(self) -> None:
-        """Close the connection."""
-        self._stream.close()
+        """Nothing is open between two questions."""
 
     def _now(self) -> dict[str, Any]:
-        """A sample that arrives after this call."""
-        self._stream.newest()  # what came before
-        sample = self._stream.newest(TIMEOUT_S)
+        """A sample of this moment, over a connection of its own: one that nobody reads for an hour fills up and is closed."""
+        try:
+            stream = RtdeStream(self.host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
+        except OSError as error:
+            raise _silent(self.host, str(error)) from None
+        try:
+            sample = stream.newest(TIMEOUT_S)
+        finally:
+            stream.close()
         if sample is None:
-            self.close()
             raise _silent(self.host, "no sample within a second")
         return sample
 

@@ -1,5 +1,6 @@
 """The driver on a controller without a dashboard server, as PolyScope X is."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -10,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from capture.errors import MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
 from capture.robots.pendant import connect as connect_pendant
 from capture.robots.ur import UniversalRobot
 from capture.sim.controller.process import SimulatedController
@@ -71,6 +72,22 @@ def test_a_controller_that_goes_on_is_named(simulated):
         simulated.ask("ignore_commands")
         with pytest.raises(MotionError, match=r"refuses to stop its program \('its program goes on'\)"):
             robot.move_to(NEAR, speed=1.0, acceleration=1.4)
+
+
+def test_the_order_to_stop_is_sent_where_no_state_arrives(simulated):
+    with UniversalRobot(simulated.host) as robot:
+        pendant = connect_pendant(simulated.host)
+        threading.Thread(target=_move, args=(robot,), daemon=True).start()
+        time.sleep(0.7)
+        simulated.ask("silent", seconds=3)
+        with pytest.raises(RigConnectionError, match="no sample within a second"):
+            pendant.stop()
+        assert stopped_on_the_way(simulated)
+
+
+def _move(robot):
+    with contextlib.suppress(CaptureError):
+        robot.move_to(FAR, speed=1.0, acceleration=1.4)
 
 
 def test_a_stop_holds(simulated):
