@@ -211,7 +211,7 @@ def test_a_controller_that_hangs_is_left_stopped_by_its_watchdog(client: str) ->
     deadlines = Deadlines(stale_s=1.0, watchdog_hz=1.0)
     with SimulatedController.start(time_scale=1.0) as controller:
         robot = UniversalRobot(controller.host, deadlines=deadlines, client=client)
-        with pytest.raises(CaptureError, match="does not answer either"), robot:
+        with pytest.raises(CaptureError, match="does not answer a second connection either"), robot:
             threading.Timer(0.7, controller.ask, ["hang"], {"seconds": 30}).start()
             robot.move_to(far, speed=0.4, acceleration=1.4)
         time.sleep(0.5)
