@@ -29,7 +29,18 @@ OUTLIER = 6.0  # corners with larger residuals are left out [sigmas]
 MIN_SIGMA_PX = 1e-4  # lower limit of a corner's standard deviation: smaller residuals are rounding errors
 LIMITS = Limits(max_steps=50, tolerance=1e-9, least_cost=1.0, min_damping=1e-12)
 PRIOR_VIEWS = 4.0  # the stated accuracy of the arm counts as much as this number of views
-S = TypeVar("S")
+
+
+class Unknowns(Protocol):
+    """What is estimated."""
+
+    @property
+    def corrections(self) -> Array:
+        """(views, 6) of the arm's report."""
+        ...
+
+
+S = TypeVar("S", bound=Unknowns)
 
 
 class Problem(Protocol[S]):

@@ -17,14 +17,14 @@ The answer is a weighted mean of all y, so its covariance follows from theirs. I
 """
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.optimize import minimize
 
 from calib.arrays import Array
 from calib.handeye import joints
-from calib.handeye.model import Session
-from calib.handeye.refine import PRIOR_VIEWS, Refined, Sigmas, linear_system
+from calib.handeye.refine import PRIOR_VIEWS, Problem, Refined, S, Sigmas, linear_system
 from datasets import kinematics
 
 LENGTH_M, ANGLE_RAD = 5e-4, float(np.deg2rad(0.05))
@@ -36,6 +36,30 @@ REACH_M, REACH_RAD = 0.3, 1.0
 NEGLIGIBLE = 10.0  # a scale so much less likely than the best, by its logarithm, and all larger ones count for nothing
 _LOOSE = 10.0  # deviation of an arm that says nothing [m, rad]
 _RANK, _MODES = 0.01, 20  # smooth errors: smallest mode that is kept, as a share of the largest; and how many at most
+
+
+class Posed(Problem[S], Protocol[S]):
+    """A problem with what the arm reported at each view."""
+
+    @property
+    def base_from_flange(self) -> Array:
+        """(views, 4, 4) [m]."""
+        ...
+
+    @property
+    def joints(self) -> Array | None:
+        """(views, joints) [rad], where they are known."""
+        ...
+
+    @property
+    def links(self) -> kinematics.Links:
+        """The arm's nominal chain."""
+        ...
+
+    @property
+    def turning(self) -> list[int]:
+        """Joints whose offsets are estimated."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -113,7 +137,7 @@ class _Views:
         return np.asarray(inverse @ (spread + pull @ pull.T) @ inverse, np.float64)
 
 
-def estimate(session: Session, refined: Refined) -> Repeating:
+def estimate(session: Posed[S], refined: Refined[S]) -> Repeating:
     """The arm's errors in the views of a refinement whose covariance exists, and the covariance with errors that repeat."""
     views, sigmas = _views(session, refined), refined.sigmas
     tried: list[tuple[float, Array, float]] = []
@@ -131,7 +155,7 @@ def estimate(session: Session, refined: Refined) -> Repeating:
     return Repeating(mean, float(stop[0]), float(stop[1]), np.asarray(covariance))
 
 
-def _views(session: Session, refined: Refined) -> _Views:
+def _views(session: Posed[S], refined: Refined[S]) -> _Views:
     """The views of a refinement about its answer."""
     loose = Sigmas(refined.sigmas.pixel, _LOOSE, _LOOSE, refined.sigmas.width)
     system = linear_system(session.some(refined.inliers), refined.state, loose)
@@ -142,7 +166,7 @@ def _views(session: Session, refined: Refined) -> _Views:
     return _Views(asked, inverse @ system.coupling, spread, motions(session), system.root, system.side, stated)
 
 
-def motions(session: Session) -> Array:
+def motions(session: Posed[Any]) -> Array:
     """(views, 6, k) motion of the flange in its own axes [m, rad] for each of the errors that repeat, at a scale of one."""
     if session.joints is None or not joints.are_those_of_the_poses(session.joints, session.base_from_flange, session.links):
         return _smooth(session.base_from_flange)

@@ -6,6 +6,7 @@ A program that arrives at the primary interface takes the place of the one that 
 import contextlib
 import socket
 import time
+from collections.abc import Sequence
 from typing import Any, Self
 
 from capture.errors import RigConnectionError
@@ -106,7 +107,7 @@ class StandIn:
         return sample
 
 
-def _named(names: list[str], number: int) -> str:
+def _named(names: Sequence[str], number: int) -> str:
     return names[number] if 0 <= number < len(names) else str(number)
 
 
