@@ -19,6 +19,9 @@ PARTS = 4
 """Disjoint parts of the pairs of views, each of which must ask for the correction in the same direction."""
 USUAL = 0.5
 """The correction must make this share of all matches right ones: else something other than intrinsics is wrong."""
+MOST_BENT = 0.35
+"""A distortion that moves the outer matches by more than this share of their distance from the middle is no lens. Reflections, which
+move over the object as the camera does, can look like one."""
 ROWS = {"focal length": [0], "distortion": [1], "principal point": [2, 3]}
 """What may be wrong, and its rows in a change of (log focal length, k1, principal point x and y in px)."""
 NAMES = tuple(ROWS)
@@ -29,6 +32,9 @@ def find(evidence: Evidence) -> list[Finding]:
     name, change, fit = best(evidence)
     shift = float(np.linalg.norm(shifts(change, evidence)))
     few = fit.inliers < max(150, USUAL * min(len(evidence.pairs.first), MATCHES))
+    pixel = float(np.median(evidence.pairs.pixel))
+    if name == "distortion" and shift > MOST_BENT * edge(evidence) / pixel:
+        return []
     if few or shift < LEAST_PX or fit.gain < LEAST_GAIN or not _everywhere(evidence, name, change):
         return []
     words = {

@@ -9,7 +9,7 @@ from datasets import pose
 from datasets.checks.evidence import Evidence
 from datasets.core.findings import Finding
 from datasets.structure.epipolar import corrected
-from datasets.structure.triangulate import DOUBTFUL, explained
+from datasets.structure.triangulate import DOUBTFUL, agreement, explained
 
 LEAST_PX = 0.65
 """Shift of the picture from which a pose is reported [px of the image that was searched]."""
@@ -25,6 +25,9 @@ USUAL = 0.6
 """Median share of explained matches above which single views are judged by theirs."""
 MATCHED = 0.5
 """Matches of such a view, as a share of the usual number: one that shows little that others show too has only wrong ones."""
+EXPLAINED = 0.5
+"""Share of all matches that the poses explain below which no single pose is judged by how it moves: a few wrong poses leave most
+matches explained, reflections do not, and they move in other ways."""
 REMEDY = "check its pose, drop it, or let training refine poses: --set poses.enabled=true"
 WHAT = "pose does not fit the neighbours' pictures"
 
@@ -60,12 +63,13 @@ def find(evidence: Evidence) -> list[Finding]:
         why = f"{len(wrong)} of {len(evidence.views)} agree better with their neighbours when moved, by {moved:.1f} px (median)"
         remedy = "let training refine poses: --set poses.enabled=true, or run structure from motion again"
         return [Finding("warning", "poses are inaccurate", "all views", why, remedy, "pose", {"median_px": moved})]
+    judged = wrong if agreement(evidence.matches, evidence.matrices) > EXPLAINED else {}
     found = []
-    for view in sorted(lost | wrong.keys()):
+    for view in sorted(lost | judged.keys()):
         name, size = evidence.views[view].name, np.nan
         why = f"{100 * share[view]:.0f}% of its matches agree, usually {100 * np.nanmedian(share):.0f}%"
-        if view in wrong:
-            one, size = wrong[view], wrong[view].moved_px
+        if view in judged:
+            one, size = judged[view], judged[view].moved_px
             why = f"a pose that moves its picture by {size:.1f} px reduces the distance of its matches from "
             why += f"{one.before_px:.2f} to {one.after_px:.2f} px; others move by {usual:.1f} px"
         found.append(Finding("warning", WHAT, f"view {name}", why, REMEDY, "pose", {"views": {name: size}}))

@@ -8,12 +8,15 @@ import pytest
 
 from datasets import pose
 from datasets.camera_model import Camera
-from datasets.checks import coverage, motion
+from datasets.checks import coverage, intrinsics, motion
 from datasets.checks.evidence import Evidence
 from datasets.checks.matches import check_evidence
 from datasets.core.findings import Finding
 from datasets.injuries import injure
 from datasets.scene import Scene
+from datasets.structure.epipolar import Correction
+from datasets.structure.matching import Matches
+from datasets.structure.triangulate import agreement
 
 LENS = Camera(320, 240, 340.0, 340.0, 160.0, 120.0)
 
@@ -43,6 +46,35 @@ def test_single_poses_are_named(walls: Scene, tmp_path) -> None:
     assert named(found, "pose") == hurt and {finding.cause for finding in found} == {"pose"}
     sizes = [size for finding in found for size in finding.evidence["views"].values()]
     assert all(1.5 < size < 4.5 for size in sizes)  # it was moved by 3 px; what its matches do not fix stays
+
+
+def mirrored(scene: Scene, share: float) -> Evidence:
+    """Evidence of which a share of the matches leads elsewhere, as those of reflections do."""
+    evidence, random, pairs = Evidence.gather(scene), np.random.default_rng(3), []
+    for first, second, matched in evidence.matches.pairs:
+        other = matched.copy()
+        wrong = np.flatnonzero(random.random(len(matched)) < share)
+        other[wrong, 1] = other[np.roll(wrong, 1), 1]
+        pairs.append((first, second, other))
+    return replace(evidence, matches=Matches(evidence.matches.views, evidence.matches.features, tuple(pairs)))
+
+
+def test_no_single_pose_is_accused_where_most_matches_fit_no_pose(walls: Scene, tmp_path) -> None:
+    injured, hurt = injure.moved_poses(walls, 3.0, tmp_path)
+    for share, expected in ((0.2, hurt), (0.75, set())):
+        evidence = mirrored(injured, share)
+        assert (agreement(evidence.matches, evidence.matrices) > 0.5) == bool(expected)
+        assert named(check_evidence(evidence), "pose") == expected
+
+
+def test_a_distortion_that_no_lens_has_is_not_named(walls: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence = Evidence.gather(walls)
+    for share, count in ((0.1, 1), (0.45, 0)):
+        change = np.array([0.0, share / intrinsics.edge(evidence) ** 2, 0.0, 0.0])
+        fit = Correction(change[1:2], np.ones(1), gain=0.1, inliers=10**6, before_px=1.0, after_px=0.3)
+        monkeypatch.setattr(intrinsics, "best", lambda _, found=("distortion", change, fit): found)
+        monkeypatch.setattr(intrinsics, "_everywhere", lambda *_: True)
+        assert len(intrinsics.find(evidence)) == count
 
 
 def test_a_wrong_distortion_is_named_for_all_views(walls: Scene, tmp_path) -> None:
