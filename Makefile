@@ -1,4 +1,4 @@
-# make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 10 minutes on 2 cores)
+# make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 4 minutes on 2 fast cores; BUDGET=300 trains for longer)
 # make test    the test suite; of the arm's two clients one for each fault, both where they differ (`both_clients`)
 # make test-all  the slow tests as well: every fault three times with each client, 20 kills in a row
 # make docs    the pages of docs/ as HTML in build/docs
@@ -11,7 +11,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
-BUDGET ?= 220
+BUDGET ?= 100
 DEMO ?= demo
 
 # $(call step,title,command): show the title and the command, run it, show the time that it took.
