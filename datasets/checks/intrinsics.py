@@ -20,8 +20,8 @@ PARTS = 4
 USUAL = 0.5
 """The correction must make this share of all matches right ones: else something other than intrinsics is wrong."""
 MOST_BENT = 0.35
-"""A distortion that moves the outer matches by more than this share of their distance from the middle is no lens. Reflections, which
-move over the object as the camera does, can look like one."""
+"""A distortion that moves the outer matches by more than this share of their distance from the middle is no lens. Reflections,
+which move over the object as the camera does, can look like one."""
 ROWS = {"focal length": [0], "distortion": [1], "principal point": [2, 3]}
 """What may be wrong, and its rows in a change of (log focal length, k1, principal point x and y in px)."""
 NAMES = tuple(ROWS)
