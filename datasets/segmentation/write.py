@@ -12,6 +12,8 @@ from datasets.imaging import images
 from datasets.scene import Scene
 from datasets.segmentation import strokes
 from datasets.segmentation.grow import Grown, enlarged
+from datasets.structure import bounds
+from datasets.structure.hull import visual_hull
 
 STROKES = "strokes.json"
 
@@ -31,6 +33,16 @@ def write(scene: Scene, found: Grown, drawn: Sequence[strokes.Stroke], out: Path
             images.write(path, enlarged(mask, view.camera.width, view.camera.height))
             views.append(replace(view, mask=path, mask_inverted=False))
             done()
-        koala.save(scene.with_views(tuple(views)), out)
+        koala.save(alone(scene.with_views(tuple(views))), out)
     if drawn:
         strokes.write(out / STROKES, drawn)
+
+
+def alone(scene: Scene) -> Scene:
+    """A scene whose views have masks, with the object as all there is: bounds are those of its hull, a stated box stays."""
+    train = tuple(view for view in scene.views if view.split == "train") or scene.views
+    stated = scene.bounds_from == "stated"
+    hull = visual_hull(train, scene.box if stated else bounds.visible_box(train))
+    near, far = hull.depth_range(scene.views)
+    box, words = (scene.box, scene.bounds_from) if stated else (hull.box, f"masks of {hull.views_used} views")
+    return replace(scene, background="white", box=box, near=near, far=far, bounds_from=words)

@@ -119,8 +119,21 @@ def test_the_scene_is_written_with_its_masks_and_strokes(photographed: Any, tmp_
     assert [view.name for view in read.views] == [view.name for view in scene.views]
     assert ((read.views[3].read_mask()[..., -1] > 0.5) == masks[3]).mean() > 0.97
     assert strokes.read(tmp_path / "out" / STROKES, [view.name for view in read.views]) == [stroke]
+    assert read.background == "white" and read.bounds_from.startswith("masks of"), "the object is all there is"
+    low, high = np.min([at - size for at, size in BALLS], 0), np.max([at + size for at, size in BALLS], 0)
+    assert (read.box[0] < CENTRE + low + 0.1).all() and (read.box[1] > CENTRE + high - 0.1).all()
+    assert (read.box[1] - read.box[0] < 2.2 * (high - low)).all(), "a ring of cameras leaves room beside the object"
+    assert scene.near < read.near < read.far < 10.0
     with pytest.raises(KoalaError, match="exists"):
         write(scene, Grower(scene).grow(), [], tmp_path / "out")
+
+
+def test_a_stated_box_stays(photographed: Any, tmp_path: Path) -> None:
+    scene = replace(photographed[0], bounds_from="stated")
+    write(scene, Grower(scene).grow(), [], tmp_path / "out")
+    read = koala.load(tmp_path / "out")
+    np.testing.assert_allclose(read.box, scene.box)
+    assert read.background == "white" and read.bounds_from == "stated"
 
 
 @pytest.mark.parametrize(
