@@ -66,9 +66,7 @@ class RealSense:
         self._exposure_us = settings.exposure_us
 
     def __enter__(self) -> Self:
-        import pyrealsense2
-
-        self._rs = pyrealsense2
+        self._rs = _library()
         try:
             self._found = _find(self._rs, self.device.serial, self._emulation)
             self._configure()
@@ -227,14 +225,24 @@ class RealSense:
 @contextmanager
 def opened(device: Device, *, emulation: Emulation | None = None) -> Iterator[tuple[Nodes, str, dict[str, str]]]:
     """Look at a camera without starting it: its settings, its serial number, and what it says of firmware and link."""
-    import pyrealsense2
-
-    rs: Any = pyrealsense2
+    rs = _library()
     found = _find(rs, device.serial, emulation)
     colour = _sensor(found, rs.stream.color, "camera")
     depth = _sensor(found, rs.stream.depth, "camera") if device.depth is not None else None
     said = {name: _info(rs, found, name) for name in ("firmware_version", "usb_type_descriptor")}
     yield OptionNodes(rs, colour, depth), _info(rs, found, "serial_number"), said
+
+
+def _library() -> Any:
+    """pyrealsense2. Raises ModuleNotFoundError: it is not installed; CaptureError: a library of the system is missing."""
+    try:
+        import pyrealsense2
+    except ModuleNotFoundError:
+        raise
+    except ImportError as error:
+        remedy = "install it, on Debian and Ubuntu by 'apt install libusb-1.0-0'"
+        raise CaptureError("pyrealsense2 cannot be loaded", why=str(error), remedy=remedy) from None
+    return pyrealsense2
 
 
 def _fresh(queue: Any, patience_ms: int) -> Any:

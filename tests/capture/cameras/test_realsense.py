@@ -11,7 +11,7 @@ from capture.sim.realsense_device import BASELINE_M, SERIAL, SoftwareRealSense, 
 from capture.trajectory import CameraSettings
 from datasets.camera_model import Camera
 
-pytest.importorskip("pyrealsense2")
+pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
 
 SENSOR = Camera(1920, 1080, 1380.0, 1381.0, 950.0, 545.0, k1=-0.1)
 SETTINGS = CameraSettings(width=320, height=240)

@@ -28,7 +28,7 @@ SENSOR = Camera(1920, 1080, 1380.0, 1380.0, 960.0, 540.0)
     ],
 )
 def test_what_is_wrong_with_a_realsense_is_named_and_nothing_else(usb, stated, wrong):
-    pytest.importorskip("pyrealsense2")
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
     from capture.cameras.realsense import opened
     from capture.sim.realsense_device import SoftwareRealSense
 

@@ -23,7 +23,7 @@ from datasets.formats import load_scene
 from datasets.imaging import images
 from datasets.recording import Recording
 
-pytest.importorskip("pyrealsense2")
+pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
 
 SMALL = ["camera.width=320", "camera.height=180", "views.0.count=2", "split.train=1", "split.test=1"]
 SMALL += ["views.0.rings=1", "views.0.elevation_deg=[45, 45]"]

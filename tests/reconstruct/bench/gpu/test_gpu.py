@@ -25,9 +25,9 @@ TWO = {"platform": "gpu", "devices": 2, "text": "2 x a card"}
 def test_trainings_take_their_share_of_ten_minutes() -> None:
     full = trials(Sizes.on("gpu", None))
     assert sum(one.budget_s for one in full) <= SECONDS and {one.preset for one in full} == {"fast", "paper"}
-    assert [one.budget_s for one in full if one.scene == LEGO and one.preset == "fast"] == [15, 30, 60]
+    assert [one.budget_s for one in full if one.scene == LEGO and one.preset == "fast"] == [11.25, 22.5, 45]
     assert {one.scene for one in full} == {LEGO, LARGE} and Sizes.on("gpu", None).side == 800
-    assert sum(one.budget_s for one in trials(Sizes.on("gpu", 24.0))) == pytest.approx(sum(o.budget_s for o in full) / 10)
+    assert sum(one.budget_s for one in trials(Sizes.on("gpu", 18.0))) == pytest.approx(sum(o.budget_s for o in full) / 10)
 
 
 def test_without_a_gpu_one_line_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
