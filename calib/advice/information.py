@@ -16,6 +16,7 @@ from calib.arrays import Array, Mask
 from calib.handeye import model
 from calib.handeye.model import Session, State
 from calib.handeye.refine import Sigmas
+from calib.solver.elimination import covariance_of
 from datasets.advice import Figures
 from datasets.camera_model import Camera
 from datasets.targets.board import Board
@@ -109,10 +110,8 @@ def _eliminated(by_global: Array, own: Array, inside: Mask, sigmas: Sigmas) -> A
 
 
 def pose_covariance(information: Array) -> Array:
-    """(6, 6) covariance of the hand-eye pose out of the (p, p) information, which is scaled before it is inverted."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    return np.asarray(inverse[-12:-6, -12:-6], np.float64)
+    """(6, 6) covariance of the hand-eye pose out of the (p, p) information."""
+    return covariance_of(information)[-12:-6, -12:-6]
 
 
 def figures(information: Array, state: State) -> Figures:

@@ -18,6 +18,7 @@ from calib.handeye import refine, repeating, uncertainty
 from calib.handeye.model import Accuracy
 from calib.handeye.refine import Refined
 from calib.sessions.session import TargetSession
+from calib.solver.elimination import covariance_of
 from calib.solver.geometry import rms_difference
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
@@ -64,7 +65,7 @@ def calibrate_together(
     problem, start = _joined(alone, names, same_stops)
     sigma_px = alone[0].fit.refined.sigmas.pixel
     refined = refine.refine(problem, start, sigma_px=sigma_px)
-    covariance = _inverse(refined.information)  # each camera's part exists: it was calibrated alone
+    covariance = covariance_of(refined.information)  # each camera's part exists: it was calibrated alone
     arm = repeating.estimate(problem, refined)
     between = [_between(problem, refined.state, arm.covariance, camera) for camera in range(1, len(sessions))]
     found = []
@@ -160,11 +161,6 @@ def _same_stops(alone: Sequence[Solution], names: Sequence[str]) -> tuple[Indice
     return tuple(found)
 
 
-def _inverse(information: Array) -> Array:
-    scale = np.sqrt(np.diag(information))
-    return np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
-
-
 def _own(problem: Cameras, refined: Refined[CamerasState], covariance: Array, camera: int) -> Refined[Any]:
     """One camera's part of what was found together."""
     corners, columns, noise = problem.corners_of(camera), problem.columns_of(camera), problem.noise[camera]
@@ -172,7 +168,7 @@ def _own(problem: Cameras, refined: Refined[CamerasState], covariance: Array, ca
         refined,
         state=refined.state.of(camera, problem.stops[camera]),
         sigmas=replace(refined.sigmas, pixel=refined.sigmas.pixel * noise),
-        information=_inverse(covariance[np.ix_(columns, columns)]),
+        information=covariance_of(covariance[np.ix_(columns, columns)]),
         residuals=refined.residuals[corners] * noise,
         inliers=refined.inliers[corners],
     )

@@ -76,3 +76,9 @@ def eliminate(view: Indices, rows: Array, own_rows: Array, global_rows: Array) -
     rest = triangles[:, 6:, 6:].reshape(-1, width - 6)
     whole = np.asarray(np.linalg.qr(np.vstack([rest, global_rows, np.zeros((width - 6, width - 6))]), mode="r"))
     return Eliminated(whole[:-1, :-1], whole[:-1, -1], triangles[:, :6, :6], triangles[:, :6, 6:-1], triangles[:, :6, -1])
+
+
+def covariance_of(information: Array) -> Array:
+    """(p, p) inverse of an information, which is scaled before it is inverted: pixels and radians are far apart."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale), np.float64)
