@@ -65,14 +65,13 @@ def calibrate_together(
     problem, start = _joined(alone, names, same_stops)
     sigma_px = alone[0].fit.refined.sigmas.pixel
     refined = refine.refine(problem, start, sigma_px=sigma_px)
-    covariance = covariance_of(refined.information)  # each camera's part exists: it was calibrated alone
     arm = repeating.estimate(problem, refined)
     between = [_between(problem, refined.state, arm.covariance, camera) for camera in range(1, len(sessions))]
     found = []
     for camera, solution in enumerate(alone):
         columns = problem.columns_of(camera)
-        fit = replace(solution.fit, refined=_own(problem, refined, covariance, camera))
         own = replace(arm, covariance=arm.covariance[np.ix_(columns, columns)])
+        fit = replace(solution.fit, refined=_own(problem, refined, own.covariance, camera))
         found.append(calibrate.described(replace(solution, fit=fit), own, accuracy, False, allow_m))
     taken = np.bincount(np.concatenate(problem.stops))
     return Together(tuple(found), tuple(between), len(taken), int((taken > 1).sum()))
@@ -162,13 +161,13 @@ def _same_stops(alone: Sequence[Solution], names: Sequence[str]) -> tuple[Indice
 
 
 def _own(problem: Cameras, refined: Refined[CamerasState], covariance: Array, camera: int) -> Refined[Any]:
-    """One camera's part of what was found together."""
-    corners, columns, noise = problem.corners_of(camera), problem.columns_of(camera), problem.noise[camera]
+    """One camera's part of what was found together; `covariance` is that of its own unknowns."""
+    corners, noise = problem.corners_of(camera), problem.noise[camera]
     return replace(
         refined,
         state=refined.state.of(camera, problem.stops[camera]),
         sigmas=replace(refined.sigmas, pixel=refined.sigmas.pixel * noise),
-        information=covariance_of(covariance[np.ix_(columns, columns)]),
+        information=covariance_of(covariance),
         residuals=refined.residuals[corners] * noise,
         inliers=refined.inliers[corners],
     )

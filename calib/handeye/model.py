@@ -20,6 +20,7 @@ where mount_from_stand[i] is inverse(flange[i]) or flange[i]. A small motion of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -115,18 +116,14 @@ class Session:
 
     def moved(self, state: "State", step: Array, view_steps: Array) -> "State":
         """`state` after a step of the global unknowns and the (views, 6) corrections."""
-        of_camera, of_joints, of_shape, of_mount, of_board = np.split(step, np.cumsum([*self._counts, 6]))
+        counts = [len(self.free), len(self.turning), len(self.shaped), 6]
+        of_camera, of_joints, of_shape, of_mount, of_board = np.split(step, np.cumsum(counts))
         intrinsics, offsets, shape = state.intrinsics.copy(), state.offsets.copy(), state.shape.copy()
         intrinsics[self.columns] += of_camera
         offsets[self.turning] += of_joints
         shape[self.shaped] += of_shape
         mount, board = perturbed(state.mount_from_camera, of_mount), perturbed(state.stand_from_board, of_board)
         return State(intrinsics, mount, board, state.corrections + view_steps, offsets, shape)
-
-    @property
-    def _counts(self) -> tuple[int, int, int]:
-        """Numbers of the global unknowns before the two poses."""
-        return len(self.free), len(self.turning), len(self.shaped)
 
     def known_rows(self, state: "State") -> Array:
         """(k, p + 1) what is known of the global unknowns, whitened: derivatives, and the deviation of `state` from it.
@@ -149,6 +146,7 @@ class Session:
         of_camera[:, -1] = known.off(state.intrinsics)
         return np.vstack([of_camera, rows])
 
+    @cached_property
     def by_shape(self) -> Array:
         """(n, 3, 4) derivatives of the corners on the target by its shape."""
         return surface.by_shape(self.points, surface.extent_of(self.points) if self.extent is None else self.extent)
@@ -203,7 +201,7 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     by_offsets = by_flange @ _joint_motions(session, state, rotation)[view]
     by_global = [by_intrinsics[..., session.columns], by_offsets, by_camera_pose, by_board_pose]
     if session.shaped:
-        by_global.insert(2, by_stand @ state.stand_from_board[:3, :3] @ session.by_shape()[..., session.shaped])
+        by_global.insert(2, by_stand @ state.stand_from_board[:3, :3] @ session.by_shape[..., session.shaped])
     return pixels, np.concatenate(by_global, -1), own
 
 
@@ -228,7 +226,7 @@ def _chain(session: Session, state: State) -> _Chain:
     flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
     mounts = flange if session.eye_to_hand else pose.inverse(flange)
     camera_from_mount = pose.inverse(state.mount_from_camera)
-    on_board = session.points + session.by_shape() @ state.shape if state.shape.any() else session.points
+    on_board = session.points + session.by_shape @ state.shape if state.shape.any() else session.points
     on_stand = on_board @ state.stand_from_board[:3, :3].T + state.stand_from_board[:3, 3]
     on_mount = rotate(mounts[session.view, :3, :3], on_stand) + mounts[session.view, :3, 3]
     in_camera = on_mount @ camera_from_mount[:3, :3].T + camera_from_mount[:3, 3]
