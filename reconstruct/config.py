@@ -270,8 +270,6 @@ class SkipConfig(Schema):
     reflection: bool = setting(
         False, "Reflections and predicted normals, where most of the object keeps its colour from view to view."
     )
-    consistent_passes: bool = setting(False, "Second passes, while the last one found normals that agree already.")
-    converged: bool = setting(False, "The rest of the training, once held-out pixels stop improving.")
     distortion: bool = setting(True, "Undistortion of pinhole cameras' pixels.")
 
 

@@ -21,7 +21,7 @@ from datasets.core import files
 from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging.copies import Copies
 from datasets.scene import Scene
-from reconstruct.config import Config
+from reconstruct.config import Config, SkipConfig
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
 
@@ -161,8 +161,9 @@ def _current(config: dict[str, Any]) -> dict[str, Any]:
     """A run's configuration in today's terms.
 
     At first it counted the points that stand for a frustum. What is measured on a scene was written into it until the facts had a
-    place of their own; there it still has effect, as a value that a person gave.
+    place of their own; there it still has effect, as a value that a person gave. Skips that training no longer has are left out.
     """
+    config = {**config, "skip": {name: value for name, value in config["skip"].items() if name in SkipConfig.model_fields}}
     if "multisamples" not in config["sampler"]:
         return config
     sampler = {**config["sampler"], "frustum": "hexagon" if config["sampler"]["multisamples"] == 6 else "point"}

@@ -80,7 +80,7 @@ def _completed(training: Training, scene: Scene, prepared: float) -> dict[str, A
         raise
     training.save()
     last = training.run.log()[-1]
-    skips = outcome.with_outcome(training.skips, last, passes=training.clock.passes, left_out=training.clock.passes_left_out)
+    skips = outcome.with_outcome(training.skips, last)
     record.write(out, skips)
     poses.write(out, scene, training.run.normalisation, distributed.own_copy(training.state.model.poses))
     return {

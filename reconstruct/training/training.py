@@ -23,7 +23,7 @@ from reconstruct.training.event_log import EventLog
 from reconstruct.training.faults import FAULTS, RECURS, cause
 from reconstruct.training.pace.budget import Plan
 from reconstruct.training.pace.clock import Clock
-from reconstruct.training.skipping import outcome, record
+from reconstruct.training.skipping import record
 from reconstruct.training.step import Step, TrainState
 
 CHUNK = 16
@@ -63,7 +63,7 @@ class Training:
             The last step's terms, or where they were not finite those of the last chunk that was; empty before there is one.
         """
         surface, clock = self.run.config.surface, self.clock
-        period = clock.lenience * second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
+        period = second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
         left = CHUNK if clock.left is None else min(CHUNK, clock.left)
         until_due = period - clock.since_second_pass if surface.enabled else left
         count = max(1, min(left, until_due))
@@ -81,20 +81,12 @@ class Training:
         clock.seconds += time.perf_counter() - start
         clock.step += count
         clock.since_second_pass = 0 if second else clock.since_second_pass + count
-        if second:
-            self._count_second_pass(terms)
+        clock.passes += second
         faults = int(terms.pop(FAULTS))
         self._report_faults(faults, terms)
         if not faults:
             self._finite = terms
         return self._finite  # steps that are left out change nothing
-
-    def _count_second_pass(self, terms: dict[str, jax.Array]) -> None:
-        """Count a second pass, and find out when the next one is worth its time."""
-        clock, config = self.clock, self.run.config
-        clock.passes, clock.passes_left_out = clock.passes + 1, clock.passes_left_out + clock.lenience - 1
-        if config.skip.consistent_passes:
-            clock.lenience = outcome.lenience(clock.lenience, terms, config.surface)
 
     def _report_faults(self, faults: int, terms: dict[str, jax.Array]) -> None:
         """Say what was not finite in the last steps. Raises ReconstructError where that recurs."""
@@ -159,6 +151,6 @@ class Training:
         """Checkpoint state and clock, where this process is the one that does."""
         if not distributed.writes():
             return
-        kept = ("seconds", "step", "since_second_pass", "since_look", "lenience", "passes", "passes_left_out")
+        kept = ("seconds", "step", "since_second_pass", "since_look", "passes")
         clock = {name: getattr(self.clock, name) for name in kept}
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)

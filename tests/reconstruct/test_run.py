@@ -32,6 +32,7 @@ def test_a_run_of_the_first_days_is_read_in_today_s_terms(make_run: Callable[...
     sampler, field = content["config"]["sampler"], content["config"]["field"]
     del sampler["frustum"]
     sampler["multisamples"], field["view_skip"], field["view_depth"] = 6, True, 3
+    content["config"]["skip"]["converged"] = False
     path.write_text(json.dumps(content))
     config = Run.open(path.parent).config
     assert (config.sampler.frustum, config.field.view_skip) == ("hexagon", 2)

@@ -53,19 +53,19 @@ class Plan:
         """For run.json."""
         return asdict(self)
 
-    def step_s(self, surface: SurfaceConfig, lenience: int, begin: float) -> float:
+    def step_s(self, surface: SurfaceConfig, begin: float) -> float:
         """Mean time of a step from this progress to the end: second passes become more frequent."""
         if not surface.enabled:
             return self.plain_s
         places = begin + (1 - begin) * (np.arange(256) + 0.5) / 256
         periods = [second_pass_period(place, first=surface.first_period, last=surface.last_period) for place in places]
-        share = float(np.mean(1 / (lenience * np.array(periods, np.float64))))
+        share = float(np.mean(1 / np.array(periods, np.float64)))
         return self.plain_s + share * (self.second_s - self.plain_s)
 
     def leg(self, clock: Clock, surface: SurfaceConfig, begin: float, rate: float = 1.0) -> Leg:
         """From now to the end of the budget, on a machine whose steps take `rate` times as long as in the trial."""
         assert clock.budget_s is not None
-        step_s = rate * self.step_s(surface, clock.lenience, begin)
+        step_s = rate * self.step_s(surface, begin)
         return Leg(clock.step, begin, clock.step + max(1, round((clock.budget_s - clock.seconds) / step_s)))
 
     def corrected(self, clock: Clock, surface: SurfaceConfig) -> "Plan":

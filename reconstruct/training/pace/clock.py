@@ -26,10 +26,7 @@ class Clock:
     step: int = 0
     since_second_pass: int = 0
     since_look: int = 0
-    lenience: int = 1
-    """How many times rarer second passes are than in the curriculum."""
     passes: int = 0
-    passes_left_out: int = 0
     legs: list[Leg] = field(default_factory=list)
     """One, or with a budget that was corrected half-way two; none as long as a budget's steps are not known."""
 

@@ -17,8 +17,6 @@ from reconstruct.training.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
 
 ALIKE = 1.5
 """Footprints whose largest is less than so many times the smallest count as uniform."""
-PATIENCE = 0.2
-"""Share of the training without gain after which it counts as converged, where the configuration has no patience of its own."""
 MOSTLY = 0.4
 """Share of the object that keeps its colour, from which on it counts as matte: docs/skipping.md has it of all scenes."""
 
@@ -68,9 +66,7 @@ def plan(found: Evidence, config: Config) -> tuple[Config, list[Skip]]:
     for rule in (_regularisers, _reflection, _fine_levels, _table_size, _multisampling):
         config, skip = rule(found, config)
         skips.append(skip)
-    skips.append(_consistent_passes(config))
-    config, skip = _converged(config)
-    skips += [skip, _distortion(found, config), _structure_from_motion(found)]
+    skips += [_distortion(found, config), _structure_from_motion(found)]
     config, skip = _exposure(found, config)
     return config, [*skips, skip]
 
@@ -172,22 +168,6 @@ def _free(config: Config, changes: Tree) -> Config:
     bottleneck = max(config.field.bottleneck, BOTTLENECK)
     blur = min(config.train.last_blur, LAST_BLUR)
     return merged_config(config, merged(changes, {"field": {"bottleneck": bottleneck}, "train": {"last_blur": blur}}))
-
-
-def _consistent_passes(config: Config) -> Skip:
-    if not (config.surface.enabled and config.surface.normal):
-        return Skip.of("consistent_passes", True, "this model has no second pass", NOTHING_MORE)
-    evidence = "rays without a surface take no part" + ("" if config.skip.consistent_passes else "; all passes run")
-    return Skip.of("consistent_passes", config.skip.consistent_passes, evidence, "up to 3 of 4 second passes")
-
-
-def _converged(config: Config) -> Decision:
-    if config.train.patience:
-        return config, Skip.of("converged", True, "the configuration has patience", "what is left of the training by then")
-    if config.skip.converged:
-        config = merged_config(config, {"train": {"patience": PATIENCE}})
-    evidence = "held-out pixels are watched" if config.skip.converged else "not watched"
-    return config, Skip.of("converged", config.skip.converged, evidence, "what is left of the training by then")
 
 
 def _distortion(found: Evidence, config: Config) -> Skip:

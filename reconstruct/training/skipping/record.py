@@ -28,8 +28,6 @@ COSTS = {
     "table_size": "0.42 dB better to 0.30 dB and 2 deg worse on three scenes",
     "multisampling": "not measured; aliasing where footprints differ",
     "reflection": "not measured; without any regulariser 1.6 and 2.7 dB better on two scenes; no predicted normals",
-    "consistent_passes": "not measured; normals may drift apart between passes",
-    "converged": "0.15 dB better to 1.78 dB worse where it stopped a training",
     "distortion": "none: the same figures",
     "moving_lamps": "none where lamps stand still; where one rides beside the camera 6 deg and 7 dB on one scene",
     "structure_from_motion": "none in training",
@@ -46,8 +44,6 @@ PLAIN = {
     "table_size": "memory for more places than there are",
     "multisampling": "several samples at one place",
     "reflection": "reflections of a matte object",
-    "consistent_passes": "comparing normals that agree already",
-    "converged": "training that brings nothing more",
     "distortion": "straightening pictures that are straight",
 }
 """What is left out, in words for everybody; what a training does not decide is not among it."""

@@ -88,10 +88,6 @@ def test_reflections_go_where_most_of_the_object_keeps_its_colour(matte: float |
     assert planned(found, reflection=False)[0].field.appearance == "reflection"
 
 
-def test_convergence_is_watched_where_it_is_asked_for() -> None:
-    assert planned()[0].train.patience == 0 and planned(converged=True)[0].train.patience == 0.2
-
-
 def test_a_bounded_scene_may_be_kept_from_losing_its_surroundings(make_scene: Callable[..., Scene]) -> None:
     scene = make_scene(mask=True)
     assert normalisation_of(scene, load_config()) == Normalisation.of(scene) and Normalisation.of(scene).bounded
