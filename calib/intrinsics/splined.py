@@ -87,8 +87,9 @@ def _expressed(camera: Camera, free: list[str], pixels: Array) -> Array:
 def most_px(camera: Camera) -> float:
     """Largest displacement by the knots of `camera` within its image [px]."""
     assert camera.spline is not None
-    pixels, plain = over_image.cells(camera, 48, 48)[2], replace(camera, spline=None)
-    return float(np.linalg.norm(plain.project(camera.directions(pixels)) - pixels, axis=1).max())
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    bent = (over_image.cells(camera, 48, 48)[2] - centre) / focal
+    return float(np.linalg.norm((bent - camera.spline.straighten(bent)) * focal, axis=1).max())
 
 
 def in_words(camera: Camera) -> str:

@@ -21,16 +21,22 @@ from datasets.spline import Grid, Spline
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 
 
-def with_bump(camera: Camera) -> Camera:
-    """`camera` with a bump of 0.5 px, a tenth of its width wide, in a grid finer than any that is fitted."""
+def with_surface(camera: Camera, kind: str = "bump") -> Camera:
+    """`camera` with a surface of up to 0.5 px in a grid finer than any that is fitted, its middle beside that of the image.
+
+    A bump, a tenth of the width wide, moves all pixels one way; a ripple of half the width to and from its middle.
+    """
     step_x, step_y = camera.width / 30 / camera.fx, camera.height / 17 / camera.fy
     grid = Grid(-camera.cx / camera.fx - 2 * step_x, -camera.cy / camera.fy - 2 * step_y, step_x, step_y, 35, 22)
     away = (grid.places * [camera.fx, camera.fy] + [camera.cx, camera.cy]) / camera.width - [0.62, 0.22]
-    height = 0.5 * np.exp(-(away**2).sum(1) / (2 * 0.11**2))
-    return replace(camera, spline=Spline(grid, tuple((height[:, None] * [0.8, 0.6] / camera.fx).ravel().tolist())))
+    far = np.linalg.norm(away, axis=1, keepdims=True)
+    bump = 0.5 * np.exp(-(far**2) / (2 * 0.11**2)) * [0.8, 0.6]
+    ripple = 0.5 * np.sin(2 * np.pi * far / 0.5) * away / np.maximum(far, 1e-9)
+    moved = {"bump": bump, "ripple": ripple}[kind]
+    return replace(camera, spline=Spline(grid, tuple((moved / [camera.fx, camera.fy]).ravel().tolist())))
 
 
-RIG = replace(KOALA, camera=with_bump(KOALA.camera))
+RIG = replace(KOALA, camera=with_surface(KOALA.camera))
 
 
 def session(rig: Rig, seed: int, views: int = 25) -> TargetSession:
@@ -56,17 +62,17 @@ def plain(seen: TargetSession) -> Calibration:
     return calibrate.calibrate_handeye(seen, lens="rational")
 
 
-def off(found: Calibration, pixels: np.ndarray) -> tuple[float, float]:
+def off(found: Calibration, pixels: np.ndarray, rig: Rig = RIG) -> tuple[float, float]:
     """How far the camera's place on the flange [mm] and the rays of `pixels` in the flange's frame [px] are off, rms.
 
     Rays, not the camera's own axes: these are a convention where a lens is free to imitate a turn.
     """
-    place = 1e3 * np.linalg.norm(found.flange_from_camera.matrix[:3, 3] - RIG.flange_from_camera[:3, 3])
+    place = 1e3 * np.linalg.norm(found.flange_from_camera.matrix[:3, 3] - rig.flange_from_camera[:3, 3])
     rays = []
-    for camera, matrix in ((found.camera, found.flange_from_camera.matrix), (RIG.camera, RIG.flange_from_camera)):
+    for camera, matrix in ((found.camera, found.flange_from_camera.matrix), (rig.camera, rig.flange_from_camera)):
         direction = camera.directions(pixels) @ matrix[:3, :3].T
         rays.append(direction / np.linalg.norm(direction, axis=1, keepdims=True))
-    return float(place), RIG.camera.fx * float(np.sqrt(np.mean(((rays[0] - rays[1]) ** 2).sum(1))))
+    return float(place), rig.camera.fx * float(np.sqrt(np.mean(((rays[0] - rays[1]) ** 2).sum(1))))
 
 
 def test_the_camera_is_nearer_to_where_it_is(seen: TargetSession, splined: Calibration, plain: Calibration) -> None:
@@ -138,3 +144,28 @@ def test_too_few_corners_are_refused() -> None:
     some = [replace(o, ids=o.ids[::6], pixels=o.pixels[::6], points=o.points[::6]) for o in few.observations]
     with pytest.raises(TargetError, match="too few corners for a splined lens"):
         calibrate.calibrate_handeye(few.with_observations(some), lens="splined")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["plain", "bump", "ripple"])
+def test_ten_sessions_of_each_kind(kind: str) -> None:
+    """The figures of docs/calibration.md: medians of ten sessions, and how often `auto` takes knots."""
+    rig = KOALA if kind == "plain" else replace(KOALA, camera=with_surface(KOALA.camera, kind))
+    rows, taken = {"rational": [], "splined": []}, 0
+    for seed in range(10):
+        drawn = session(rig, seed)
+        pixels = np.concatenate([o.pixels for o in drawn.observations])
+        taken += calibrate.calibrate_intrinsics(drawn, "auto").camera.spline is not None
+        for lens, found in rows.items():
+            alone = calibrate.calibrate_intrinsics(drawn, lens).residuals["held_out_px"]
+            rig_found = calibrate.calibrate_handeye(drawn, lens=lens)
+            found.append((alone, rig_found.residuals["held_out_px"], *off(rig_found, pixels, rig)))
+    medians = {lens: np.median(found, axis=0) for lens, found in rows.items()}
+    print(f"\n{kind}: auto takes knots in {taken} of 10")
+    for lens, (alone, arm, place, rays) in medians.items():
+        print(f"  {lens}: unseen views {alone:.3f} px, through the arm {arm:.3f} px; off by {place:.3f} mm, rays {rays:.3f} px")
+    formula, knots = medians["rational"], medians["splined"]
+    if kind == "plain":
+        assert taken <= 1 and knots[0] < 1.02 * formula[0]
+    else:
+        assert taken >= 9 and (knots < formula).all()

@@ -14,7 +14,7 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.formats import blender, colmap, koala, llff, load_scene, nerfstudio
 from datasets.formats.sidecar import FILE as SIDECAR
 from datasets.imaging import images
-from datasets.scene import Scene
+from datasets.scene import Scene, Sightings
 from datasets.spline import Grid, Spline
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
@@ -120,6 +120,21 @@ def test_a_splined_lens_is_resampled_where_a_format_lacks_it(
         assert other.camera.is_centred
         error = np.abs(other.read() - far_wall(other.camera, other.world_from_camera))
         assert error.max() < 1.5 / 255  # two roundings to 8 bits, of which the spline may sharpen the first
+
+
+def test_sightings_move_with_the_picture(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = make_scene(SPLINED)
+    view = scene.views[0]
+    seen = np.array([[20.5, 30.25], [60.0, 40.0], [1.0, 1.0]])  # the last one lies outside what is left of the picture
+    points = view.camera.directions(seen) @ view.world_from_camera[:3, :3].T + view.world_from_camera[:3, 3]
+    index = np.array([[0, 0], [1, 0], [2, 0]])
+    colmap.save(replace(scene, points=points, sightings=Sightings((view.name,), index, seen)), tmp_path / "out")
+    again = load_scene(tmp_path / "out")
+    placed = next(v for v in again.views if v.name == view.name)
+    rows = again.sightings.index[:, 1] == again.sightings.names.index(view.name)
+    local = (again.points[again.sightings.index[rows, 0]] - placed.world_from_camera[:3, 3]) @ placed.world_from_camera[:3, :3]
+    assert rows.sum() == 2
+    np.testing.assert_allclose(again.sightings.pixels[rows], placed.camera.project(local), atol=1e-6)
 
 
 def test_blender_without_sidecar_still_has_cameras_splits_and_shiny_truth(
