@@ -24,9 +24,10 @@ from calib.handeye import (
     uncertainty,
     verify,
 )
-from calib.handeye.model import Accuracy, Known, Session, State
+from calib.handeye.model import Accuracy, Session, State
 from calib.handeye.refine import Refined
-from calib.intrinsics import estimate, projection
+from calib.intrinsics import estimate, lenses, projection, splined
+from calib.intrinsics.known import Known
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import rms_difference
 from calib.targets import screening
@@ -39,8 +40,8 @@ STATED = Accuracy()  # accuracy that is assumed of a UR5e
 
 
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
-    """Intrinsics from the pictures alone; `lens` is a key of `estimate.LENSES`. Raises what `estimate.calibrate` raises."""
-    found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
+    """Intrinsics from the pictures alone; `lens` is a key of `lenses.LENSES`. Raises what `estimate.calibrate` raises."""
+    found = _intrinsics(session, lens)
     residuals = {
         "rms_px": found.rms_px,
         "held_out_px": found.held_out_px,
@@ -52,6 +53,18 @@ def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibrat
     }
     provenance = {**session.provenance, "method": "intrinsics"}
     return Calibration(found.camera, found.std, region=session.region, residuals=residuals, provenance=provenance)
+
+
+def _intrinsics(session: TargetSession, lens: str) -> estimate.Intrinsics:
+    """Intrinsics from the pictures alone, by the name of the lens."""
+    candidates, spline = lenses.LENSES[lens], lenses.SPLINES.get(lens, "never")
+    return estimate.calibrate(session.observations, session.width, session.height, lenses=candidates, spline=spline)
+
+
+def _knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> Known | None:
+    """What is assumed of the knots of a camera that are `free`; None where there are none."""
+    pixels = estimate.flat(session.observations).pixels
+    return splined.prior(camera, free, pixels) if any(map(projection.is_knot, free)) else None
 
 
 def _views(session: TargetSession, used: int, left_out: dict[str, str]) -> dict[str, Any]:
@@ -74,7 +87,7 @@ def calibrate_handeye(
     lens: str = "auto",
     allow_m: float = uncertainty.MAX_STD_M,
 ) -> Calibration:
-    """Hand-eye pose, board pose and intrinsics together; `lens` is a key of `estimate.LENSES`.
+    """Hand-eye pose, board pose and intrinsics together; `lens` is a key of `lenses.LENSES`.
 
     With the camera beside the arm these are the pose of the camera in the base and that of the board on the flange. Intrinsics
     `given` by another session count with their covariance. From the same session they are only the start, because corners must
@@ -128,7 +141,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
     start, chosen = start_from(first.camera, closed, int(keep.sum()), first.session.links.count), first.session.chosen(keep)
-    options = {"sigma_px": first.sigma_px, "fisheye": first.camera.fisheye}
+    options = {"sigma_px": first.sigma_px, "form": projection.form(first.camera)}
     fit = outliers.refine_without(chosen, start, first.free, first.known, accuracy, **options)
     return Solution(first, boards, closed, keep, fit)
 
@@ -163,20 +176,23 @@ def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.Ha
 def _first(session: TargetSession, given: Calibration | None, lens: str) -> First:
     """The camera to start from, and the views with plausible corners."""
     if given is None:
-        found = estimate.calibrate(session.observations, session.width, session.height, lenses=estimate.LENSES[lens])
+        found = _intrinsics(session, lens)
         chosen = session.with_observations(found.observations)
-        return First(chosen, found.camera, found.lens.free, None, found.sigma_px, found.left_out)
+        known = _knots(found.camera, found.lens.free, chosen)
+        return First(chosen, found.camera, found.lens.free, known, found.sigma_px, found.left_out)
     verify.check_size(session, given.camera)
     observations, left_out = screening.agreeing_with_plane(session.observations)
     session = session.with_observations(observations)
     estimate.check_enough(observations, MIN_CORNERS_GIVEN)
-    free = tuple(name for name in projection.NAMES if given.camera_std.get(name, 0) > 0)
+    every = (*projection.NAMES, *projection.knot_names(projection.form(given.camera).grid))
+    free = tuple(name for name in every if given.camera_std.get(name, 0) > 0)
     same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
     boards = estimate.camera_from_boards(given.camera, observations)
     pairs = zip(boards, observations, strict=True)
     residuals = np.concatenate([estimate.reproject(given.camera, board, o) - o.pixels for board, o in pairs])
     sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
-    return First(session, given.camera, free, None if same or not free else _known(given, free), sigma_px, left_out)
+    known = _knots(given.camera, free, session) if same or not free else _known(given, free)
+    return First(session, given.camera, free, known, sigma_px, left_out)
 
 
 def _known(given: Calibration, free: tuple[str, ...]) -> Known:
@@ -188,7 +204,7 @@ def _known(given: Calibration, free: tuple[str, ...]) -> Known:
         among = np.asarray(stored["matrix"], np.float64)[np.ix_(rows, rows)]
         values, vectors = np.linalg.eigh(among)  # rounded in the file: kept positive definite
         among = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    return Known(free, np.array([getattr(given.camera, name) for name in free]), among * np.outer(std, std))
+    return Known(free, projection.vector(given.camera)[projection.columns(free)], among * np.outer(std, std))
 
 
 def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float = uncertainty.MAX_STD_M) -> Calibration:

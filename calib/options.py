@@ -27,7 +27,7 @@ Import = Annotated[
 LeaveOut = Annotated[
     bool, Option("--leave-out", help="Leave out imported pictures without a pose, instead of refusing the session.")
 ]
-Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational or fisheye.")]
+Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.")]
 Intrinsics = Annotated[
     Path | None, Option("--intrinsics", help="Calibration file with the camera. Default: estimate it as well.")
 ]
@@ -127,7 +127,7 @@ def allowed_m(allow_mm: float) -> float:
 
 def check_lens(lens: str) -> None:
     """Raise UsageError where there is no such lens."""
-    from calib.intrinsics.estimate import LENSES
+    from calib.intrinsics.lenses import LENSES
 
     if lens not in LENSES:
         raise UsageError(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))

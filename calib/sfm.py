@@ -58,12 +58,15 @@ class Refinement:
 def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refinement:
     """Refine the poses of `scene` by its pictures, within the arm's accuracy `prior`.
 
-    Raises CalibrationError for views of several cameras, and for too few points found in the pictures.
+    Raises CalibrationError for views of several cameras, for a splined lens, and for too few points found in the pictures.
     """
     camera, *others = {view.camera for view in scene.views}
     if others:
         why, remedy = f"{1 + len(others)} of them", "refine scenes of one camera"
         raise CalibrationError("views have different cameras", where=scene.name, why=why, remedy=remedy)
+    if camera.spline is not None:
+        why, remedy = "bundle adjustment knows no such lens", "make a copy without distortion: 'datasets undistort'"
+        raise CalibrationError("camera has a splined lens", where=scene.name, why=why, remedy=remedy)
     with tempfile.TemporaryDirectory() as folder:
         model = _triangulated(scene, camera, Path(folder))
         tracks = _tracks(model)

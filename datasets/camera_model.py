@@ -12,15 +12,18 @@ Most lenses need only k1 k2 p1 p2 k3; k4 k5 k6 belong to OpenCV's rational model
 OpenCV's `fisheye`) has instead, with a = arctan(r) the angle from the axis,
 
     radial = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) / r
+
+Either may have a `spline`, which moves (x', y') by what the formula leaves over (`datasets.spline`).
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datasets.core.errors import DatasetError
+from datasets.spline import Spline
 
 Points = NDArray[np.float64]
 _KINDS: dict[str, type] = {"width": int, "height": int, "fisheye": bool}
@@ -46,6 +49,8 @@ class Camera:
     k6: float = 0.0
     fisheye: bool = False
     """True where the coefficients k1 k2 k3 k4 are those of a fisheye lens."""
+    spline: Spline | None = None
+    """What the lens does beside the formula, where it was estimated."""
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -60,7 +65,7 @@ class Camera:
     @property
     def is_pinhole(self) -> bool:
         """True where there is no distortion."""
-        return not (self.fisheye or self.distortion.any())
+        return not (self.fisheye or self.distortion.any() or self.spline)
 
     @property
     def is_centred(self) -> bool:
@@ -81,6 +86,11 @@ class Camera:
         """(..., 2) ideal normalised coordinates to (..., 2) distorted ones."""
         if self.is_pinhole:
             return np.asarray(normalised, np.float64)
+        bent = self._by_formula(normalised)
+        return bent if self.spline is None else self.spline.bend(bent)
+
+    def _by_formula(self, normalised: ArrayLike) -> Points:
+        """`distort` without the spline."""
         x, y = np.moveaxis(np.asarray(normalised, np.float64), -1, 0)
         r2 = x * x + y * y
         radial, _ = self.radial(r2)
@@ -104,6 +114,8 @@ class Camera:
         distorted = np.asarray(distorted, np.float64)
         if self.is_pinhole:
             return distorted.copy()
+        if self.spline is not None:
+            distorted = self.spline.straighten(distorted)
         normalised = self._first_guess(distorted)
         for _ in range(20):
             x, y = np.moveaxis(normalised, -1, 0)
@@ -111,7 +123,7 @@ class Camera:
             a = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
             b = 2 * x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
             d = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
-            residual = self.distort(normalised) - distorted
+            residual = self._by_formula(normalised) - distorted
             determinant = a * d - b * b
             safe = np.where(np.abs(determinant) > 1e-12, determinant, 1.0)
             step = np.stack([d * residual[..., 0] - b * residual[..., 1], a * residual[..., 1] - b * residual[..., 0]], -1)
@@ -143,9 +155,14 @@ class Camera:
         columns, rows = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([columns, rows], axis=-1).astype(np.float64)
 
-    def to_json(self) -> dict[str, float]:
-        """Plain dictionary of the fields; k4 k5 k6 and fisheye only where they are not zero."""
-        return {k: v for k, v in asdict(self).items() if v or k not in ("k4", "k5", "k6", "fisheye")}
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary of the fields; k4 k5 k6, fisheye and spline only where they are not zero."""
+        numbers = {k: v for k, v in self._numbers().items() if v or k not in ("k4", "k5", "k6", "fisheye")}
+        return numbers if self.spline is None else numbers | {"spline": self.spline.to_json()}
+
+    def _numbers(self) -> dict[str, float]:
+        """All fields but the spline."""
+        return {one.name: getattr(self, one.name) for one in fields(Camera) if one.name != "spline"}
 
     @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
@@ -155,20 +172,22 @@ class Camera:
             DatasetError: a field is missing, unknown, not finite or out of range.
         """
         try:
-            values: dict[str, Any] = {k: _KINDS.get(k, float)(v) for k, v in content.items()}
-            camera = cls(**values)
+            values: dict[str, Any] = {k: _KINDS.get(k, float)(v) for k, v in content.items() if k != "spline"}
+            stored = content.get("spline")
+            camera = cls(**values, spline=None if stored is None else Spline.from_json(stored, where=f"{where}, spline"))
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise DatasetError("camera is not complete", where=where, why=str(error)) from None
         return camera.checked(where=where)
 
     def checked(self, *, where: object) -> Self:
         """This camera if its values are possible; else a DatasetError that names the wrong value."""
-        values = np.array(list(asdict(self).values()), np.float64)
-        if not np.isfinite(values).all():
-            raise DatasetError("camera holds a value that is not finite", where=where, why=str(asdict(self)))
+        if not np.isfinite(np.array(list(self._numbers().values()), np.float64)).all():
+            raise DatasetError("camera holds a value that is not finite", where=where, why=str(self._numbers()))
         if min(self.width, self.height) < 1 or min(self.fx, self.fy) <= 0:
             why = f"{self.width}x{self.height}, fx {self.fx:g}, fy {self.fy:g}"
             raise DatasetError("camera has no size or no focal length", where=where, why=why)
+        if self.spline is not None:
+            self.spline.checked(where=f"{where}, spline")
         return self
 
 

@@ -11,7 +11,7 @@ from calib.arrays import Array
 from calib.errors import CalibrationError, TargetError, Unobservable
 from calib.handeye import outliers, uncertainty
 from calib.handeye.model import Accuracy
-from calib.intrinsics import estimate, projection
+from calib.intrinsics import lenses, projection
 from calib.sessions.session import TargetSession
 from calib.targets import screening
 from datasets.advice import Figures
@@ -72,9 +72,9 @@ class Adviser:
         session = session.with_observations([o for o in agreeing if o.name not in gross])
         free = first.free
         if first.known is None and not first.camera.fisheye:
-            free = tuple(name for name in projection.NAMES if name in {*free, *estimate.USUAL.free})
+            free = tuple(name for name in projection.NAMES if name in {*free, *lenses.USUAL.free})
         start = replace(before.state, corrections=np.zeros((len(session.observations), 6)))
-        options = {"sigma_px": before.sigmas.pixel, "fisheye": first.camera.fisheye}
+        options = {"sigma_px": before.sigmas.pixel, "form": projection.form(first.camera)}
         fit = outliers.refine_without(session, start, free, first.known, self.wanted.accuracy, **options)
         refined = fit.refined
         uncertainty.covariance(fit.measured, refined)  # refuses what a calibration would refuse

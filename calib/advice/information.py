@@ -16,6 +16,7 @@ from calib.arrays import Array, Mask
 from calib.handeye import model
 from calib.handeye.model import Session, State
 from calib.handeye.refine import Sigmas
+from calib.intrinsics import projection
 from calib.solver.elimination import covariance_of
 from datasets.advice import Figures
 from datasets.camera_model import Camera
@@ -71,9 +72,9 @@ def _block(known: Known, base_from_flange: Array) -> list[Array | None]:
     points, views = known.board.points, len(base_from_flange)
     state = replace(known.state, corrections=np.zeros((views, 6)))
     view, every = np.repeat(np.arange(views), len(points)), np.tile(points, (views, 1))
-    fisheye = known.camera.fisheye
+    form = projection.form(known.camera)
     session = Session(
-        base_from_flange, view, np.zeros((len(view), 2)), every, known.free, fisheye=fisheye, eye_to_hand=known.eye_to_hand
+        base_from_flange, view, np.zeros((len(view), 2)), every, known.free, form=form, eye_to_hand=known.eye_to_hand
     )
     in_camera = model.camera_points(session, state)
     before = in_camera[:, 2].reshape(views, -1).min(axis=1) > MIN_DEPTH_M

@@ -14,7 +14,7 @@ from calib.advice.information import Known, informations
 from calib.arrays import Array
 from calib.handeye.model import Accuracy, State
 from calib.handeye.refine import Sigmas
-from calib.intrinsics import estimate, projection
+from calib.intrinsics import estimate, lenses, projection
 from calib.sessions.session import TargetSession
 from calib.targets.detection import Observation
 from datasets import conventions
@@ -40,7 +40,7 @@ def known(session: TargetSession, mount: Array, accuracy: Accuracy) -> Known:
     camera = _camera(seen, (session.width, session.height))
     boards = session.stand_from_mount @ mount @ estimate.camera_from_boards(camera, seen)
     state = State(projection.vector(camera), mount, boards[-1], np.zeros((1, 6)))
-    free = estimate.USUAL.free
+    free = lenses.USUAL.free
     sigmas = Sigmas(SIGMA_PX, accuracy.translation_m, accuracy.rotation_rad)
     prior = np.diag(_deviations(camera, free) ** -2.0)
     first = Known(camera, session.board, free, state, sigmas, prior, session.eye_to_hand)

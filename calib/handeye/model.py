@@ -28,6 +28,8 @@ from calib.arrays import Array, Indices, Mask
 from calib.errors import CalibrationError
 from calib.handeye import surface
 from calib.intrinsics import estimate, projection
+from calib.intrinsics.known import Known
+from calib.intrinsics.projection import PLAIN, Form
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import by_motion, exponential, rotate
 from datasets import kinematics, pose
@@ -46,26 +48,6 @@ class Accuracy:
 
 
 @dataclass(frozen=True)
-class Known:
-    """Intrinsics as measured elsewhere."""
-
-    names: tuple[str, ...]
-    values: Array  # (k,) in the order of `names`
-    covariance: Array  # (k, k)
-
-    def off(self, intrinsics: Array) -> Array:
-        """(k,) deviations of (12,) intrinsics from what is known, whitened: independent and of unit variance."""
-        columns = [projection.NAMES.index(name) for name in self.names]
-        return self.whitening @ (self.values - intrinsics[columns])
-
-    @property
-    def whitening(self) -> Array:
-        """(k, k) matrix that makes deviations independent and of unit variance."""
-        scale = np.sqrt(np.diag(self.covariance))  # between 1e-6 for k3 and pixels: scaled before it is inverted
-        return np.linalg.inv(np.linalg.cholesky(self.covariance / np.outer(scale, scale))) / scale
-
-
-@dataclass(frozen=True)
 class Session:
     """What was measured: corners of all views in one list, and the arm's report for each view."""
 
@@ -76,7 +58,7 @@ class Session:
     free: tuple[str, ...] = ("fx", "fy", "cx", "cy")
     known: Known | None = None  # of `free` intrinsics, from elsewhere
     accuracy: Accuracy = Accuracy()  # the arm's, as stated
-    fisheye: bool = False
+    form: Form = PLAIN  # of the lens
     eye_to_hand: bool = False  # whether the camera stands beside the arm and the board is on the flange
     joints: Array | None = None  # (views, n) joint angles as reported [rad], where they are known
     links: Links = UR5E  # the arm's nominal chain, with n joints
@@ -104,7 +86,7 @@ class Session:
     @property
     def columns(self) -> list[int]:
         """Indices of `free` in the intrinsics vector."""
-        return [projection.NAMES.index(name) for name in self.free]
+        return projection.columns(self.free)
 
     def some(self, chosen: Mask) -> "Session":
         """The same with the corners of `chosen` (n,) alone; views keep their numbers."""
@@ -142,8 +124,7 @@ class Session:
         if known is None:
             return rows
         of_camera = np.zeros((len(known.names), rows.shape[1]))
-        of_camera[:, [names.index(name) for name in known.names]] = known.whitening
-        of_camera[:, -1] = known.off(state.intrinsics)
+        of_camera[:, [*range(len(names)), -1]] = known.rows(names, state.intrinsics)
         return np.vstack([of_camera, rows])
 
     @cached_property
@@ -152,12 +133,10 @@ class Session:
         return surface.by_shape(self.points, surface.extent_of(self.points) if self.extent is None else self.extent)
 
 
-def measured(
-    session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, fisheye: bool = False
-) -> Session:
+def measured(session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, form: Form = PLAIN) -> Session:
     """All corners of a target session in one list."""
     extent = surface.extent_of(session.board.points)
-    options = (tuple(free), known, accuracy, fisheye, session.eye_to_hand, session.joints, session.links, extent)
+    options = (tuple(free), known, accuracy, form, session.eye_to_hand, session.joints, session.links, extent)
     return Session(session.base_from_flange, *estimate.flat(session.observations), *options)
 
 
@@ -168,7 +147,7 @@ class State:
     Order of the global ones: free intrinsics, joint offsets, shape of the target, mount_from_camera (6), stand_from_board (6).
     """
 
-    intrinsics: Array  # (12,) in the order of `projection.NAMES`
+    intrinsics: Array  # in the order of `calib.intrinsics.projection`
     mount_from_camera: Array  # (4, 4); perturbed from the left, translation first
     stand_from_board: Array  # (4, 4); perturbed from the left, translation first
     corrections: Array  # (views, 6): translation [m] and rotation vector [rad] of C[i]
@@ -190,7 +169,7 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     chain, view = _chain(session, state), session.view
     if not chain.in_camera[:, 2].min() > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
-    pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.fisheye)
+    pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.form)
     by_mount = by_camera @ chain.camera_from_mount
     by_stand = by_mount @ chain.mount_from_stand[view]
     by_camera_pose = -by_motion(by_mount, chain.on_mount)

@@ -10,9 +10,11 @@ import numpy as np
 
 from calib.arrays import Mask
 from calib.handeye import model, refine, uncertainty
-from calib.handeye.model import Accuracy, Known, Session, State
+from calib.handeye.model import Accuracy, Session, State
 from calib.handeye.refine import Refined
 from calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
+from calib.intrinsics.known import Known
+from calib.intrinsics.projection import PLAIN, Form
 from calib.sessions.session import TargetSession
 
 LIMIT = 6.0  # a view is left out if its correction is this many times the usual one; chance does that once in ten million views
@@ -38,7 +40,7 @@ def refine_without(
     accuracy: Accuracy,
     *,
     sigma_px: float,
-    fisheye: bool = False,
+    form: Form = PLAIN,
 ) -> Fit:
     """Refine from `start`, leaving out views that disagree, one round after another.
 
@@ -48,7 +50,7 @@ def refine_without(
     while True:
         check_enough(session.observations, MIN_TOTAL_CORNERS if free and known is None else 0)
         uncertainty.check_motion(session.base_from_flange)
-        measured = model.measured(session, free, known, accuracy, fisheye)
+        measured = model.measured(session, free, known, accuracy, form)
         refined = refine.refine(measured, start, sigma_px=sigma_px)
         bad = disagreeing(refined, accuracy)
         if not bad.any() or len(left_out) + bad.sum() > allowed:

@@ -49,7 +49,7 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     camera, stand = calibration.camera, "flange" if session.eye_to_hand else "base"
     boards = estimate.camera_from_boards(camera, session.observations)
     board = closed_forms.assess(session.stand_from_mount, boards, mount.matrix, "given").stand_from_board
-    measured = model.measured(session, projection.NAMES, None, Accuracy(), camera.fisheye)
+    measured = model.measured(session, projection.NAMES, None, Accuracy(), projection.form(camera))
     same = calibration.provenance.get("board") == session.board.to_json()
     shape = surface.known(calibration.residuals) if same else surface.FLAT
     start = State(projection.vector(camera), mount.matrix, board, np.zeros((len(boards), 6)), shape=shape)

@@ -12,20 +12,30 @@ import numpy as np
 from calib.arrays import Array, Indices
 from calib.errors import CalibrationError
 from calib.intrinsics import projection
+from calib.intrinsics.known import Known
+from calib.intrinsics.projection import PLAIN, Form
 from calib.solver.elimination import Eliminated, eliminate
 from calib.solver.geometry import by_motion, rotate
 from calib.solver.levenberg_marquardt import Limits, minimise
 from datasets import pose
+from datasets.camera_model import Camera
 
 
 @dataclass(frozen=True)
 class Bundle:
     """The solution."""
 
-    intrinsics: Array  # (12,) in the order of `projection.NAMES`
+    intrinsics: Array  # in the order of `calib.intrinsics.projection`
     camera_from_board: Array  # (views, 4, 4)
     residuals: Array  # (n, 2) seen minus predicted [px]
     information: Array  # (p, p) of the free intrinsics for corners of unit deviation, poses eliminated [1 / px^2]
+    determined: float  # how many of the free intrinsics the corners determine: those that are known from elsewhere do not count
+
+    @property
+    def variance(self) -> float:
+        """Of a corner per axis, as the residuals show it [px^2]; smaller than 1e-12 are rounding errors."""
+        freedom = self.residuals.size - 6 * len(self.camera_from_board) - self.determined
+        return max(float((self.residuals**2).sum()) / max(freedom, 1), 1e-12)
 
 
 LIMITS = Limits(max_steps=30, tolerance=1e-10, least_cost=1e-8, rounding=1e-12, max_damping=2e7)
@@ -40,23 +50,50 @@ class Corners(NamedTuple):
 
 
 def fit(
-    corners: Corners, intrinsics: Array, camera_from_board: Array, free: tuple[str, ...] = (), fisheye: bool = False
+    corners: Corners,
+    intrinsics: Array,
+    camera_from_board: Array,
+    free: tuple[str, ...] = (),
+    form: Form = PLAIN,
+    known: Known | None = None,
+    sigma_px: float = 1.0,
 ) -> Bundle:
     """Minimise the distance of seen and predicted corners. Raises CalibrationError where a board starts behind the camera.
 
-    The search starts from (12,) `intrinsics`, of which those of `free` are estimated, and from (views, 4, 4) poses.
+    The search starts from `intrinsics`, of which those of `free` are estimated, and from (views, 4, 4) poses. What is `known` of
+    free intrinsics is weighed against corners with a standard deviation of `sigma_px` per axis.
     """
-    problem = _Problem(corners, [projection.NAMES.index(name) for name in free], fisheye)
+    problem = _Problem(corners, free, form, known, sigma_px)
     found, _ = minimise(_Point(problem, intrinsics, camera_from_board), LIMITS)
-    return Bundle(found.intrinsics, found.camera_from_board, found.residuals, found.system.information)
+    determined = float(len(free))
+    if known is not None:
+        rows = problem.known_rows(found.intrinsics)[:, :-1]
+        determined -= float(np.sum((rows @ np.linalg.inv(found.system.root)) ** 2))
+    return Bundle(found.intrinsics, found.camera_from_board, found.residuals, found.system.information, determined)
+
+
+def linearised(
+    corners: Corners, camera: Camera, camera_from_board: Array, free: tuple[str, ...], known: Known | None, sigma_px: float
+) -> Eliminated:
+    """The linear problem about a camera and (views, 4, 4) poses, which are eliminated; arguments and errors as those of `fit`."""
+    problem = _Problem(corners, free, projection.form(camera), known, sigma_px)
+    return _Point(problem, projection.vector(camera), camera_from_board).system
 
 
 class _Problem(NamedTuple):
     """What stays the same during a fit."""
 
     corners: Corners
-    columns: list[int]
-    fisheye: bool
+    free: tuple[str, ...]
+    form: Form
+    known: Known | None
+    sigma_px: float
+
+    def known_rows(self, intrinsics: Array) -> Array:
+        """(k, p + 1) what is known of the p free intrinsics [px]."""
+        if self.known is None:
+            return np.zeros((0, len(self.free) + 1))
+        return self.sigma_px * self.known.rows(self.free, intrinsics)
 
 
 class _Point:
@@ -69,21 +106,23 @@ class _Point:
         in_camera = rotate(rotations, corners.points) + translations
         if not in_camera[:, 2].min() > 1e-6:
             raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
-        predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics, problem.fisheye)
+        predicted, by_camera, by_intrinsics = projection.project(in_camera, intrinsics, problem.form)
         self.residuals = corners.pixels - predicted
-        self.cost = float((self.residuals**2).sum())
-        self._rows = by_motion(by_camera, in_camera), by_intrinsics[..., problem.columns], self.residuals[..., None]
+        self._known = problem.known_rows(intrinsics)
+        self.cost = float((self.residuals**2).sum() + (self._known[:, -1] ** 2).sum())
+        self._columns = projection.columns(problem.free)
+        self._rows = by_motion(by_camera, in_camera), by_intrinsics[..., self._columns], self.residuals[..., None]
 
     @cached_property
     def system(self) -> Eliminated:
         """The linear problem."""
-        own, of_camera = np.zeros((len(self.camera_from_board), 6, 7)), np.zeros((0, len(self.problem.columns) + 1))
-        return eliminate(self.problem.corners.view, np.concatenate(self._rows, -1), own, of_camera)
+        own = np.zeros((len(self.camera_from_board), 6, 7))
+        return eliminate(self.problem.corners.view, np.concatenate(self._rows, -1), own, self._known)
 
     def stepped(self, damping: float) -> "_Point":
         """The point after one damped step."""
         step, twists = self.system.step(damping)
         intrinsics = self.intrinsics.copy()
-        intrinsics[self.problem.columns] += step
+        intrinsics[self._columns] += step
         moved = pose.from_rotation_vector(twists[:, 3:], twists[:, :3]) @ self.camera_from_board
         return _Point(self.problem, intrinsics, moved)

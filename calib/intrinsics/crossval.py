@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.intrinsics import estimate, over_image
-from calib.intrinsics.estimate import Lens
+from calib.intrinsics.lenses import Lens
 from calib.intrinsics.over_image import Map
 from calib.targets.detection import Observation
 from datasets import pose

@@ -3,11 +3,12 @@
 OpenCV finds a start. Each candidate lens is then fitted to some views by least squares and judged on the others, of which
 only the poses are fitted. The usual lens has k1 k2 p1 p2; another must lower the held-out error, and by more than views differ
 by chance. (If fewer coefficients were the rule, one session in twenty would omit one for lack of views and give a principal
-point several deviations off.) Corners and views with gross errors are left out.
+point several deviations off.) A splined lens (`calib.intrinsics.splined`) must do so as well, after a test whether corners ask
+for it. Corners and views with gross errors are left out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -15,11 +16,13 @@ from scipy.stats import t as student
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, TargetError, Unobservable
-from calib.intrinsics import bundle, projection
+from calib.intrinsics import bundle, projection, splined
+from calib.intrinsics.lenses import BROWN, EVERY, FISHEYE, USUAL, Lens, Spline
 from calib.targets import screening
 from calib.targets.detection import Observation
 from datasets import conventions, pose
 from datasets.camera_model import Camera
+from datasets.core.errors import KoalaError
 from datasets.splits import folds
 
 MIN_VIEWS = 5
@@ -34,27 +37,6 @@ OUTLIER = 6.0  # corners with larger residuals are left out [robust standard dev
 _DIRECTIONS = "record views from more directions"
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-
-
-@dataclass(frozen=True)
-class Lens:
-    """A distortion model: which coefficients are estimated."""
-
-    coefficients: tuple[str, ...]
-    fisheye: bool = False
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """All intrinsics that are estimated."""
-        return ("fx", "fy", "cx", "cy", *self.coefficients)
-
-
-BROWN = tuple(Lens(names) for names in ((), ("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3")))
-USUAL = BROWN[3]
-RATIONAL = Lens(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
-FISHEYE = (Lens(("k1", "k2"), True), Lens(("k1", "k2", "k3", "k4"), True))
-LENSES = {"auto": (*BROWN, RATIONAL, *FISHEYE), "brown": BROWN, "rational": (*BROWN, RATIONAL), "fisheye": FISHEYE}
-"""Candidates by the name of the `--lens` option."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +66,12 @@ class Intrinsics:
 
 
 def calibrate(
-    observations: Sequence[Observation], width: int, height: int, *, lenses: Sequence[Lens] = LENSES["auto"]
+    observations: Sequence[Observation], width: int, height: int, *, lenses: Sequence[Lens] = EVERY, spline: Spline = "never"
 ) -> Intrinsics:
-    """Estimate a camera from `observations` in images of `width` x `height` [px].
+    """Estimate a camera from `observations` in images of `width` x `height` [px], with the best of `lenses`.
 
     Raises:
-        TargetError: too few views or corners.
+        TargetError: too few views or corners, for a spline that is wanted always among them.
         Unobservable: the views do not determine the focal length (all look straight at the target).
         CalibrationError: no fit was found.
     """
@@ -97,9 +79,12 @@ def calibrate(
     observations, left_out = screening.agreeing_with_plane(observations)
     check_enough(observations)
     first, poses = _start(observations, width, height, lenses[0].fisheye)
-    observations, poses, more = _without_outliers(observations, first, poses, lenses)
+    observations, poses, more = _without_outliers(observations, first, poses, lenses, may_be_splined=spline != "never")
     check_enough(observations)
-    chosen, held_out_px = _choice(observations, first, poses, lenses)
+    chosen, squares = _choice(observations, first, poses, lenses)
+    if spline != "never":
+        chosen, squares = _with_knots(observations, first, poses, chosen, squares, asked=spline == "if better")
+    held_out_px = float(np.sqrt(squares.sum() / sum(len(o.ids) for o in observations)))
     return _finished(observations, first, poses, chosen, held_out_px, {**left_out, **more})
 
 
@@ -109,10 +94,10 @@ def _finished(
     """The final fit, with checks that the result is meaningful."""
     camera, fitted = fit(observations, first, poses, lens)
     _check_directions(fitted.camera_from_board)
-    freedom = fitted.residuals.size - 6 * len(observations) - len(lens.free)
-    variance = max(float((fitted.residuals**2).sum()) / max(freedom, 1), 1e-12)
     scale = np.sqrt(np.maximum(np.diag(fitted.information), 1e-300))
-    covariance = variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    covariance = (
+        fitted.variance * np.linalg.pinv(fitted.information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    )
     relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
     if not relative.max() <= MAX_FOCAL_STD:
         why = f"its standard deviation is {relative.max():.1%} of it"
@@ -124,8 +109,11 @@ def _finished(
     return Intrinsics(camera, lens, covariance, *errors, seen, boards, tuple(observations), left_out)
 
 
-def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, float]:
-    """The lens that predicts unseen views best, and its error [px]. More and fewer coefficients are tried while that helps."""
+def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, Array]:
+    """The lens that predicts unseen views best, and its errors as by `_held_out`.
+
+    More and fewer coefficients are tried while that helps.
+    """
     chosen = USUAL if USUAL in lenses else lenses[0]
     best = _held_out(observations, first, poses, chosen)
     usual = lenses.index(chosen)
@@ -139,7 +127,27 @@ def _choice(observations: Sequence[Observation], first: Camera, poses: Array, le
                 chosen, best = lens, squares
             elif not lens.fisheye:
                 break
-    return chosen, float(np.sqrt(best.sum() / sum(len(o.ids) for o in observations)))
+    return chosen, best
+
+
+def _with_knots(
+    observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens, best: Array, *, asked: bool
+) -> tuple[Lens, Array]:
+    """`lens` with knots, and its errors as by `_held_out`; if `asked`, only where corners ask for knots and unseen views gain."""
+    count = sum(len(o.ids) for o in observations)
+    if asked and count < splined.MIN_CORNERS:
+        return lens, best
+    base = USUAL if lens in BROWN and set(lens.coefficients) < set(USUAL.coefficients) else lens
+    camera, fitted = fit(observations, first, poses, base)
+    camera, sigma_px = splined.flat(camera, count), float(np.sqrt(fitted.variance))
+    corners, boards = flat(observations), fitted.camera_from_board
+    if asked and not splined.asked_for(corners, camera, boards, base.free, sigma_px):
+        return lens, best
+    knotted = replace(base, grid=projection.form(camera).grid)
+    squares = _held_out(observations, first, poses, knotted)
+    if not asked and not np.isfinite(squares).all():
+        raise CalibrationError("splined lens cannot be fitted", why="parts of the views do not allow it", remedy=_DIRECTIONS)
+    return (knotted, squares) if not asked or _is_better(squares, best, another_kind=True) else (lens, best)
 
 
 def _is_better(squares: Array, best: Array, another_kind: bool) -> bool:
@@ -191,7 +199,7 @@ def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> A
     fits = []
     for choice in (0, -1):
         starts = np.stack([poses[choice] for poses in found])
-        fits.append(bundle.fit(flat(observations), projection.vector(camera), starts, fisheye=camera.fisheye))
+        fits.append(bundle.fit(flat(observations), projection.vector(camera), starts, form=projection.form(camera)))
     view = flat(observations)[0]
     squares = [np.bincount(view, (f.residuals**2).sum(-1), len(observations)) for f in fits]
     return np.where((squares[0] <= squares[1])[:, None, None], fits[0].camera_from_board, fits[1].camera_from_board)
@@ -237,13 +245,29 @@ def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: 
     if first.fisheye != lens.fisheye or set(lens.coefficients) < {"k1", "k2", "p1", "p2"}:
         start[4:] = 0.0
         start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
-    fitted = bundle.fit(flat(observations), start, poses, lens.free, lens.fisheye)
+    formula = replace(lens, grid=None)
+    fitted = bundle.fit(flat(observations), start[:12], poses, formula.free, formula.form)
+    camera = _fitted_camera(first, fitted, formula)
+    if lens.grid is None:
+        return camera, fitted
+    camera = splined.with_grid(camera, lens.grid)
+    known, start = splined.prior(camera, formula.free, flat(observations).pixels), projection.vector(camera)
+    for _ in range(2):  # the deviation of corners, against which the prior is weighed, is smaller with knots
+        sigma_px = float(np.sqrt(fitted.variance))
+        fitted = bundle.fit(flat(observations), start, fitted.camera_from_board, lens.free, lens.form, known, sigma_px)
+        start = fitted.intrinsics
+    return _fitted_camera(first, fitted, lens), fitted
+
+
+def _fitted_camera(first: Camera, fitted: bundle.Bundle, lens: Lens) -> Camera:
+    """The camera of a fit. Raises CalibrationError, Unobservable, DatasetError where it is impossible."""
     if not np.isfinite(fitted.residuals).all():
         raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
     if not fitted.intrinsics[:2].min() > 0:
         raise Unobservable("focal length is not observable", why=f"the fit gives {fitted.intrinsics[0]:.3g} px", remedy=_TILT)
     base = Camera(first.width, first.height, 1, 1, 0, 0, fisheye=lens.fisheye)
-    return projection.with_vector(base, fitted.intrinsics).checked(where="estimated camera"), fitted
+    base = splined.with_grid(base, lens.grid)
+    return projection.with_vector(base, fitted.intrinsics).checked(where="estimated camera")
 
 
 def _start(observations: Sequence[Observation], width: int, height: int, fisheye: bool) -> tuple[Camera, Array]:
@@ -269,11 +293,12 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
 
 
 def _without_outliers(
-    observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]
+    observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens], *, may_be_splined: bool
 ) -> tuple[list[Observation], Array, dict[str, str]]:
     """Observations without corners and views that a first fit cannot explain; their poses; the views left out, and why.
 
     Corners are removed first, compared with the other corners of their view: a few wrong corners spoil the fit of a good view.
+    If it `may_be_splined`, corners may also agree with those near them in the image.
     """
     middle = FISHEYE[0] if first.fisheye else USUAL
     left_out: dict[str, str] = {}
@@ -284,6 +309,8 @@ def _without_outliers(
         by_view = np.array([np.median(distance[view == i]) for i in range(len(observations))])
         typical = max(float(np.median(by_view)), 1e-3)
         limits = OUTLIER * np.maximum(by_view, typical) / 1.1774  # the median length of a Gaussian in two dimensions, in sigmas
+        if may_be_splined:
+            distance = np.minimum(distance, screening.from_neighbours(flat(observations).pixels, fitted.residuals))
         kept = [screening.some(o, distance[view == i] <= limits[i]) for i, o in enumerate(observations)]
         kept = [new if len(new.ids) >= screening.MIN_CORNERS else old for new, old in zip(kept, observations, strict=True)]
         survivors = np.arange(len(kept))
@@ -311,8 +338,8 @@ def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, 
             rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
             camera, _ = fit(rest, first, poses[fold_of != fold], lens)
             start, corners = projection.vector(camera), flat(unseen)
-            residuals = bundle.fit(corners, start, poses[fold_of == fold], fisheye=lens.fisheye).residuals
+            residuals = bundle.fit(corners, start, poses[fold_of == fold], form=lens.form).residuals
             squares[fold_of == fold] = np.bincount(corners.view, (residuals**2).sum(-1), len(unseen))
-    except (CalibrationError, ArithmeticError):
+    except (KoalaError, ArithmeticError):
         return failed
     return squares if np.isfinite(squares).all() else failed

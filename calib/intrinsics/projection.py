@@ -1,39 +1,111 @@
 """Projection with its analytic derivatives: the camera of `datasets.camera_model` on flat arrays.
 
-Intrinsics travel as a (12,) vector in the order of `NAMES`. Symbols: x, y ideal normalised coordinates, r2 = x*x + y*y.
+Intrinsics travel as a (12,) vector in the order of `NAMES`; those of a splined lens as a (12 + 2 knots,) one, with the knots
+behind, x before y. Symbols: x, y ideal normalised coordinates, r2 = x*x + y*y.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Array
 from datasets.camera_model import Camera, fisheye_radial
+from datasets.spline import Grid, Spline
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
+@dataclass(frozen=True)
+class Form:
+    """What a lens is beside its numbers."""
+
+    fisheye: bool = False
+    """Whether k1 k2 k3 k4 are those of a fisheye lens."""
+    grid: Grid | None = None
+    """The knots of a splined lens."""
+
+
+PLAIN = Form()
+
+
+def form(camera: Camera) -> Form:
+    """The form of a camera's lens."""
+    return Form(camera.fisheye, None if camera.spline is None else camera.spline.grid)
+
+
+def knot_names(grid: Grid | None) -> tuple[str, ...]:
+    """Names of the displacements of all knots, in the order of the vector; none without a grid."""
+    return tuple(f"{_KNOT}{number} {axis}" for number in range(grid.count if grid else 0) for axis in "xy")
+
+
+def is_knot(name: str) -> bool:
+    """True for a name of `knot_names`."""
+    return name.startswith(_KNOT)
+
+
+def columns(names: Sequence[str]) -> list[int]:
+    """Indices of intrinsics in the vector."""
+    return [_knot_column(name) if is_knot(name) else NAMES.index(name) for name in names]
+
+
+_KNOT = "knot "
+
+
+def _knot_column(name: str) -> int:
+    number, axis = name.removeprefix(_KNOT).split()
+    return len(NAMES) + 2 * int(number) + "xy".index(axis)
+
+
 def vector(camera: Camera) -> Array:
-    """(12,) intrinsics of a camera."""
-    return np.array([getattr(camera, name) for name in NAMES])
+    """Intrinsics of a camera."""
+    numbers = np.array([getattr(camera, name) for name in NAMES])
+    return numbers if camera.spline is None else np.concatenate([numbers, camera.spline.knots])
 
 
 def with_vector(camera: Camera, intrinsics: Array) -> Camera:
-    """`camera` with (12,) other intrinsics."""
-    return replace(camera, **dict(zip(NAMES, map(float, intrinsics), strict=True)))
+    """`camera` with other intrinsics, those of its knots among them where it has some."""
+    found = replace(camera, **dict(zip(NAMES, map(float, intrinsics), strict=False)))
+    if camera.spline is None:
+        return found
+    return replace(found, spline=Spline(camera.spline.grid, tuple(map(float, intrinsics[len(NAMES) :]))))
 
 
-def project(points: Array, intrinsics: Array, fisheye: bool = False) -> tuple[Array, Array, Array]:
+def project(points: Array, intrinsics: Array, form: Form = PLAIN) -> tuple[Array, Array, Array]:
     """Pixels of points and how they change.
 
     Args:
         points: (n, 3) in the camera frame [m], z > 0.
-        intrinsics: (12,).
-        fisheye: whether k1 k2 k3 k4 are those of a fisheye lens.
+        intrinsics: (k,) of a lens of this `form`.
 
     Returns:
-        (n, 2) pixels, (n, 2, 3) derivative by the point [px / m], (n, 2, 12) derivative by the intrinsics.
+        (n, 2) pixels, (n, 2, 3) derivative by the point [px / m], (n, 2, k) derivative by the intrinsics.
     """
+    by_formula = _by_formula(points, intrinsics[: len(NAMES)], form.fisheye)
+    return by_formula if form.grid is None else _splined(form.grid, intrinsics, *by_formula)
+
+
+def _splined(grid: Grid, intrinsics: Array, pixels: Array, by_point: Array, by_intrinsics: Array) -> tuple[Array, Array, Array]:
+    """`project` with knots, from what the formula alone gives.
+
+    With q the place by the formula and s the surface, pixel = f (q + s(q)) + c. So what moves q by dq moves the pixel by
+    f (1 + ds/dq) dq.
+    """
+    focal, centre, knots = intrinsics[:2], intrinsics[2:4], intrinsics[len(NAMES) :].reshape(-1, 2)
+    places = (pixels - centre) / focal
+    moved, slope = grid.surface(places, knots)
+    more = slope * focal[:, None] / focal  # in pixels by pixels
+    by_numbers = by_intrinsics.copy()
+    by_numbers[..., 4:] += more @ by_intrinsics[..., 4:]
+    by_numbers[:, 0, 0] += moved[:, 0]
+    by_numbers[:, 1, 1] += moved[:, 1]
+    by_knots = grid.weights(places)[:, None, :, None] * np.diag(focal)[:, None, :]
+    found = np.concatenate([by_numbers, by_knots.reshape(len(pixels), 2, -1)], -1)
+    return pixels + focal * moved, by_point + more @ by_point, found
+
+
+def _by_formula(points: Array, intrinsics: Array, fisheye: bool) -> tuple[Array, Array, Array]:
+    """`project` without knots."""
     fx, fy, cx, cy, p1, p2 = (intrinsics[NAMES.index(name)] for name in ("fx", "fy", "cx", "cy", "p1", "p2"))
     inverse_z = 1 / points[:, 2]
     x, y = points[:, 0] * inverse_z, points[:, 1] * inverse_z

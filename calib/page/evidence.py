@@ -125,7 +125,7 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
     if not used.any():
         raise CalibrationError("recording shows no view that the calibration was made from", remedy="give another --recording")
     chosen = session.chosen(used)
-    measured = model.measured(chosen, (), None, Accuracy(), calibration.camera.fisheye)
+    measured = model.measured(chosen, (), None, Accuracy(), projection.form(calibration.camera))
     if not calibration.poses:
         predicted = [estimate.reproject(calibration.camera, b, o) for b, o in zip(boards[used], chosen.observations, strict=True)]
         found = {ALONE: measured.pixels - np.concatenate(predicted)}, np.ones(len(measured.view), bool), None

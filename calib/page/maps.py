@@ -29,11 +29,11 @@ def projection_uncertainty(calibration: Calibration, distance_m: float) -> Map:
     columns, rows, pixels = cells(camera, COLUMNS, down)
     directions = camera.directions(pixels)
     points = distance_m * directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    _, by_point, by_intrinsics = projection.project(points, projection.vector(camera), camera.fisheye)
+    _, by_point, by_intrinsics = projection.project(points, projection.vector(camera), projection.form(camera))
     mount = calibration.flange_from_camera or calibration.base_from_camera
     names, covariance = _covariance(calibration, mount)
-    free = [name for name in names if name in projection.NAMES]
-    of_camera = by_intrinsics[..., [projection.NAMES.index(name) for name in free]]
+    free = [name for name in names if name in projection.NAMES or projection.is_knot(name)]
+    of_camera = by_intrinsics[..., projection.columns(free)]
     if mount is None:
         rotation = by_motion(by_point, points)[..., 3:].reshape(-1, 3)
         flat = of_camera.reshape(-1, len(free))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.errors import CalibrationError
-from calib.intrinsics import crossval, estimate
+from calib.intrinsics import crossval, estimate, lenses, projection, splined
 from calib.page import figures
 from calib.page.evidence import Evidence
 from calib.page.summary import RELAXED, notes
@@ -72,7 +72,10 @@ def _camera(report: ReportPage, calibration: Calibration) -> None:
     report.numbers(
         (name, Number(getattr(camera, name), "px" if name in CENTRE else "", std), CENTRE.get(name, "distortion"))
         for name, std in calibration.camera_std.items()
+        if not projection.is_knot(name)
     )
+    if knots := splined.in_words(camera):
+        report.paragraph(f"Splined lens: {knots}.")
     if offsets is not None:
         found = [Number(float(o), "°", float(s)) for o, s in zip(*np.rad2deg([offsets.offsets, offsets.std]), strict=True)]
         report.heading("joint offsets: true angle minus reported angle")
@@ -101,7 +104,9 @@ def _cross_validation(report: ReportPage, evidence: Evidence) -> None:
     report.section(title, "Do not trust the calibration where cameras from two halves of the views disagree.")
     if not calibration.camera_std:
         return report.paragraph("The camera was given; nothing of it was estimated.")
-    lens = estimate.Lens(tuple(name for name in calibration.camera_std if name not in CENTRE), calibration.camera.fisheye)
+    form = projection.form(calibration.camera)
+    coefficients = tuple(name for name in calibration.camera_std if name not in CENTRE and not projection.is_knot(name))
+    lens = lenses.Lens(coefficients, form.fisheye, form.grid)
     observations = evidence.session.observations
     boards = estimate.camera_from_boards(calibration.camera, observations)
     try:

@@ -5,6 +5,7 @@ import numpy as np
 from calib.handeye import surface
 from calib.handeye.uncertainty import MAX_STD_M
 from calib.handeye.verify import Verification
+from calib.intrinsics import projection, splined
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 
@@ -29,9 +30,13 @@ def describe_calibration(calibration: Calibration) -> str:
         lines.append(f"target              {shape}")
     lines.append(f"camera              {camera.width}x{camera.height}")
     for name, std in calibration.camera_std.items():
+        if projection.is_knot(name):
+            continue
         digits = _DIGITS.get(name, 5)
         unit = " px" if name in _DIGITS else ""
         lines.append(f"  {name:<17} {getattr(camera, name):.{digits}f} ± {std:.{digits}f}{unit}")
+    if knots := splined.in_words(camera):
+        lines.append(f"  {'spline':<17} {knots}")
     lines.append(f"residual            {residuals['rms_px']:.3f} px rms over {residuals['corners']} corners")
     if residuals.get("held_out_px") is not None:
         millimetres = f" = {residuals['held_out_mm']:.3f} mm at the target" if residuals.get("held_out_mm") is not None else ""

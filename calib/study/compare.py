@@ -50,7 +50,7 @@ def compare(
     solution = calibrate.solve(session, given, accuracy, lens)
     first, fit = solution.first, solution.fit
     session, boards, camera = first.session, solution.boards, first.camera
-    measured = model.measured(session, first.free, first.known, accuracy, camera.fisheye)
+    measured = model.measured(session, first.free, first.known, accuracy, projection.form(camera))
     kept = _kept(session, measured, fit)
     rows = [_closed_form(name, session, boards, measured, kept, projection.vector(camera)) for name in closed_forms.METHODS]
     start = calibrate.start_from(camera, solution.closed, len(boards))

@@ -17,7 +17,7 @@ from calib.arrays import Array
 from calib.handeye import model
 from calib.handeye.model import Accuracy
 from calib.handeye.refine import Sigmas
-from calib.intrinsics import estimate, projection
+from calib.intrinsics import lenses, projection
 from calib.sessions.session import TargetSession
 from calib.solver.geometry import rms_difference
 from calib.study.simulate import KOALA, Rig, simulate
@@ -100,8 +100,8 @@ class Rehearsed:
         assert state is not None  # there are figures
         state = replace(state, mount_from_camera=rig.flange_from_camera, stand_from_board=rig.base_from_board)
         sigmas = Sigmas(SIGMA_PX, ARM.translation_m, ARM.rotation_rad)
-        size = len(estimate.USUAL.free) + 12
-        known = Known(rig.camera, rig.board, estimate.USUAL.free, state, sigmas, np.zeros((size, size)))
+        size = len(lenses.USUAL.free) + 12
+        known = Known(rig.camera, rig.board, lenses.USUAL.free, state, sigmas, np.zeros((size, size)))
         told = [one for one in information.informations(known, np.stack(self.flown)) if one is not None]
         covariance = information.at_the_pose(information.pose_covariance(np.sum(told, axis=0)), state)
         variance = np.diag(covariance)

@@ -76,8 +76,8 @@ def simulate(
     points = rig.board.points
     truth = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, errors)
     view, unseen = np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2))
-    every = Session(reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm)
+    every = Session(reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm, form=projection.form(rig.camera))
     truly = every if printed is None else replace(every, points=np.tile(printed, (views, 1)))
-    pixels = projection.project(model.camera_points(truly, truth), truth.intrinsics)[0]
+    pixels = projection.project(model.camera_points(truly, truth), truth.intrinsics, every.form)[0]
     session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside_image(pixels, rig.camera))
     return Simulated(rig, base_from_camera, session, truth)

@@ -1,17 +1,28 @@
-"""Wrong corners that can be recognised before any camera is fitted."""
+"""Wrong corners: those that no flat target shows, and those that differ from the corners around them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
-from calib.arrays import Mask
+from calib.arrays import Array, Mask
 from calib.targets.detection import MIN_CORNERS, Observation
 
 TOLERANCE = 1.0  # largest distance from a homography that a lens may cause, in units of the distance between neighbouring corners
 BENT_SHARE = 0.1  # if more than half of the views would lose more than this share of their corners, the lens is the reason
 MIN_SHARE = 0.5  # a view is left out if a smaller share of its corners agrees with a homography
+NEIGHBOURS = 12  # corners of which the median is taken: up to five of them may be wrong
+
+
+def from_neighbours(pixels: Array, residuals: Array) -> Array:
+    """(n,) distances of (n, 2) residuals from the median of the corners nearest in the image, in whatever view [px].
+
+    What a lens model leaves is alike there, and a wrong corner stands alone.
+    """
+    nearest = cKDTree(pixels).query(pixels, min(NEIGHBOURS, len(pixels)))[1].reshape(len(pixels), -1)
+    return np.linalg.norm(residuals - np.median(residuals[nearest], axis=1), axis=1)
 
 
 def some(observation: Observation, chosen: Mask) -> Observation:

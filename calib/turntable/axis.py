@@ -64,7 +64,7 @@ class _Measured:
         moved = pose.inverse(self.base_from_camera) @ axis.base_from_object(scale * self.angles) @ base_from_board
         inside = np.einsum("nij,nj->ni", moved[self.view, :3, :3], self.points) + moved[self.view, :3, 3]
         camera = self.calibration.camera
-        return projection.project(inside, projection.vector(camera), camera.fisheye)[0] - self.pixels
+        return projection.project(inside, projection.vector(camera), projection.form(camera))[0] - self.pixels
 
 
 def find(session: TargetSession, angles: Array, calibration: Calibration) -> Found:

@@ -24,7 +24,7 @@ def calibrate(
     max_views: Annotated[int, Option("--max-views", min=5, max=999, help="Largest number of views.")] = 80,
     arm_mm: Annotated[float, Option("--arm-mm", min=1e-6, help="The arm's stated position accuracy per axis [mm].")] = 0.05,
     arm_deg: Annotated[float, Option("--arm-deg", min=1e-6, help="The arm's stated orientation accuracy per axis [deg].")] = 0.01,
-    lens: Annotated[str, Option("--lens", help="Lens model: auto, brown, rational or fisheye.")] = "auto",
+    lens: Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.")] = "auto",
     scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'.")] = "",
     seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
     time_scale: TimeScale = 20.0,

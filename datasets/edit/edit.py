@@ -171,9 +171,7 @@ def undistorted(scene: Scene, folder: Path, *, done: Step = ignore) -> Scene:
     pairs = {old.name: (old, new) for old, new in zip(scene.views, views, strict=True)}
 
     def moved(name: str, pixels: Pixels) -> Pixels:
-        old, new = pairs[name]
-        rays = old.camera.directions(pixels) @ (new.world_from_camera[:3, :3].T @ old.world_from_camera[:3, :3]).T
-        return new.camera.project(rays)
+        return export.moved(*pairs[name], pixels)
 
     return _with_views(scene, views, moved)
 

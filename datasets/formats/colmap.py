@@ -37,7 +37,7 @@ PARAMETERS = {
     "FISHEYE": _FOCALS,
 }
 """Parameters of the lens models that our camera can represent."""
-LAYOUT = export.Layout("COLMAP's layout", lambda camera: True, "", mask="masks/{file}")
+LAYOUT = export.Layout("COLMAP's layout", lambda camera: camera.spline is None, "a splined lens", mask="masks/{file}")
 
 
 def detect(folder: Path) -> bool:

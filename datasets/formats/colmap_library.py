@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
+from datasets.formats.export import moved
 from datasets.scene import Scene, View
 
 POINTWISE = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM")
@@ -95,15 +96,17 @@ def write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) ->
 
 
 def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Per image number, from 1: (k,) points that it saw and (k, 2) their pixels."""
+    """Per image number, from 1: (k,) points that it saw and (k, 2) their pixels in the picture as exported."""
     sightings = scene.sightings
     if sightings is None or scene.points is None:
         return {number: (np.zeros(0, np.int64), np.zeros((0, 2))) for number in range(1, len(views) + 1)}
     numbers = {name: index for index, name in enumerate(sightings.names)}
     found = {}
-    for number, view in enumerate(views, 1):
+    for number, (old, view) in enumerate(zip(scene.views, views, strict=True), 1):
         rows = np.flatnonzero(sightings.index[:, 1] == numbers.get(view.name, -1))
-        found[number] = (sightings.index[rows, 0], sightings.pixels[rows])
+        pixels = moved(old, view, sightings.pixels[rows])
+        inside = ((pixels >= 0) & (pixels <= [view.camera.width, view.camera.height])).all(1) | (old.camera == view.camera)
+        found[number] = (sightings.index[rows[inside], 0], pixels[inside])
     return found
 
 

@@ -80,6 +80,14 @@ def place_all(views: Sequence[View], folder: Path, stem_of: Callable[[View], str
     return placed
 
 
+def moved(old: View, new: View, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) pixels of a view to (n, 2) pixels of the view that was placed for it."""
+    if old.camera == new.camera:
+        return pixels
+    rays = old.camera.directions(pixels) @ (new.world_from_camera[:3, :3].T @ old.world_from_camera[:3, :3]).T
+    return new.camera.project(rays)
+
+
 def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
     """One line on what the format cannot hold of this scene and what was done about it; empty where it holds everything."""
     lost = []

@@ -24,8 +24,8 @@ from datasets.scene import SPLITS, Scene, View
 FILE = "transforms.json"
 LAYOUT = export.Layout(
     "nerfstudio's layout",
-    lambda camera: camera.fisheye or not (camera.k4 or camera.k5 or camera.k6),
-    "a rational lens",
+    lambda camera: camera.spline is None and (camera.fisheye or not (camera.k4 or camera.k5 or camera.k6)),
+    "a rational or splined lens",
     mask="masks/{stem}",
 )
 DEPTH_STEP = 1e-3

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.intrinsics import crossval, estimate
+from calib.intrinsics import crossval, estimate, lenses
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from calib.study.variants import ARM
 
@@ -30,7 +30,7 @@ def test_a_focal_length_shows_at_the_rim():
 def test_halves_of_a_session_agree_where_corners_were_seen():
     rng = np.random.default_rng(0)
     drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, 24, Pattern()), sigma_px=0.1, arm=ARM)
-    found = estimate.calibrate(drawn.observations(), CAMERA.width, CAMERA.height, lenses=[estimate.USUAL])
+    found = estimate.calibrate(drawn.observations(), CAMERA.width, CAMERA.height, lenses=[lenses.USUAL])
     halves = crossval.cross_validate(found.camera, found.lens, found.observations, found.camera_from_board)
     middle = halves.values_px[8:16, 8:16]
     # the centre trades against rotation and is taken out; what is left is a tenth of a pixel and less

@@ -5,7 +5,7 @@ import pytest
 
 from calib.errors import TargetError, Unobservable
 from calib.handeye.model import camera_points
-from calib.intrinsics import estimate, projection
+from calib.intrinsics import estimate, lenses, projection
 from calib.study.rehearsal import ARM, draw_rig
 from calib.study.simulate import Pattern, viewpoints
 from calib.study.simulate import simulate as simulate_session
@@ -32,7 +32,7 @@ def test_true_values_lie_within_the_stated_deviations(simulate):
 def test_half_pixel_is_ours(simulate):
     # without noise the centre comes back in our convention: half a pixel would be a hundred times the tolerance
     perfect = simulate(seed=12, views=12, noise_px=0, camera=PLAIN)
-    found = estimate.calibrate(perfect.observations, 960, 600, lenses=[estimate.Lens(())])
+    found = estimate.calibrate(perfect.observations, 960, 600, lenses=[lenses.Lens(())])
     assert (found.camera.cx, found.camera.cy) == pytest.approx((484.0, 296.0), abs=5e-3)
     np.testing.assert_allclose(found.camera.fx, 850.0, atol=5e-3)  # OpenCV takes corners as float32
 
@@ -110,7 +110,7 @@ def test_a_short_session_does_not_make_a_fisheye_of_an_ordinary_lens():
         flown = viewpoints(rng, rig, 6, Pattern((5.0, 45.0), (0.25, 0.5)))
         session = target_session(simulate_session(rng, rig, flown, sigma_px=0.1, arm=ARM))
         found = estimate.calibrate(session.observations, session.width, session.height)
-        assert estimate._worth_a_try(estimate.FISHEYE[0], found.camera, estimate.LENSES["auto"])
+        assert estimate._worth_a_try(lenses.FISHEYE[0], found.camera, lenses.LENSES["auto"])
         chosen.append(found.camera.fisheye)
     assert not any(chosen)
 
@@ -128,13 +128,13 @@ def test_a_gain_counts_if_views_agree_on_it():
 
 def test_a_fisheye_can_be_asked_for(simulate):
     session = simulate(seed=62, views=20, camera=FISHEYE)
-    found = estimate.calibrate(session.observations, 960, 600, lenses=estimate.LENSES["fisheye"])
+    found = estimate.calibrate(session.observations, 960, 600, lenses=lenses.LENSES["fisheye"])
     assert found.camera.fisheye and set(found.std) >= {"fx", "cy", "k1", "k2"}
 
 
 def test_a_rational_lens_gets_its_denominator_or_something_as_good(simulate):
     session = simulate(seed=63, views=30, camera=RATIONAL)
-    found = estimate.calibrate(session.observations, 960, 600, lenses=estimate.LENSES["rational"])
+    found = estimate.calibrate(session.observations, 960, 600, lenses=lenses.LENSES["rational"])
     assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
 
 
@@ -150,9 +150,7 @@ def test_wrong_corners_and_wrong_views_are_left_out_and_named(simulate):
 
 
 def test_correlation_is_that_of_many_sessions(simulate):
-    found = [
-        estimate.calibrate(simulate(seed=s, views=12).observations, 960, 600, lenses=[estimate.USUAL]) for s in range(70, 90)
-    ]
+    found = [estimate.calibrate(simulate(seed=s, views=12).observations, 960, 600, lenses=[lenses.USUAL]) for s in range(70, 90)]
     values = np.array([[getattr(f.camera, name) for name in ("fx", "cx", "p2")] for f in found])
     seen = np.corrcoef(values.T)
     covariance = found[0].covariance

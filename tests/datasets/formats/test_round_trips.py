@@ -4,18 +4,23 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import blender, koala, llff, load_scene
+from datasets.formats import blender, colmap, koala, llff, load_scene, nerfstudio
 from datasets.formats.sidecar import FILE as SIDECAR
 from datasets.imaging import images
-from datasets.scene import Scene
+from datasets.scene import Scene, Sightings
+from datasets.spline import Grid, Spline
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
+GRID = Grid(-0.9, -0.75, 0.25, 0.25, 8, 7)
+SPLINED = replace(LENS, spline=Spline(GRID, tuple(np.random.default_rng(0).normal(0, 5e-3, 2 * GRID.count).tolist())))
+"""A lens whose knots move pixels by half a pixel."""
 WRITERS = {"blender": blender.save, "llff": llff.save}
 EXACT = 1e-6
 """Poses and rays in double precision; a JSON number or an array element loses nothing."""
@@ -41,7 +46,7 @@ def same_rays(a: Scene, b: Scene) -> None:
         assert np.abs(rays[0] - rays[1]).max() < EXACT
 
 
-@pytest.mark.parametrize("camera", [None, LENS])
+@pytest.mark.parametrize("camera", [None, LENS, SPLINED])
 @pytest.mark.parametrize("mask", [False, True])
 def test_koala_keeps_everything_to_the_bit(
     make_scene: Callable[..., Scene], tmp_path: Path, camera: Camera | None, mask: bool
@@ -102,6 +107,34 @@ def test_a_lens_is_resampled_to_the_same_world(
             assert np.allclose(other.read_truth("normals"), -one.world_from_camera[:3, 2], atol=1e-6)  # world frame: unchanged
             corner = other.read_truth("depth")[0, 0, 0]
             assert 0.3 < corner < 0.5 and corner != pytest.approx(0.4, abs=1e-4)  # along the turned axis
+
+
+@pytest.mark.parametrize("layout", [blender, colmap, llff, nerfstudio])
+def test_a_splined_lens_is_resampled_where_a_format_lacks_it(
+    make_scene: Callable[..., Scene], far_wall: Callable, tmp_path: Path, layout: ModuleType
+) -> None:
+    scene = make_scene(SPLINED)
+    assert "9 views were resampled to centred pinholes" in layout.save(scene, tmp_path / "out")
+    again = load_scene(tmp_path / "out")
+    for other in again.views:
+        assert other.camera.is_centred
+        error = np.abs(other.read() - far_wall(other.camera, other.world_from_camera))
+        assert error.max() < 1.5 / 255  # two roundings to 8 bits, of which the spline may sharpen the first
+
+
+def test_sightings_move_with_the_picture(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    scene = make_scene(SPLINED)
+    view = scene.views[0]
+    seen = np.array([[20.5, 30.25], [60.0, 40.0], [1.0, 1.0]])  # the last one lies outside what is left of the picture
+    points = view.camera.directions(seen) @ view.world_from_camera[:3, :3].T + view.world_from_camera[:3, 3]
+    index = np.array([[0, 0], [1, 0], [2, 0]])
+    colmap.save(replace(scene, points=points, sightings=Sightings((view.name,), index, seen)), tmp_path / "out")
+    again = load_scene(tmp_path / "out")
+    placed = next(v for v in again.views if v.name == view.name)
+    rows = again.sightings.index[:, 1] == again.sightings.names.index(view.name)
+    local = (again.points[again.sightings.index[rows, 0]] - placed.world_from_camera[:3, 3]) @ placed.world_from_camera[:3, :3]
+    assert rows.sum() == 2
+    np.testing.assert_allclose(again.sightings.pixels[rows], placed.camera.project(local), atol=1e-6)
 
 
 def test_blender_without_sidecar_still_has_cameras_splits_and_shiny_truth(

@@ -1,10 +1,12 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from datasets.scene import Scene
+from datasets.spline import Grid, Spline
 from reconstruct.scene.rays import Normalisation, Pixels, Rays, direction_of_cameras, read_scaled, scaled_camera, view_rays
 
 
@@ -43,6 +45,20 @@ def test_rays_project_back_to_their_pixels(make_scene: Callable[..., Scene]) -> 
         view.camera.project(local), view.camera.pixel_centres().reshape(-1, 2), atol=1e-3
     )  # float32 of 90 px
     np.testing.assert_allclose(radii, 2 / np.sqrt(12) / 90, rtol=1e-6)
+
+
+def test_rays_of_a_splined_lens_project_back_to_their_pixels(make_scene: Callable[..., Scene]) -> None:
+    """Rays of an image at half its size, through knots that were estimated at the whole."""
+    scene = make_scene()
+    grid = Grid(-0.9, -0.75, 0.25, 0.25, 8, 7)
+    spline = Spline(grid, tuple(np.random.default_rng(0).normal(0, 5e-3, 2 * grid.count).tolist()))
+    view = replace(scene.views[2], camera=replace(scene.views[2].camera, spline=spline))
+    camera = scaled_camera(view, 0.5)
+    _, directions, _ = view_rays(view, Normalisation.of(scene), camera)
+    local = directions.astype(np.float64) @ view.world_from_camera[:3, :3]
+    pixels = camera.pixel_centres().reshape(-1, 2)
+    np.testing.assert_allclose(camera.project(local), pixels, atol=1e-3)  # float32 of 45 px
+    assert np.abs(replace(camera, spline=None).project(local) - pixels).max() > 0.1  # the knots matter
 
 
 def test_pixels_come_with_their_own_ray_and_colour(make_scene: Callable[..., Scene]) -> None:
