@@ -1,5 +1,8 @@
 """Errors of a rig. Each says what happened, in which state the rig was left, and what to do."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from datasets.core.errors import KoalaError
 
 
@@ -43,3 +46,15 @@ class PlanningError(CaptureError):
 
 class SimulationError(CaptureError):
     """The simulated rig could not be started or has ended."""
+
+
+@contextmanager
+def naming(camera: str) -> Iterator[None]:
+    """Errors raised inside say which camera of the rig they are about; the only camera of a rig has the empty name."""
+    try:
+        yield
+    except KoalaError as error:
+        if not camera:
+            raise
+        where = ", ".join(filter(None, (f"camera '{camera}'", error.where)))
+        raise type(error)(error.what, where=where, why=error.why, remedy=error.remedy) from error

@@ -122,12 +122,13 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
 
     if options.resume and (out / MANIFEST).is_file() and chosen_views(Recording.open(out)):
         raise UsageError("chose its own views", where=out, remedy="continue it with --adaptive")
-    mount = describe(options.rig).carrier()
+    description = describe(options.rig)
+    mount, cameras = description.carrier(), [name for name in description.each if name]
     start = time.monotonic()
     planned = plan(session, mount)
     with ExitStack() as stack:
         if port is not None:
-            stack.enter_context(viewing.watched(out, session, mount, planned, port))
+            stack.enter_context(viewing.watched(out / description.name, session, mount, planned, port))
         shown = stack.enter_context(console.progress("capture", len(planned), "views"))
         with options.opened(session, out) as opened:
 
@@ -138,4 +139,5 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
             taken = len(record(session, opened, out, resume=options.resume, planned=planned, advance=advance).frames)
     seconds = time.monotonic() - start
     found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": options.scene or None}
-    return found, f"{out}: {taken} views in {seconds:.0f} s"
+    by = f" by each of {', '.join(cameras)}" if cameras else ""
+    return {**found, "cameras": cameras}, f"{out}: {taken} views{by} in {seconds:.0f} s"

@@ -101,7 +101,7 @@ def test_a_path_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             [
                 "no rig 'arm2'",
                 "known: franka_basler, franka_realsense, sim_flawed, ur10e_gige, ur5e_basler, ur5e_beside, ur5e_second, "
-                "ur5e_turntable",
+                "ur5e_stereo, ur5e_turntable",
                 "the path of a file",
             ],
         ),

@@ -74,6 +74,15 @@ class Beside:
 
 
 @dataclass(frozen=True)
+class Fellow:
+    """Another camera on the flange, whose body must not collide either."""
+
+    name: str
+    flange_from_camera: Array  # (4, 4) nominal mount [m]
+    body: tuple[CameraCapsule, ...]
+
+
+@dataclass(frozen=True)
 class Carrier:
     """An arm and the camera that it carries; or the target that it carries, where the camera stands `beside` it."""
 
@@ -84,30 +93,18 @@ class Carrier:
     cable: Cable | None = None  # None: the cable is no limit
     turntable: TurntableDescription | None = None  # what turns the object; None: it stands
     beside: Beside | None = None  # None: the camera is on the flange
+    fellows: tuple[Fellow, ...] = ()  # other cameras on the flange; views are planned without them
 
     @cached_property
     def shape(self) -> Shape:
-        """The parts of the arm, the bracket, and the parts of the camera or of the plate."""
+        """The parts of the arm, the bracket, and the parts of the camera or of the plate; then those of other cameras."""
         last, mount = self.arm.count, self.flange_from_carried
-        origin = np.zeros(3)
         if self.beside is not None:
-            holder = Part("bracket", BRACKET_RADIUS, last, origin, mount[:3, 3], can_hide=False)
+            holder = Part("bracket", BRACKET_RADIUS, last, np.zeros(3), mount[:3, 3], can_hide=False)
             plate = [Part("target", PLATE_RADIUS, last, *ends, neighbours=0, can_hide=False) for ends in self.beside.parts]
             return Shape((*self.arm.parts, holder, *plate))
-        bracket = Part("bracket", BRACKET_RADIUS, last, origin, mount[:3, 3], can_hide=False)
-        camera = [
-            Part(
-                one.name,
-                one.radius,
-                last,
-                mount[:3, :3] @ one.start + mount[:3, 3],
-                mount[:3, :3] @ one.end + mount[:3, 3],
-                neighbours=0,
-                can_hide=False,
-            )
-            for one in self.body
-        ]
-        return Shape((*self.arm.parts, bracket, *camera))
+        others = [part for one in self.fellows for part in _held(one.flange_from_camera, one.body, last, f"{one.name} ")]
+        return Shape((*self.arm.parts, *_held(mount, self.body, last), *others))
 
     @property
     def flange_from_carried(self) -> Array:
@@ -163,6 +160,17 @@ class Carrier:
         """(...) whether (..., n) angles are within the limits of joints, by a margin [rad], and of the cable."""
         inside = self.arm.inside(joints, margin)
         return inside if self.cable is None else inside & (self.cable.turns(joints) <= self.cable.max_turns)
+
+
+def _held(mount: Array, body: tuple[CameraCapsule, ...], link: int, prefix: str = "") -> list[Part]:
+    """The parts of a camera at a (4, 4) place on the flange [m], and of its bracket."""
+    bracket = Part(f"{prefix}bracket", BRACKET_RADIUS, link, np.zeros(3), mount[:3, 3], can_hide=False)
+    ends = [(mount[:3, :3] @ one.start + mount[:3, 3], mount[:3, :3] @ one.end + mount[:3, 3]) for one in body]
+    camera = [
+        Part(f"{prefix}{one.name}", one.radius, link, start, end, neighbours=0, can_hide=False)
+        for one, (start, end) in zip(body, ends, strict=True)
+    ]
+    return [bracket, *camera]
 
 
 Mount: TypeAlias = Carrier | NDArray[np.float64]

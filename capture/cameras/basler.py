@@ -26,6 +26,8 @@ BUFFERS = 2
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 """Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
 
+EMULATED = "8"
+"""How many cameras pylon emulates; their serial numbers are 0815-0000 and so on."""
 EMULATED_SENSOR = {"Width": 1920, "Height": 1080}  # sensor of the simulated rig [px]: that of an acA1920-25uc
 CHANGE = "change the camera settings of the trajectory"
 
@@ -57,7 +59,7 @@ class Basler:
 
     def __enter__(self) -> Self:
         if self.emulated:
-            os.environ["PYLON_CAMEMU"] = "1"  # pylon reads it when it is imported
+            os.environ["PYLON_CAMEMU"] = EMULATED  # pylon reads it when it looks for cameras
         release_abandoned()
         from pypylon import pylon
 
@@ -278,6 +280,11 @@ class PylonNodes:
             raise CaptureError(f"camera rejected {name}", why=f"requested {value}: {_first_line(error)}", remedy=CHANGE) from None
 
 
+def serial_of(number: int) -> str:
+    """Serial number of the emulated camera with a number, from 0; empty for the first one, which is then called the camera."""
+    return f"0815-{number:04d}" if number else ""
+
+
 @contextmanager
 def opened(serial: str, *, emulated: bool = False) -> Iterator[tuple[PylonNodes, str]]:
     """Open a camera only to look at it: its settings and its serial number.
@@ -285,7 +292,7 @@ def opened(serial: str, *, emulated: bool = False) -> Iterator[tuple[PylonNodes,
     Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
     """
     if emulated:
-        os.environ["PYLON_CAMEMU"] = "1"
+        os.environ["PYLON_CAMEMU"] = EMULATED
     release_abandoned()
     from pypylon import pylon
 

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -72,12 +73,10 @@ def examine(
     up: int | None = None,
     encoded: bool = True,
 ) -> list[Line]:
-    """Arm, computer and camera; arguments as in the two above.
+    """Arm, computer and every camera; arguments as in the two above.
 
     A simulated camera is librealsense's software device, or for all other drivers an ace USB over pylon's emulation.
     """
-    from capture.rig.cameras import seen
-
     gap_s = Deadlines().stale_s * (SIMULATED_PATIENCE if simulated else 1)
     rate = None if simulated else 1.0
     if rig.arm.family == "ur":
@@ -85,12 +84,28 @@ def examine(
     else:
         found = f"Koala has no driver for the {rig.arm.name}"
         lines = [unknown("controller", found, "simulate it by '--rig sim:NAME'; only arms of Universal Robots are driven")]
+    for number, (name, one) in enumerate(rig.each.items()):
+        found = _examined(one, number if simulated else None, encoded=encoded)
+        lines += [_of_camera(name, line) for line in found] if name else found
+    return lines
+
+
+def _of_camera(name: str, line: Line) -> Line:
+    """The line of one of several cameras, with its keys of the rig file."""
+    return replace(line, name=f"{name} {line.name}", remedy=line.remedy.replace("camera.", f"cameras.{name}."))
+
+
+def _examined(rig: RigDescription, number: int | None, *, encoded: bool) -> list[Line]:
+    """The lines of the camera, which is opened only for them; `number` of a simulated one, None of a real one."""
+    from capture.rig.cameras import seen
+
+    simulated = number is not None
     with ExitStack() as stack:
         try:
-            found = stack.enter_context(seen(rig.camera, simulated=simulated))
+            found = stack.enter_context(seen(rig.camera, simulated=simulated, number=number or 0))
         except CaptureError as error:
-            return [*lines, *camera.missing(f"{error.what} ({error.why})" if error.why else error.what)]
-        return [*lines, *_camera(found, rig, simulated=simulated, encoded=encoded)]
+            return camera.missing(f"{error.what} ({error.why})" if error.why else error.what)
+        return _camera(found, rig, simulated=simulated, encoded=encoded)
 
 
 def _camera(found: Seen, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:

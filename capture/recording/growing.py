@@ -41,9 +41,14 @@ class GrowingRecording:
         trajectory: settings of camera, motion and safety. Its own views only say where the camera may be.
         out: the recording; a new or empty folder unless it is resumed.
         command: what makes such recordings, for messages.
+
+    Raises UsageError: the rig has several cameras.
     """
 
     def __init__(self, trajectory: Trajectory, rig: Rig, out: Path, command: str) -> None:
+        if rig.cameras:
+            why, remedy = f"the rig has {len(rig.cameras)}", "use 'capture run TRAJECTORY', or a rig file of one of them"
+            raise UsageError("chooses its views for one camera", where=command, why=why, remedy=remedy)
         self.trajectory, self.rig, self.out, self.command = trajectory, rig, Path(out), command
         self.views: list[GrownView] = []
         self.obstacles = Obstacles.of(trajectory, rig.carrier)

@@ -80,9 +80,8 @@ def _anywhere(rig: RigDescription) -> RigDescription:
 
     The measured response is left out too: the recording keeps its own."""
     plain: dict[str, Any] = {"host": "anywhere", "client": "auto", "installation": InstallationDescription()}
-    robot, camera = (
-        rig.robot.model_copy(update=plain),
-        rig.camera.model_copy(update={"lens": "", "firmware": "", "radiometry": ""}),
-    )
+    blank = {"lens": "", "firmware": "", "radiometry": ""}
+    robot, camera = rig.robot.model_copy(update=plain), rig.camera.model_copy(update=blank)
+    cameras = {name: one.model_copy(update=blank) for name, one in rig.cameras.items()}
     table = rig.turntable and rig.turntable.model_copy(update={"address": "anywhere", "baud": 115_200, "settle_time_s": 0.0})
-    return rig.model_copy(update={"robot": robot, "camera": camera, "turntable": table, "simulation": None})
+    return rig.model_copy(update={"robot": robot, "camera": camera, "cameras": cameras, "turntable": table, "simulation": None})

@@ -4,16 +4,17 @@ import errno
 import hashlib
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from capture.errors import CaptureError, MotionError
+from capture.errors import CaptureError, MotionError, naming
 from capture.measurements import Image, Pixels, RobotState
 from capture.planning import Obstacles, PlannedView, connect, plan
 from capture.recording.manifest import manifest_of, require_same_session
-from capture.recording.writer import Advance, Writer
+from capture.recording.writer import Advance, Stop, Writer
 from capture.rig.opening import Rig
 from capture.trajectory import CameraSettings, Motion, Trajectory
 from datasets.core import arrays, files
@@ -39,18 +40,25 @@ def record(
 ) -> Recording:
     """Take every view of `trajectory` that is missing in `out`.
 
+    With several cameras, `out` holds a recording for each, in a folder with the camera's name. All cameras take a view at one
+    stop of the arm, with one pose before and after, and a view counts as taken once all have it on the disk.
+
     Pictures are written while the arm moves on. A frame counts once its image and its truth are on the disk and its line is
     written. A kill at any moment loses only the frames in flight; a fault of the rig loses no exposed frame.
 
     Args:
-        out: the recording. New or empty, unless `resume`.
+        out: the recording, or the folder of those of several cameras. New or empty, unless `resume`.
         resume: continue the recording in `out`, which must have the same trajectory and rig.
-        advance: called from any thread with the name of each finished frame, including those of an earlier run.
+        advance: called from any thread with the name of each finished view, including those of an earlier run.
+
+    Returns:
+        The recording, with several cameras that of the first one.
 
     Raises:
         UsageError: `out` contains something other than this session.
         KoalaError: the disk has no room for the views; nothing has moved.
-        CaptureError: an error of the rig or the plan, or a full disk; the arm stands still, and `out` can be resumed.
+        CaptureError: an error of the rig or the plan, or a full disk; the arm stands still, and `out` can be resumed. It names
+            the camera where there are several.
     """
     planned = plan(trajectory, rig.carrier) if planned is None else planned
     out = Path(out)
@@ -63,13 +71,15 @@ def record(
         raise CaptureError("the disk is full", where=out, why="complete views are kept", remedy=remedy) from error
 
 
-def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: list[PlannedView], advance: Advance) -> Recording:
+def _record(
+    trajectory: Trajectory, rig: Rig, recordings: list[Recording], planned: list[PlannedView], advance: Advance
+) -> Recording:
     obstacles = Obstacles.of(trajectory, rig.carrier)
-    taken = {frame.name for frame in recording.frames}
+    taken = _taken(recordings)
     numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
     motion = trajectory.motion
     previous: str | None = None  # the view at which the arm stands
-    with Writer(recording, advance) as writer:
+    with Writer(recordings, advance) as writer:
         for index, view in enumerate(planned):
             name = view.viewpoint.name
             if name in taken:
@@ -83,9 +93,13 @@ def _record(trajectory: Trajectory, rig: Rig, recording: Recording, planned: lis
             _turn(rig, view)
             arrived_ns = time.monotonic_ns()
             previous = name
-            frame, exposures = _expose(recording, rig, numbers[name], view, arrived_ns, trajectory)
-            writer.put(frame, exposures)
-    return recording
+            writer.put(_expose(recordings, rig, numbers[name], view, arrived_ns, trajectory))
+    return recordings[0]
+
+
+def _taken(recordings: Sequence[Recording | None]) -> set[str]:
+    """Names of the views that the recordings of all cameras hold; one that is not begun is None."""
+    return set.intersection(*({frame.name for frame in recording.frames} if recording else set() for recording in recordings))
 
 
 def _turn(rig: Rig, view: PlannedView) -> None:
@@ -98,28 +112,37 @@ def _turn(rig: Rig, view: PlannedView) -> None:
 
 
 def _expose(
-    recording: Recording, rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
-) -> tuple[Frame, list[Image]]:
-    """Take the pictures of one view, with the pose before and after them. The hashes of the frame are still missing."""
-    name, split, truth, motion = view.viewpoint.name, view.viewpoint.split, rig.ground_truth, trajectory.motion
-    if truth is not None:
-        truth.prepare(index)
+    recordings: list[Recording], rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
+) -> Stop:
+    """Take the pictures of one view with every camera, with the pose before and after them all."""
+    name, split, motion = view.viewpoint.name, view.viewpoint.split, trajectory.motion
+    for one in rig.each.values():
+        if one.ground_truth is not None:
+            one.ground_truth.prepare(index)
     table = None if view.viewpoint.turntable is None else rig.turntable
     state, angle = rig.robot.state(), table and table.angle()
-    image = rig.camera.grab()
-    if motion.settle_difference is not None:
-        image, state = _still(rig, image, motion, name)
-    taken = [image, *_shorter(rig, trajectory.camera)]
+    pictures: list[list[Image]] = []
+    for camera_name, one in rig.each.items():
+        with naming(camera_name):
+            image = one.camera.grab()
+            if motion.settle_difference is not None and not pictures:  # the first camera waits until everything is at rest
+                image, state = _still(one, image, motion, name)
+            pictures.append([image, *_shorter(one, trajectory.camera)])
     after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), table and table.angle()
-    settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
-    if truth is not None:
-        truth.save_truth(recording.path / TRUTH, name, split)
+    for recording, one in zip(recordings, rig.each.values(), strict=True):
+        if one.ground_truth is not None:
+            one.ground_truth.save_truth(recording.path / TRUTH, name, split)
     arm = (state.base_from_flange, state.joints, state.robot_time_s)
-    exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
     then = (after.base_from_flange, after.joints, after.robot_time_s)
-    turned = {"turntable_angle": angle, "turntable_angle_after": angle_after}
+    turned: dict[str, Any] = {"turntable_angle": angle, "turntable_angle_after": angle_after}
     lights = rig.description.lights_on(trajectory.lights)
-    return Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then, **turned, lights=lights), taken
+    stop = []
+    for image, *shorter in pictures:
+        exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
+        settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
+        frame = Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then, **turned, lights=lights)
+        stop.append((frame, [image, *shorter]))
+    return stop
 
 
 def _shorter(rig: Rig, camera: CameraSettings) -> list[Image]:
@@ -157,22 +180,33 @@ def picture_difference(first: Pixels, second: Pixels) -> float:
     return float(np.sqrt(np.mean((first.astype(np.float32) - second.astype(np.float32)) ** 2))) / white
 
 
-def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool, planned: list[PlannedView]) -> Recording:
-    """The recording to write, new or resumed, on a disk with room for every view that is missing in it."""
-    if resume:
-        _sweep(out)
-    old = Recording.open(out) if resume and out.exists() else None
-    if old is not None:
-        require_same_session(old, trajectory, rig)
-        lost = [frame.name for frame in old.frames if not old.image_path(frame).is_file()]
-        if len(lost) == len(old.frames) > 1:
-            remedy = f"bring {IMAGES} back (an unmounted disk?), or choose another --out"
-            raise UsageError("all its images are missing", where=out, why=f"{len(lost)} views", remedy=remedy)
-        old.discard(lost)
-    taken = {frame.name for frame in old.frames} if old else set()
+def _open(trajectory: Trajectory, rig: Rig, out: Path, resume: bool, planned: list[PlannedView]) -> list[Recording]:
+    """The recordings to write, new or resumed, on a disk with room for every view that is missing in one of them."""
+    if not resume:
+        files.refuse_existing(out)
+    if rig.cameras and (out / MANIFEST).exists():
+        remedy = "resume with the original arguments, or choose another --out"
+        raise UsageError("is the recording of one camera", where=out, why=f"the rig has {len(rig.cameras)}", remedy=remedy)
+    old = {name: _resumed(trajectory, one, out / name) if resume else None for name, one in rig.each.items()}
+    taken = _taken(list(old.values()))
     missing = [view.viewpoint.split for view in planned if view.viewpoint.name not in taken]
-    require_room(out, _size(trajectory, missing, rig), "the pictures")
-    return old or _created(out, manifest_of(trajectory, rig), rig)
+    require_room(out, sum(_size(trajectory, missing, one) for one in rig.each.values()), "the pictures")
+    return [old[name] or _created(out / name, manifest_of(trajectory, one), one) for name, one in rig.each.items()]
+
+
+def _resumed(trajectory: Trajectory, rig: Rig, out: Path) -> Recording | None:
+    """A camera's recording as an earlier run left it, without frames whose images are missing; None where it is not begun."""
+    _sweep(out)
+    if not out.exists():
+        return None
+    old = Recording.open(out)
+    require_same_session(old, trajectory, rig)
+    lost = [frame.name for frame in old.frames if not old.image_path(frame).is_file()]
+    if len(lost) == len(old.frames) > 1:
+        remedy = f"bring {IMAGES} back (an unmounted disk?), or choose another --out"
+        raise UsageError("all its images are missing", where=out, why=f"{len(lost)} views", remedy=remedy)
+    old.discard(lost)
+    return old
 
 
 def _created(out: Path, manifest: dict[str, Any], rig: Rig) -> Recording:

@@ -48,8 +48,11 @@ class Seen:
 
 
 @contextmanager
-def seen(device: Device, *, simulated: bool = False) -> Iterator[Seen]:
+def seen(device: Device, *, simulated: bool = False, number: int = 0) -> Iterator[Seen]:
     """Open a camera only to look at it; a simulated one where it has an emulation of its own, else that of pylon.
+
+    Args:
+        number: which of the rig's cameras it is, from 0, of simulated ones.
 
     Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
     """
@@ -63,7 +66,7 @@ def seen(device: Device, *, simulated: bool = False) -> Iterator[Seen]:
     elif simulated or device.model == "basler":
         from capture.cameras import basler
 
-        with basler.opened("" if simulated else device.serial, emulated=simulated) as (pylon, serial):
+        with basler.opened(basler.serial_of(number) if simulated else device.serial, emulated=simulated) as (pylon, serial):
             yield Seen(pylon, serial)
     elif device.model == "genicam":
         from capture.cameras import gentl

@@ -1,13 +1,13 @@
-"""Rig files: the address of the arm, its camera, and how the camera is mounted."""
+"""Rig files: the address of the arm, its camera or cameras, and how they are mounted."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, StringConstraints, model_validator
 
-from capture.arms.carrier import BODY, Beside, Cable, CameraCapsule, Carrier
+from capture.arms.carrier import BODY, Beside, Cable, CameraCapsule, Carrier, Fellow
 from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
 from capture.cameras.device import Device
 from capture.geometry import PoseDescription
@@ -72,6 +72,22 @@ class CameraDescription(Device):
     )
 
 
+class MountedCamera(CameraDescription):
+    """One of several cameras on the flange."""
+
+    flange_from_camera: PoseDescription = Field(description="nominal pose of this camera on the flange")
+
+    @property
+    def alone(self) -> CameraDescription:
+        """The camera without its mount."""
+        return CameraDescription(**{key: getattr(self, key) for key in CameraDescription.model_fields})
+
+
+AnyCamera = TypeVar("AnyCamera", bound=CameraDescription)
+CameraName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]+$")]
+"""Names the recording of this camera as well, a folder."""
+
+
 class BesideDescription(Schema):
     """A camera that stands beside the arm and looks at a calibration target on the flange."""
 
@@ -103,7 +119,7 @@ class SimulationDescription(Schema):
 
 
 class RigDescription(Schema):
-    """One rig: arm, camera and bracket."""
+    """One rig: arm, camera or cameras, and what stands around them."""
 
     robot: RobotDescription = Field(default_factory=RobotDescription, description="the arm")
     camera: CameraDescription = Field(default_factory=CameraDescription, description="the camera")
@@ -112,6 +128,11 @@ class RigDescription(Schema):
         description="nominal camera pose on the flange, from a drawing or a ruler. 1 cm and 5 degrees are enough: "
         "calib finds the true pose",
     )
+    cameras: dict[CameraName, MountedCamera] = Field(
+        default={},
+        description="several cameras on the flange by name, in place of camera and flange_from_camera: each makes a recording of "
+        "its own at the same stops. Views are planned for the first one; empty: there is one camera",
+    )
     beside: BesideDescription | None = Field(
         default=None, description="the camera stands beside the arm; null: it is on the flange, at flange_from_camera"
     )
@@ -119,6 +140,46 @@ class RigDescription(Schema):
     turntable: TurntableDescription | None = Field(default=None, description="what turns the object; null: the object stands")
     lights: list[LampDescription] = Field(default=[], description="the lamps; empty: nobody says where they stand")
     simulation: SimulationDescription | None = Field(default=None, description="only for a simulated rig; null: a real rig")
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        """With `cameras`, `camera` and `flange_from_camera` are those of one of them: of the first where they are not given."""
+        if not self.cameras:
+            return self
+        if self.beside is not None:
+            raise ValueError("a camera beside the arm is the only one: remove 'cameras' or 'beside'")
+        self._require_different()
+        given = self.model_fields_set & {"camera", "flange_from_camera"}
+        if given and not (self.name and self.cameras[self.name].alone == self.camera):
+            raise ValueError(f"'cameras' lists every camera, and this is none of them: remove {' and '.join(sorted(given))}")
+        if not given:
+            first = next(iter(self.cameras.values()))
+            for key, value in (("camera", first.alone), ("flange_from_camera", first.flange_from_camera)):
+                object.__setattr__(self, key, value)  # frozen for everybody else
+        return self
+
+    def _require_different(self) -> None:
+        """Raise ValueError where two entries of `cameras` are one and the same camera, or are at one place."""
+        seen: dict[Any, str] = {}
+        for name, one in self.cameras.items():
+            keys = [("flange_from_camera", str(one.flange_from_camera.model_dump()))]
+            for key, value in keys + [("serial", one.serial)] * bool(one.serial):
+                if (key, value) in seen:
+                    raise ValueError(f"cameras: '{seen[key, value]}' and '{name}' have the same {key}")
+                seen[key, value] = name
+
+    @property
+    def name(self) -> str:
+        """Name in `cameras` of the camera that `camera` describes; empty where the rig has one camera, or it is none of them."""
+        return next((name for name, one in self.cameras.items() if one.flange_from_camera == self.flange_from_camera), "")
+
+    @property
+    def each(self) -> dict[str, Self]:
+        """The rig as each of its cameras has it, by the camera's name; one camera has the empty name."""
+        return {name: self._with(one) for name, one in self.cameras.items()} or {"": self}
+
+    def _with(self, one: MountedCamera) -> Self:
+        return self.model_copy(update={"camera": one.alone, "flange_from_camera": one.flange_from_camera})
 
     @property
     def arm(self) -> ArmModel:
@@ -148,7 +209,12 @@ class RigDescription(Schema):
             stated = self.beside
             beside = Beside(stated.base_from_camera.matrix(), stated.flange_from_plate.matrix(), stated.plate)
             solids.append(_camera_as_solid(body, beside.base_from_camera))
-        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(solids), cable, self.turntable, beside)
+        fellows = tuple(
+            Fellow(name, one.flange_from_camera.matrix(), tuple(one.body))
+            for name, one in self.cameras.items()
+            if name != self.name
+        )
+        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(solids), cable, self.turntable, beside, fellows)
 
     def lights_on(self, trajectory_lights: list[str] | None) -> tuple[str, ...] | None:
         """Names of the lamps that are on in a trajectory; None where the rig file names no lamps.
@@ -202,16 +268,23 @@ def load_rig(path: Path | str) -> RigDescription:
         solid.model_copy(update={"file": str(folder / solid.file)}) if isinstance(solid, MeshSolid) else solid
         for solid in rig.obstacles
     ]
-    robot, model, camera = rig.robot, Path(rig.robot.model), rig.camera
+    robot, model = rig.robot, Path(rig.robot.model)
     if model.suffix and not model.is_absolute() and (folder / model).is_file():
         robot = robot.model_copy(update={"model": str(folder / model)})
-    if camera.radiometry:
-        camera = camera.model_copy(update={"radiometry": str(folder / camera.radiometry)})
-    if (folder / camera.source).parent.is_dir() and Path(camera.source).suffix:
-        camera = camera.model_copy(update={"source": str(folder / camera.source)})
-    rig = rig.model_copy(update={"obstacles": placed, "robot": robot, "camera": camera})
+    camera, cameras = _camera_in(folder, rig.camera), {name: _camera_in(folder, one) for name, one in rig.cameras.items()}
+    rig = rig.model_copy(update={"obstacles": placed, "robot": robot, "camera": camera, "cameras": cameras})
     try:
         rig.carrier()
     except UsageError as error:
         raise UsageError(error.what, where=error.where or path, why=error.why, remedy=error.remedy) from None
     return rig
+
+
+def _camera_in(folder: Path, camera: AnyCamera) -> AnyCamera:
+    """The camera with its files in the folder of the rig file."""
+    changes = {}
+    if camera.radiometry:
+        changes["radiometry"] = str(folder / camera.radiometry)
+    if (folder / camera.source).parent.is_dir() and Path(camera.source).suffix:
+        changes["source"] = str(folder / camera.source)
+    return camera.model_copy(update=changes)

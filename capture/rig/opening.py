@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import configs
 from capture.arms.carrier import Carrier
+from capture.errors import naming
 from capture.rig.description import RigDescription, load_rig
 from capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
 from capture.rig.turning import open_turntable
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from capture.sim.controller.handle import ControllerHandle
     from capture.sim.kinematic_arm import KinematicArm
     from capture.sim.laboratory.flaws import Flaws
+    from capture.sim.turntable import SimulatedTurntable
 
     Simulation = ControllerHandle | KinematicArm  # both know where the flange truly is
 
@@ -31,7 +33,7 @@ Examination = Callable[[RigDescription, str, bool], None]
 
 @dataclass(frozen=True)
 class Rig:
-    """An arm and its camera, both connected."""
+    """An arm and its camera, both connected; with several cameras the rig as the first one has it."""
 
     robot: Robot
     camera: Camera
@@ -40,6 +42,12 @@ class Rig:
     ground_truth: GroundTruth | None = None  # only in a simulation
     extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
     turntable: Turntable | None = None  # connected where the trajectory turns the object
+    cameras: "dict[str, Rig]" = field(default_factory=dict)  # the rig as each camera has it, by name; empty: there is one camera
+
+    @property
+    def each(self) -> "dict[str, Rig]":
+        """The rig as each of its cameras has it, by the camera's name; one camera has the empty name."""
+        return self.cameras or {"": self}
 
     @property
     def carrier(self) -> Carrier:
@@ -116,7 +124,7 @@ def open_rig(
     take_over: bool = False,
     radiometry: Path | None = None,
 ) -> Iterator[Rig]:
-    """Connect arm and camera; leaving the context closes both.
+    """Connect arm and cameras; leaving the context closes all.
 
     Args:
         name: "sim", "sim:NAME", or the name or path of a rig file.
@@ -126,37 +134,60 @@ def open_rig(
         examine: called before anything is connected; may refuse by raising.
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
+
+    Raises UsageError: `radiometry` for several cameras. KoalaError names the camera that could not be opened.
     """
     description = describe(name)
     if radiometry is not None:
+        if description.cameras:
+            remedy = "leave --radiometry out, and write 'radiometry' below each camera in the rig file"
+            raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
         camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
         description = description.model_copy(update={"camera": camera})
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
         examine(description, host_of(description, controller), controller is not None)
-        if controller is None:
-            from capture.rig.cameras import camera_of
-
-            with ExitStack() as stack:
-                camera = stack.enter_context(camera_of(description.camera, trajectory.camera))
-                table, _ = stack.enter_context(open_turntable(description, trajectory, simulated=False))
-                robot = stack.enter_context(_arm(description, trajectory, None, take_over))
-                yield Rig(robot, camera, description, name, turntable=table)
-            return
-        from capture.sim.camera import SimulatedCamera
-        from capture.sim.truth import RigTruth
-
         simulation = description.simulation
-        seed = simulation.seed if simulation is not None and simulation.side_port is not None else seed
-        truth = RigTruth.of(description.carrier(), trajectory, seed)
+        running = simulation is not None and simulation.side_port is not None
+        seed = simulation.seed if simulation is not None and running else seed
         with ExitStack() as stack:
-            turning = open_turntable(description, trajectory, simulated=True, seed=seed, time_scale=time_scale)
+            turning = open_turntable(description, trajectory, simulated=controller is not None, seed=seed, time_scale=time_scale)
             table, turned = stack.enter_context(turning)
-            flaws, device = flaws_of(description), description.camera
-            camera = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws, device=device, table=turned)
-            simulated = stack.enter_context(camera)
+            opened = {}
+            for number, (camera_name, one) in enumerate(description.each.items()):
+                with naming(camera_name):
+                    camera, truth = _camera(one, trajectory, controller, scene, seed, turned, number)
+                    opened[camera_name] = stack.enter_context(camera), one, truth
             robot = stack.enter_context(_arm(description, trajectory, controller, take_over))
-            yield Rig(robot, simulated, description, name, simulated, {"scene": scene, "seed": seed}, table)
+            extra = {} if controller is None else {"scene": scene, "seed": seed}
+            rigs = {
+                camera_name: Rig(robot, camera, one, name, truth, extra, table)
+                for camera_name, (camera, one, truth) in opened.items()
+            }
+            first = next(iter(rigs.values()))
+            yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _camera(
+    rig: RigDescription,
+    trajectory: Trajectory,
+    controller: "Simulation | None",
+    scene: str,
+    seed: int,
+    turned: "SimulatedTurntable | None",
+    number: int,
+) -> tuple[Camera, GroundTruth | None]:
+    """The camera of a rig, not connected, and what knows the truth about it; `number` as in `SimulatedCamera`."""
+    if controller is None:
+        from capture.rig.cameras import camera_of
+
+        return camera_of(rig.camera, trajectory.camera), None
+    from capture.sim.camera import SimulatedCamera
+    from capture.sim.truth import RigTruth, seed_of_camera
+
+    truth, flaws = RigTruth.of(rig.carrier(), trajectory, seed_of_camera(seed, number)), flaws_of(rig)
+    made = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number)
+    return made, made
 
 
 def camera_for(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Camera:
@@ -279,7 +310,7 @@ def write_simulated_rig(
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
     rig = rig or RigDescription()
     own = {"host": controller.host, **rig.robot.model_dump(mode="json", include={"model"}, exclude_defaults=True)}
-    kept = {"camera", "flange_from_camera", "beside", "obstacles", "turntable", "lights"}
+    kept = {"camera", "flange_from_camera", "cameras", "beside", "obstacles", "turntable", "lights"}
     rest = rig.model_dump(mode="json", include=kept, exclude_defaults=True)
     content = {"robot": own, **rest, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))

@@ -18,7 +18,7 @@ from capture.sim.emulated import camera_from_depth, emulated
 from capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
 from capture.sim.laboratory.lens import Lens, Sensor
 from capture.sim.laboratory.views import make_view
-from capture.sim.truth import RigTruth
+from capture.sim.truth import RigTruth, seed_of_camera
 from capture.sim.turntable import SimulatedTurntable
 from capture.trajectory import Trajectory
 from datasets import pose
@@ -84,10 +84,12 @@ class SimulatedCamera:
         scene: a name from `capture.sim.laboratory.scenes.SCENES`.
         truth: the true camera and mount.
         arm: gives the true flange poses.
-        seed: of textures, flaws and noise. Noise also depends on the frame number, but not on earlier pictures.
+        seed: of textures, and with `number` of flaws and noise. Noise also depends on the frame number, but not on earlier
+            pictures.
         flaws: of sensor, lens and lamps.
         device: the camera of the rig.
         table: what turns the object before still lamps; None: it stands.
+        number: which of the rig's cameras it is, from 0; each has flaws and noise of its own.
     """
 
     def __init__(
@@ -101,13 +103,14 @@ class SimulatedCamera:
         *,
         device: Device | None = None,
         table: SimulatedTurntable | None = None,
+        number: int = 0,
     ) -> None:
         self.view = make_view(scene, trajectory, seed, truth.beside.flange_from_board if truth.beside is not None else None)
-        self.trajectory, self.truth, self.seed = trajectory, truth, seed
+        self.trajectory, self.truth, self.seed = trajectory, truth, seed_of_camera(seed, number)
         self._arm, self._frame, self._table = arm, 0, table
         self._world_from_camera: NDArray[np.float64] | None = None
         self._base_from_object: NDArray[np.float64] = np.eye(4)
-        self._driver = emulated(trajectory.camera, device or Device(), truth.sensor_camera)
+        self._driver = emulated(trajectory.camera, device or Device(), truth.sensor_camera, number)
         self._exposure_us, self.flaws = trajectory.camera.exposure_us, flaws
         self._maps: SensorMaps | None = None
         self._seen: tuple[tuple[int, bytes], NDArray[np.float32]] | None = None

@@ -11,7 +11,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.cameras.basler import Basler
+from capture.cameras.basler import Basler, serial_of
 from capture.cameras.device import Device
 from capture.errors import CaptureError
 from capture.measurements import Image, Pixels
@@ -60,12 +60,12 @@ class Emulated(Protocol):
 
 
 class EmulatedBasler:
-    """pylon's emulated camera."""
+    """The emulated camera of pylon with a number, from 0: each can be opened once."""
 
     depth_camera = None
 
-    def __init__(self, settings: CameraSettings) -> None:
-        self._driver, self._count = Basler(settings, emulated=True), 0
+    def __init__(self, settings: CameraSettings, number: int = 0) -> None:
+        self._driver, self._count = Basler(settings, serial=serial_of(number), emulated=True), 0
         self._folder: TemporaryDirectory[str] | None = None  # while it is open
 
     def __enter__(self) -> Self:
@@ -191,8 +191,8 @@ def stereo_depth(depth: NDArray[np.float32], focal_px: float, rng: np.random.Gen
     return np.where(steps < 2**16, np.rint(steps), 0).astype(np.uint16)
 
 
-def emulated(settings: CameraSettings, device: Device, sensor_camera: Camera) -> Emulated:
-    """The emulation for a rig's camera."""
+def emulated(settings: CameraSettings, device: Device, sensor_camera: Camera, number: int = 0) -> Emulated:
+    """The emulation for the camera of a rig with a number, from 0."""
     if device.model == "realsense":
         return EmulatedRealSense(settings, device, sensor_camera)
-    return EmulatedBasler(settings)
+    return EmulatedBasler(settings, number)

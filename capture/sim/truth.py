@@ -21,6 +21,11 @@ HAND_EYE_SHIFT_M = 3e-3  # length of the bracket's error
 HAND_EYE_TURN_RAD = np.deg2rad(1.0)  # angle of the bracket's error
 
 
+def seed_of_camera(seed: int, number: int) -> int:
+    """Seed of lens, mount and noise of the camera of a rig with a number; the first one, 0, has the seed of the rig."""
+    return seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
 @dataclass(frozen=True)
 class BesideTruth:
     """The true places of a camera beside the arm and of the target on the flange."""

@@ -198,6 +198,7 @@ def test_sim_serves_a_session_and_ends_with_ctrl_c(running_sim, tmp_path):
         "frames": 25,
         "seconds": 0,
         "scene": "board",
+        "cameras": [],
     }
     assert Recording.open(tmp_path / "rec").manifest["seed"] == 3
     host = Recording.open(tmp_path / "rec").manifest["robot"]["host"]

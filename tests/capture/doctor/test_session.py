@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from capture.doctor.examine import examination
+from capture.doctor.examine import examination, examine
+from capture.doctor.lines import Verdict
 from capture.errors import NotReady
 from capture.rig.description import RigDescription
-from capture.rig.opening import write_simulated_rig
+from capture.rig.opening import describe, write_simulated_rig
 from capture.robots.dashboard import Dashboard
 from capture.robots.timing import Deadlines
 from capture.robots.ur import UniversalRobot
@@ -50,6 +51,15 @@ def test_a_session_on_a_good_rig_starts_in_silence(simulated, tmp_path, caplog):
     with caplog.at_level(logging.INFO):
         examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
     assert not caplog.text
+
+
+def test_each_camera_of_a_rig_has_its_lines(simulated, tmp_path):
+    lines = examine(describe("ur5e_stereo"), simulated.host, tmp_path, simulated=True, seconds=0.1)
+    found = {line.name: line for line in lines}
+    assert len(found) == len(lines)
+    assert [found[f"{name} camera serial"].found for name in ("left", "right")] == ["0815-0000", "0815-0001"]
+    assert "write cameras.right.serial: '0815-0001' into the rig file" in found["right camera serial"].remedy
+    assert not [line.name for line in lines if "camera" in line.name and line.verdict is Verdict.WRONG]
 
 
 def test_what_makes_a_recording_worse_is_a_warning(simulated, tmp_path, caplog):

@@ -26,18 +26,18 @@ def pictures(index):
 
 def test_frames_are_written_in_order_with_their_hash(recording):
     seen = []
-    with Writer(recording, seen.append) as writer:
+    with Writer([recording], seen.append) as writer:
         for index in range(10):
-            writer.put(frame(index), pictures(index))
+            writer.put([(frame(index), pictures(index))])
     read = Recording.open(recording.path)
     assert [one.name for one in read.frames] == seen == [f"{index:03d}" for index in range(10)]
     assert all(one.sha256 == files.sha256(read.image_path(one)) for one in read.frames)
 
 
 def test_what_was_taken_is_kept_when_something_else_fails(recording):
-    with pytest.raises(KeyboardInterrupt), Writer(recording, lambda name: None) as writer:
-        writer.put(frame(0), pictures(0))
-        writer.put(frame(1), pictures(1))
+    with pytest.raises(KeyboardInterrupt), Writer([recording], lambda name: None) as writer:
+        writer.put([(frame(0), pictures(0))])
+        writer.put([(frame(1), pictures(1))])
         raise KeyboardInterrupt
     assert len(Recording.open(recording.path).frames) == 2
 
@@ -47,12 +47,12 @@ def test_a_full_disk_is_an_error_of_the_next_frame_or_at_the_end(recording, monk
         raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr(module.images, "write", full)
-    with pytest.raises(OSError, match="No space left"), Writer(recording, lambda name: None) as writer:
+    with pytest.raises(OSError, match="No space left"), Writer([recording], lambda name: None) as writer:
         for index in range(50):
-            writer.put(frame(index), pictures(index))
+            writer.put([(frame(index), pictures(index))])
             threading.Event().wait(0.005)
-    with pytest.raises(OSError, match="No space left"), Writer(recording, lambda name: None) as writer:
-        writer.put(frame(0), pictures(0))
+    with pytest.raises(OSError, match="No space left"), Writer([recording], lambda name: None) as writer:
+        writer.put([(frame(0), pictures(0))])
     assert not Recording.open(recording.path).frames
 
 
@@ -61,8 +61,8 @@ def test_a_slow_disk_makes_the_arm_wait_instead_of_filling_the_memory(recording,
     monkeypatch.setattr(
         module.images, "write", lambda path, array: (gate.wait(10), written.append(path), images_write(path, array))
     )
-    with Writer(recording, lambda name: None) as writer:
-        third = threading.Thread(target=lambda: [writer.put(frame(index), pictures(index)) for index in range(5)])
+    with Writer([recording], lambda name: None) as writer:
+        third = threading.Thread(target=lambda: [writer.put([(frame(index), pictures(index))]) for index in range(5)])
         third.start()
         third.join(0.3)
         assert third.is_alive() and not written

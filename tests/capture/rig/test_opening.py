@@ -126,6 +126,47 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return events
 
 
+def test_a_second_camera_that_cannot_be_opened_is_named_and_the_first_one_closed(
+    koala: Trajectory, watched: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def enter(camera: Any) -> Any:
+        if len([event for event in watched if event == "camera"]) == 1:
+            raise RigConnectionError("no camera was found", where="camera 7", remedy="check its cable")
+        watched.append("camera")
+        return camera
+
+    monkeypatch.setattr("capture.sim.camera.SimulatedCamera.__enter__", enter)
+    monkeypatch.setattr("capture.sim.camera.SimulatedCamera.__exit__", lambda camera, *error: watched.append("camera closed"))
+    with pytest.raises(RigConnectionError, match=r"^camera 'right', camera 7: no camera was found; check its cable$"):
+        with open_rig("sim:ur5e_stereo", koala, scene="shiny_ball", seed=0, time_scale=20):
+            raise AssertionError("not reached")
+    assert watched == ["controller None hangs=False", "camera", "camera closed", "controller closed"]
+
+
+def test_each_of_two_simulated_cameras_has_its_own_lens_and_mount(koala: Trajectory, watched: list[str]) -> None:
+    with open_rig("sim:ur5e_stereo", koala, scene="shiny_ball", seed=3, time_scale=50) as rig:
+        left, right = rig.each["left"].camera, rig.each["right"].camera
+        assert rig.camera is left and list(rig.each) == ["left", "right"]
+        serials = [camera.description()["serial"] for camera in (left, right)]
+        truth = [camera.truth for camera in (left, right)]  # type: ignore[attr-defined]
+    assert len(set(serials)) == 2 and truth[0].sensor_camera != truth[1].sensor_camera
+    between = np.linalg.inv(truth[0].flange_from_camera) @ truth[1].flange_from_camera
+    off = np.linalg.norm(between[:3, 3] - [0.06, 0.0, 0.0])
+    assert 1e-4 < off < 2 * 3e-3 + 0.06 * np.deg2rad(2)  # two brackets, each 3 mm and 1 degree off its drawing
+
+
+def test_one_measured_response_is_not_for_two_cameras(koala: Trajectory) -> None:
+    with pytest.raises(UsageError, match=r"flat.npz: one response for several cameras; leave --radiometry out"):
+        with open_rig("sim:ur5e_stereo", koala, scene="", seed=0, time_scale=20, radiometry=Path("flat.npz")):
+            raise AssertionError("not reached")
+
+
+def test_the_file_of_a_running_pair_reads_back(tmp_path: Path) -> None:
+    handle: Any = SimpleNamespace(host="127.0.0.9", side_port=4321)
+    write_simulated_rig(tmp_path / "pair.yaml", handle, "board", 5, describe("ur5e_stereo"))
+    assert load_rig(tmp_path / "pair.yaml").cameras == describe("ur5e_stereo").cameras
+
+
 def test_the_arm_alone_needs_no_camera(koala: Trajectory, watched: list[str]) -> None:
     with open_arm("sim", koala, seed=1, links_seed=4, time_scale=20) as (robot, controller):
         assert robot == "arm" and controller is not None
