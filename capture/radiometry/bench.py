@@ -50,11 +50,11 @@ def errors(trajectory: Trajectory, rig: str, frames: int, advance: Callable[[], 
         response = measured(camera, dark, statistics(camera, frames, advance))
         response.save(Path(folder) / RADIOMETRY)
         recording = Recording.create(Path(folder) / "recording", {"camera": camera.description()})
-        with Writer(recording, lambda name: advance()) as writer:
+        with Writer([recording], lambda name: advance()) as writer:
             for number, share in enumerate(EXPOSURES):
                 camera.prepare(1000 + number)
                 camera.set_exposure(trajectory.camera.exposure_us * share)
-                writer.put(_frame(number, camera), [camera.grab()])
+                writer.put([(_frame(number, camera), [camera.grab()])])
         response = Response.load(Path(folder) / RADIOMETRY)
         response.require(camera.description(), where=rig)
         for frame, share in zip(recording.frames, EXPOSURES, strict=True):
