@@ -27,6 +27,19 @@ class Surface(eqx.Module):
     radius: Float[Array, " n"]
     """Half-width of the neighbourhood [scene unit]."""
 
+    def mean(self, values: Float[Array, " n"]) -> Float[Array, ""]:
+        """Of values at the points, each counted by its weight."""
+        return jnp.sum(self.weight * values) / jnp.maximum(jnp.sum(self.weight > 0), 1)
+
+
+class Surfaces(eqx.Module):
+    """The surface points of the same rays by two rules."""
+
+    first: Surface
+    """By the configured rule: where the shape is regularised."""
+    solid: Surface
+    """By the rule "share": where a colour is the surface's and not that of fog before it."""
+
 
 def first_surface(
     weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"], rule: str = "median"

@@ -9,35 +9,17 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from reconstruct.config import SurfaceConfig
 from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud, points_on_rays
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
 from reconstruct.field.near import Near
 from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
 from reconstruct.surface import regularisers
 from reconstruct.surface.ball import ball_samples
-from reconstruct.surface.first_surface import HALF_WIDTH, Surface
+from reconstruct.surface.first_surface import Surfaces
+from reconstruct.surface.parts import bias_for_two_kinds
+from reconstruct.surface.place import Place
 
 PerPoint = dict[str, Float[Array, " n"]]
-
-
-@dataclass(frozen=True)
-class Place:
-    """How surface points become places in the field: in their space, as points or as Gaussians."""
-
-    space: Space
-    extended: bool = False
-    """Whether each stands for an isotropic Gaussian as wide as its pixel's cone, which looks the same from all sides."""
-
-    def of(self, rays: Rays, surface: Surface, offsets: Float[Array, "n around 3"] | None = None) -> Cloud:
-        """The surface points, or `offsets` [scene unit] around each of them, point after point."""
-        points = points_on_rays(rays, surface.ray, surface.t, self.space).points
-        scale = surface.radius / HALF_WIDTH if self.extended else None
-        if offsets is not None:
-            points = (points.T[:, None] + offsets).reshape(-1, 3).T
-            scale = None if scale is None else jnp.repeat(scale, offsets.shape[1])
-        return Cloud(points, scale, self.space)
 
 
 @dataclass(frozen=True)
@@ -47,21 +29,26 @@ class SecondPass:
     place: Place
     surface: SurfaceConfig
 
-    def terms(self, field: Field, rays: Rays, surface: Surface, key: PRNGKeyArray) -> dict[str, Float[Array, ""]]:
+    def terms(self, field: Field, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray) -> dict[str, Float[Array, ""]]:
         """Mean of each regulariser over the surface points, each counted by its weight along its ray."""
-        directions, radii = ball_samples(key, surface.ray.shape[0], self.surface)
+        surface, wanted = surfaces.first, self.surface
+        directions, radii = ball_samples(key, surface.ray.shape[0], wanted)
         _, material, normal = field.with_normals(self.place.of(rays, surface))
+        published_bias = wanted.bias and wanted.bias_form == "published" and field.appearance.has_diffuse
         per_point: PerPoint = {}
-        if self.surface.density or self.surface.normal:
-            reach = self.surface.reach * surface.radius
+        if wanted.density or wanted.normal:
+            reach = wanted.reach * surface.radius
             offsets = directions * (radii[:, None] * reach[:, None, None])
             density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
             per_point |= self._around(density, normals, directions, normal, reach)
-        if self.surface.variation or (self.surface.bias and field.appearance.has_diffuse):
+        if wanted.variation or published_bias:
             light, near = Lit.on(rays, surface.t, surface.ray), Near.on(rays, surface.t, surface.ray)
             per_point |= self._over_directions(field, material, directions, normal, light, near)
-        used = jnp.maximum(jnp.sum(surface.weight > 0), 1)
-        return {name: jnp.sum(surface.weight * value) / used for name, value in per_point.items()}
+        terms = {name: surface.mean(value) for name, value in per_point.items()}
+        if wanted.bias and wanted.bias_form == "kinds" and field.appearance.has_diffuse:
+            bias = bias_for_two_kinds(field, self.place, rays, surfaces.solid)
+            terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(bias)
+        return terms
 
     def _around(
         self,
@@ -105,12 +92,8 @@ class SecondPass:
         likeness = regularisers.direction_likeness(inward, self.surface.neighbour_form)
         variation = regularisers.specular_variation(colour, likeness, self.surface.neighbours)
         terms = {"specular_variation": self.surface.variation * variation}
-        if diffuse and self.surface.bias:
-            if self.surface.bias_form == "kinds":
-                bias = regularisers.metal_or_not(material.diffuse.T, colour)
-            else:
-                bias = regularisers.lambertian_bias(colour)
-            terms["lambertian_bias"] = self.surface.bias * bias
+        if diffuse and self.surface.bias and self.surface.bias_form == "published":
+            terms["lambertian_bias"] = self.surface.bias * regularisers.lambertian_bias(colour)
         return terms
 
 

@@ -18,8 +18,8 @@ from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Rays, over
 from reconstruct.scene.twists import followed
-from reconstruct.surface.first_surface import Surface, find_surfaces
-from reconstruct.surface.second_pass import Place
+from reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces
+from reconstruct.surface.place import Place
 from reconstruct.training import losses
 from reconstruct.training.pace.schedules import late
 
@@ -57,7 +57,7 @@ class Objective:
 
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], tuple[Terms, Float[Array, " n"], Surface]]:
+    ) -> tuple[Float[Array, ""], tuple[Terms, Float[Array, " n"], Surfaces]]:
         """The sum of all losses; each of them, the density of every sample, and first surfaces."""
         model = computed_in(self.precision, model)
         rays, terms = batch.rays, {}
@@ -74,10 +74,10 @@ class Objective:
             rendered, batch.colour, background, batch.used, self.weights.charbonnier, model.per_image is not None
         )
         terms |= self.ray_terms(model, rendered, density, found, progress)
-        surface = find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, self.first_rule)
-        surface = jax.lax.stop_gradient(surface)
-        terms |= surface_point_terms(model.field, rays, surface, self.weights, self.place)
-        return total(terms), (terms, jax.lax.stop_gradient(density), surface)
+        by = lambda rule: find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, rule)  # noqa: E731
+        surfaces = jax.lax.stop_gradient(Surfaces(by(self.first_rule), by("share")))
+        terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place)
+        return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]
@@ -128,17 +128,15 @@ def surface_point_terms(field: Field, rays: Rays, surface: Surface, weights: Los
         return {}
     _, material, normals = field.with_normals(place.of(rays, surface))
     viewdirs = rays.viewdirs[surface.ray].T
-    count = jnp.maximum(jnp.sum(surface.weight > 0), 1)
-    mean = lambda v: jnp.sum(surface.weight * v) / count  # noqa: E731
     facing, terms = losses.orientation(normals, viewdirs), {}
     if field.appearance.predicts_normals:
         facing = facing + losses.orientation(material.normals_pred, viewdirs)
         held, held_pred = jax.lax.stop_gradient((normals, material.normals_pred))
-        terms["predicted_normals"] = mean(
+        terms["predicted_normals"] = surface.mean(
             weights.predicted_normals * losses.normal_difference(held, material.normals_pred)
             + weights.density_normals * losses.normal_difference(normals, held_pred)
         )
-    return terms | {"orientation": weights.orientation * mean(facing)}
+    return terms | {"orientation": weights.orientation * surface.mean(facing)}
 
 
 def interlevel_term(

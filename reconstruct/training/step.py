@@ -18,8 +18,9 @@ from reconstruct.rendering.model import Model
 from reconstruct.sampling.create import sampler_type
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Pixels, Rays
-from reconstruct.surface.first_surface import Surface
-from reconstruct.surface.second_pass import Place, SecondPass
+from reconstruct.surface.first_surface import Surfaces
+from reconstruct.surface.place import Place
+from reconstruct.surface.second_pass import SecondPass
 from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
 from reconstruct.training.faults import FAULTS, finite_parts, packed
 from reconstruct.training.objective import Objective, Terms, total
@@ -50,7 +51,7 @@ class Part(eqx.Module):
     met: Any
     """What the sampler learns from it."""
     rays: Rays
-    surface: Surface
+    surfaces: Surfaces
 
 
 @dataclass(frozen=True)
@@ -147,8 +148,8 @@ class Step:
         loss = lambda learned: self.objective(  # noqa: E731
             eqx.combine(learned, held), batch, keys["samples"], keys["background"], progress
         )
-        (_, (terms, density, surface)), gradient = barrier(jax.value_and_grad(loss, has_aux=True)(learned))
-        return Part(gradient, terms, model.sampler.met(batch, density), batch.rays, surface)
+        (_, (terms, density, surfaces)), gradient = barrier(jax.value_and_grad(loss, has_aux=True)(learned))
+        return Part(gradient, terms, model.sampler.met(batch, density), batch.rays, surfaces)
 
     def regularised(
         self,
@@ -161,17 +162,17 @@ class Step:
     ) -> Part:
         """The same batch with the gradient and the terms of the regularisers' second pass."""
         learned, held = self._blurred(model, progress).split()
-        surface, key = self.division.spread_evenly(part.surface), self._keys(step, seed, index)["sphere"]
-        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surface, key)
+        surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed, index)["sphere"]
+        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surfaces, key)
         return replace(part, gradient=jax.tree.map(jnp.add, part.gradient, more), terms=part.terms | terms)
 
     def _weighted(
-        self, learned: Model, held: Model, rays: Rays, surface: Surface, key: PRNGKeyArray
+        self, learned: Model, held: Model, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray
     ) -> tuple[Float[Array, ""], Terms]:
         """Sum and terms of the second pass."""
         assert self.second_pass is not None
         model = computed_in(self.config.train.precision, eqx.combine(learned, held))
-        terms = self.second_pass.terms(model.field, rays, surface, key)
+        terms = self.second_pass.terms(model.field, rays, surfaces, key)
         return total(terms), terms
 
     def descended(

@@ -21,8 +21,8 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
 from reconstruct.scene.space import BALL
 from reconstruct.surface import ball, first_surface, regularisers
-from reconstruct.surface.first_surface import find_surfaces
-from reconstruct.surface.second_pass import Place
+from reconstruct.surface.first_surface import Surfaces, find_surfaces
+from reconstruct.surface.place import Place
 from reconstruct.training import losses, objective
 from reconstruct.training.step import Step
 
@@ -112,7 +112,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         terms |= objective.hollowness_term(rendered, density, samples, 0.1)
         found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
         terms |= objective.surface_point_terms(model.field, rays, found, step.objective.weights, place)
-        terms |= regularisers.terms(model.field, rays, found, jax.random.key(1))
+        terms |= regularisers.terms(model.field, rays, Surfaces(found, found), jax.random.key(1))
         return objective.total(terms), terms
 
     def graded(model: Model, edges: jax.Array):

@@ -6,6 +6,7 @@ from typing import Any
 
 from reconstruct.training.skipping.record import Skip
 
+
 def with_outcome(skips: Sequence[Skip], line: dict[str, Any]) -> list[Skip]:
     """The decisions with what came of them.
 

@@ -1,0 +1,52 @@
+"""Which part of a colour is diffuse, asked where the cameras see a surface."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from reconstruct.field.appearance import Material
+from reconstruct.field.field import Field
+from reconstruct.field.lit import Lit
+from reconstruct.field.near import Near
+from reconstruct.numerics.safe import normalise
+from reconstruct.scene.rays import Rays
+from reconstruct.surface.first_surface import Surface
+from reconstruct.surface.place import Place
+from reconstruct.surface.regularisers import metal_or_not
+
+CAMERAS = 32
+"""Cameras of a batch in whose directions each point is looked at."""
+
+
+def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface) -> Float[Array, " n"]:
+    """`metal_or_not` of each surface point, as cameras of the batch see it.
+
+    A training can move light from one part to the other in many ways, most of which spoil the shape or the light. So the
+    gradient goes to the diffuse colour and the tint alone; the normals, the roughness and the light are held.
+    """
+    _, material = field(place.of(rays, surface))
+    held: Material = jax.lax.stop_gradient(material)
+    towards = towards_surface(rays, surface, held.normals_pred)
+    count = towards.shape[1]
+    live = Material(held.diffuse, material.tint, held.roughness, held.normals_pred, held.bottleneck)
+    repeated = Material.unstacked(jnp.repeat(live.stacked(), count, axis=1))
+    light, near = Lit.on(rays, surface.t, surface.ray), Near.on(rays, surface.t, surface.ray)
+    shading = jax.lax.stop_gradient(field).shade(
+        repeated,
+        towards.reshape(-1, 3).T,
+        light=None if light is None else light.repeated(count),
+        near=Near(jnp.repeat(near.places, count, axis=1)),
+    )
+    return metal_or_not(material.diffuse.T, shading.specular.T.reshape(towards.shape))
+
+
+def towards_surface(rays: Rays, surface: Surface, normals: Float[Array, "3 n"]) -> Float[Array, "n cameras 3"]:
+    """Unit directions from the cameras of the first rays to each surface point; turned round for cameras behind the surface.
+
+    As data: no gradient goes through them.
+    """
+    origins = rays.origins[:CAMERAS]
+    places = rays.origins[surface.ray] + rays.directions[surface.ray] * surface.t[:, None]
+    towards = normalise(places[:, None] - origins[None], axis=-1)
+    facing = jnp.sum(towards * normals.T[:, None], -1, keepdims=True)
+    return jax.lax.stop_gradient(jnp.where(facing > 0, -towards, towards))
