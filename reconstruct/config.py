@@ -135,7 +135,9 @@ class SurfaceConfig(Schema):
         "published", "Form of the Lambertian bias: for two kinds of surface, metals and others, or relative to its own maximum."
     )
     variation: float = setting(1e-3, "Weight of the specular total variation.", ge=0)
-    density_form: Literal["tangent", "published"] = setting("tangent", "Form of the density smoothness.")
+    density_form: Literal["solid", "tangent", "published"] = setting(
+        "tangent", "Form of the density smoothness: dense below the surface and empty above it, or dense in its plane alone."
+    )
     neighbours: int = setting(3, "Nearest directions in the total variation's graph.", ge=1)
     neighbour_form: Literal["angular", "published"] = setting(
         "angular", "Which directions are near: by angle, or by the cosine of (polar angle, azimuth, length), as published."

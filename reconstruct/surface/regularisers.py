@@ -15,14 +15,18 @@ def density_smoothness(
     radius: Float[Array, " rays"],
     form: str,
 ) -> Float[Array, " rays"]:
-    """L_d: density around a surface point belongs into its tangent plane.
+    """L_d: density around a surface point agrees with its tangent plane.
 
     With alpha = 1 - exp(-density * radius), free of the scene's scale, and r the unit offset of a sample:
-    "tangent": alpha |r . n|, which vanishes in the plane; "published": alpha |1 - r . n|, as the published
+    "solid": alpha r . n above the plane and (1 - alpha) |r . n| below it, which vanishes for a solid whose face is the plane;
+    "tangent": alpha |r . n|, which vanishes for a sheet in the plane; "published": alpha |1 - r . n|, as the published
     implementation has it.
     """
-    alpha = -jnp.expm1(-jnp.minimum(density * radius[:, None], 80.0))
+    optical_depth = jnp.minimum(density * radius[:, None], 80.0)
+    alpha = -jnp.expm1(-optical_depth)
     along = jnp.einsum("rnx,rx->rn", offsets, normals)
+    if form == "solid":
+        return jnp.mean(jnp.abs(along) * jnp.where(along > 0, alpha, jnp.exp(-optical_depth)), -1)
     return jnp.mean(alpha * jnp.abs(along if form == "tangent" else 1 - along), -1)
 
 

@@ -20,7 +20,7 @@ def gradients_are_finite(function, *arguments: jax.Array) -> bool:
     return all(np.isfinite(g).all() for g in jax.jit(jax.grad(total, argnums=tuple(range(len(arguments)))))(*arguments))
 
 
-@pytest.mark.parametrize("form", ["tangent", "published"])
+@pytest.mark.parametrize("form", ["solid", "tangent", "published"])
 def test_density_smoothness_equals_a_loop_and_has_no_scale(form: str) -> None:
     density, offsets, normals = np.random.default_rng(6).random((4, 8)) * 20, unit((4, 8), 7), unit((4,), 8)
     radius = np.array([0.01, 0.1, 0.5, 2.0])
@@ -28,7 +28,9 @@ def test_density_smoothness_equals_a_loop_and_has_no_scale(form: str) -> None:
     for ray in range(4):
         for i in range(8):
             along = offsets[ray, i] @ normals[ray]
-            expected[ray] += (1 - np.exp(-density[ray, i] * radius[ray])) * abs(along if form == "tangent" else 1 - along) / 8
+            through = np.exp(-density[ray, i] * radius[ray])
+            unwanted = through if form == "solid" and along < 0 else 1 - through
+            expected[ray] += unwanted * abs(1 - along if form == "published" else along) / 8
     ours = lambda d, r: regularisers.density_smoothness(*f32(d, offsets, normals, r), form)  # noqa: E731
     np.testing.assert_allclose(ours(density, radius), expected, rtol=1e-5)
     np.testing.assert_allclose(ours(density / 7, radius * 7), expected, rtol=1e-5)
@@ -43,6 +45,15 @@ def test_density_in_the_tangent_plane_costs_nothing() -> None:
     np.testing.assert_array_equal(
         regularisers.density_smoothness(jnp.full((1, 6), 100.0), around, normal, jnp.ones(1), "tangent"), 0
     )
+
+
+def test_a_solid_below_its_plane_costs_nothing() -> None:
+    normal = jnp.array([[0.0, 0.0, 1.0]])
+    around = jnp.asarray(unit((1, 64), 3), jnp.float32)
+    solid = jnp.where(around[..., 2] < 0, 1e4, 0.0)
+    np.testing.assert_allclose(regularisers.density_smoothness(solid, around, normal, jnp.ones(1), "solid"), 0, atol=1e-6)
+    hollow = jnp.where(jnp.abs(around[..., 2]) < 0.1, 1e4, 0.0)
+    assert float(regularisers.density_smoothness(hollow, around, normal, jnp.ones(1), "solid")[0]) > 0.1
 
 
 def test_normal_consistency_equals_a_loop() -> None:
