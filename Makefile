@@ -44,7 +44,7 @@ demo: $(READY)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
 
 test: $(READY)
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 3
 
 test-all: $(READY)
 	$(BIN)/python -m pytest -q -m 'not hardware' --hypothesis-profile thorough
