@@ -7,8 +7,8 @@ import numpy as np
 from capture.doctor.answers import Answers
 from capture.doctor.lines import Line, judged, ok, unknown, wrong
 from capture.rig.description import InstallationDescription
+from capture.robots.stand_in import program_state
 
-PLAYING, PAUSED, RESUMING = 2, 4, 5
 POLYSCOPE_X = 10
 """Its first major version."""
 PAYLOAD_KG, CENTRE_M, TOOL_M, TOOL_RAD = 0.05, 0.01, 1e-4, 1e-3
@@ -26,8 +26,7 @@ def _control(answers: Answers) -> list[Line]:
             _missing_dashboard(answers),
             unknown("remote control", "only a dashboard says it", "see the top right of the pendant"),
         ]
-        state = answers.sample["runtime_state"] if answers.sample is not None else None
-        program = {PLAYING: "PLAYING", RESUMING: "PLAYING", PAUSED: "PAUSED"}.get(state or 0, "STOPPED")
+        program = "STOPPED" if answers.sample is None else program_state(answers.sample["runtime_state"])
     else:
         lines = [ok("dashboard", f"{answers.host} answers")]
         remote = replies["is in remote control"].strip().lower() == "true"

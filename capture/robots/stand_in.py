@@ -16,13 +16,18 @@ from capture.robots.rtde.stream import RtdeStream
 RATE_HZ, TIMEOUT_S = 50.0, 1.0
 STOP_S = 2.0  # until the arm rests: joints that turn at 2 rad/s slow down at 3 rad/s^2
 STOP = "def koala_stop():\n  stopj(3.0)\nend\n"
-PLAYING, PAUSING, PAUSED, RESUMING = 2, 3, 4, 5
-STATES = {PLAYING: "PLAYING", PAUSING: "PAUSED", PAUSED: "PAUSED", RESUMING: "PLAYING"}
+STATES = {2: "PLAYING", 3: "PAUSED", 4: "PAUSED", 5: "PLAYING"}
+"""The dashboard's words for numbers in `runtime_state`: playing, pausing, paused and resuming. Others are "STOPPED"."""
 SAFETY = (
     "UNKNOWN NORMAL REDUCED PROTECTIVE_STOP RECOVERY SAFEGUARD_STOP SYSTEM_EMERGENCY_STOP ROBOT_EMERGENCY_STOP VIOLATION FAULT"
 ).split()
 MODES = "DISCONNECTED CONFIRM_SAFETY BOOTING POWER_OFF POWER_ON IDLE BACKDRIVE RUNNING UPDATING_FIRMWARE".split()
 """Names of the numbers in `safety_mode` and `robot_mode` (Universal Robots, "Real-Time Data Exchange guide")."""
+
+
+def program_state(runtime_state: int) -> str:
+    """What the program does, in the dashboard's words."""
+    return STATES.get(runtime_state, "STOPPED")
 
 
 class StandIn:
@@ -67,7 +72,7 @@ class StandIn:
 
     def program_state(self) -> str:
         """Of whatever runs; its name is not known here."""
-        return STATES.get(self._now()["runtime_state"], "STOPPED")
+        return program_state(self._now()["runtime_state"])
 
     def safety_status(self) -> str:
         """By the names of the dashboard."""

@@ -13,6 +13,7 @@ import pytest
 
 from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
 from capture.robots.pendant import connect as connect_pendant
+from capture.robots.stand_in import program_state
 from capture.robots.ur import UniversalRobot
 from capture.sim.controller.process import SimulatedController
 
@@ -35,6 +36,10 @@ def stopped_on_the_way(simulated: SimulatedController) -> bool:
             return False
         time.sleep(0.05)
     return bool(np.abs(np.subtract(simulated.ask("truth")["joints"], FAR)).max() > SLOWED)
+
+
+def test_a_program_that_is_pausing_or_resuming_has_not_ended():
+    assert [program_state(number) for number in range(7)] == ["STOPPED"] * 2 + ["PLAYING", "PAUSED", "PAUSED", "PLAYING", "STOPPED"]
 
 
 def test_it_goes_where_it_is_sent(simulated):
@@ -126,7 +131,8 @@ def test_without_primary_interface_it_cannot_be_reached(simulated):
 
 def test_the_arm_stops_when_the_program_is_killed(simulated):
     code = f"""if True:
-        from capture.robots.ur import UniversalRobot
+        from capture.robots.stand_in import program_state
+from capture.robots.ur import UniversalRobot
         with UniversalRobot({simulated.host!r}) as robot:
             print("ready", flush=True)
             robot.move_to({FAR.tolist()}, speed=0.5, acceleration=1.4)
