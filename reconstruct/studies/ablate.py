@@ -63,7 +63,7 @@ def grid(base: Config) -> Cells:
     cells["published neighbours"] = ("surface.neighbour_form=published", "surface.neighbours=5")
     for first, last in ((2048, 16), (512, 4), (256, 2), (16, 16)):
         cells[f"every {first}/{last}"] = (f"surface.first_period={first}", f"surface.last_period={last}")
-    for form in ("tangent", "published"):
+    for form in ("solid", "tangent", "published"):
         weight = surface.density or PUBLISHED.density
         cells[f"{form} density"] = (f"surface.density_form={form}", f"surface.density={weight}")
     cells = {name: changes for name, changes in cells.items() if name == BASE or not _repeats(surface, changes)}

@@ -17,7 +17,7 @@ from reconstruct.studies import ablate, jobs
 def test_the_grid_changes_one_thing_at_a_time() -> None:
     cells = ablate.grid(load_config())
     assert cells["base"] == () and "sampling lattice" not in cells and "k = 3" not in cells
-    forms = {"sampling fibonacci", "sampling random", "k = 5", "every 2048/16", "every 512/4", "tangent density"}
+    forms = {"sampling fibonacci", "sampling random", "k = 5", "every 2048/16", "every 512/4", "solid density", "tangent density"}
     without = {
         "published density",
         "without hollowness",
