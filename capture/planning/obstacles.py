@@ -12,7 +12,7 @@ from capture.arms.carrier import Carrier, Mount, carrier_of
 from capture.arms.parts import Shape
 from capture.shapes.distances import box_distance, segment_distance, sight_distance
 from capture.trajectory import Trajectory
-from datasets.core.errors import UsageError
+from capture.turntables.description import required
 
 Array = NDArray[np.float64]
 
@@ -42,13 +42,11 @@ class Obstacles:
 
         Raises UsageError: the trajectory needs a turntable, and there is none.
         """
-        safety, volume, table = trajectory.safety, trajectory.object, carrier_of(mount).turntable
+        safety, volume = trajectory.safety, trajectory.object
         corners = None if volume is None else volume.corners
-        if trajectory.turns and table is None:
-            remedy = "describe one under 'turntable' in the rig file, or choose a rig that has one"
-            raise UsageError("the rig has no turntable", where=trajectory.name, why="its views turn one", remedy=remedy)
-        if trajectory.turns and table is not None and corners is not None:
-            corners = table.swept(corners)
+        if trajectory.turns:
+            table = required(carrier_of(mount).turntable, trajectory.name)
+            corners = None if corners is None else table.swept(corners)
         return cls(
             mount,
             safety.clearance_m,

@@ -14,8 +14,9 @@ from capture.arms.carrier import Carrier
 from capture.errors import naming
 from capture.rig.description import RigDescription, load_rig
 from capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
-from capture.rig.turning import open_turntable
+from capture.rig.turning import open_turntable, simulated_turntable
 from capture.trajectory import Trajectory
+from capture.turntables.description import required
 from datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def open_rig(
     take_over: bool = False,
     radiometry: Path | None = None,
 ) -> Iterator[Rig]:
-    """Connect arm and cameras; leaving the context closes all.
+    """Connect cameras, arm and turntable, in this order; leaving the context closes all.
 
     Args:
         name: "sim", "sim:NAME", or the name or path of a rig file.
@@ -135,7 +136,8 @@ def open_rig(
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
 
-    Raises UsageError: `radiometry` for several cameras. KoalaError names the camera that could not be opened.
+    Raises UsageError: `radiometry` for several cameras, or views that turn a turntable which the rig lacks. KoalaError names
+    the camera that could not be opened.
     """
     description = describe(name)
     if radiometry is not None:
@@ -144,6 +146,7 @@ def open_rig(
             raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
         camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
         description = description.model_copy(update={"camera": camera})
+    table = required(description.turntable, trajectory.name) if trajectory.turns else None
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
         examine(description, host_of(description, controller), controller is not None)
@@ -151,17 +154,19 @@ def open_rig(
         running = simulation is not None and simulation.side_port is not None
         seed = simulation.seed if simulation is not None and running else seed
         with ExitStack() as stack:
-            turning = open_turntable(description, trajectory, simulated=controller is not None, seed=seed, time_scale=time_scale)
-            table, turned = stack.enter_context(turning)
+            simulated = None if controller is None else table
+            turned = stack.enter_context(simulated_turntable(simulated, seed=seed, time_scale=time_scale))
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
                     camera, truth = _camera(one, trajectory, controller, scene, seed, turned, number)
                     opened[camera_name] = stack.enter_context(camera), one, truth
             robot = stack.enter_context(_arm(description, trajectory, controller, take_over))
+            driven = table if turned is None else turned.reached
+            turntable = stack.enter_context(open_turntable(driven))  # last, since it may turn to find its zero
             extra = {} if controller is None else {"scene": scene, "seed": seed}
             rigs = {
-                camera_name: Rig(robot, camera, one, name, truth, extra, table)
+                camera_name: Rig(robot, camera, one, name, truth, extra, turntable)
                 for camera_name, (camera, one, truth) in opened.items()
             }
             first = next(iter(rigs.values()))

@@ -31,7 +31,7 @@ class SimulatedGrbl:
 
     def __init__(self, *, time_scale: float = 1.0, terminal: bool = False, state: str = "Idle") -> None:
         self.time_scale, self.address = time_scale, ""
-        self._terminal, self._state, self._lock = terminal, state, threading.Lock()
+        self._terminal, self.state, self._lock = terminal, state, threading.Lock()
         self._from, self._to, self._speed, self._began = 0.0, 0.0, 1.0, time.monotonic()
         self.silent, self.stuck = False, False
         self._ends: list[int] = []
@@ -124,25 +124,25 @@ class SimulatedGrbl:
         with self._lock:
             place = self._place()
             if byte == b"?":
-                moving = self._state == "Idle" and place != round(self._to * STEPS_PER_UNIT) / STEPS_PER_UNIT
-                return f"<{'Jog' if moving else self._state}|MPos:{place:.3f},0.000,0.000|FS:0,0>\r\n".encode()
+                moving = self.state == "Idle" and place != round(self._to * STEPS_PER_UNIT) / STEPS_PER_UNIT
+                return f"<{'Jog' if moving else self.state}|MPos:{place:.3f},0.000,0.000|FS:0,0>\r\n".encode()
             moving = place != self._to
             self._from = self._to = place
             if byte == b"\x18":
-                self._state = "Alarm" if moving else self._state
+                self.state = "Alarm" if moving else self.state
                 return BANNER
             return b""
 
     def _reply(self, text: str) -> bytes:
         with self._lock:
             if text in ("$X", "$H"):
-                self._state = "Idle"
+                self.state = "Idle"
                 if text == "$H":
                     self._from = self._to = 0.0
                 return b"ok\r\n"
             if text == "$I":
                 return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
-            if self._state != "Idle":
+            if self.state != "Idle":
                 return b"error:9\r\n"  # locked out during an alarm
             found = _JOG.match(text)
             if found is None:

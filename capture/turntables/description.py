@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from capture.geometry import PoseDescription
+from datasets.core.errors import UsageError
 from datasets.core.schema import Schema
 from datasets.turntable import Axis
 
@@ -66,6 +67,14 @@ class TurntableDescription(Schema):
         x, y = self.axis.point[:2]
         reach = np.hypot(max(abs(low[0] - x), abs(high[0] - x)), max(abs(low[1] - y), abs(high[1] - y)))
         return np.array([[x - reach, y - reach, low[2]], [x + reach, y + reach, high[2]]])
+
+
+def required(table: TurntableDescription | None, trajectory: str) -> TurntableDescription:
+    """The turntable of a rig for a trajectory whose views turn it; raises UsageError where the rig has none."""
+    if table is None:
+        remedy = "describe one under 'turntable' in the rig file, or choose a rig that has one"
+        raise UsageError("the rig has no turntable", where=trajectory, why="its views turn one", remedy=remedy)
+    return table
 
 
 class LampDescription(Schema):

@@ -1,19 +1,21 @@
 """Which rig and scene are opened, and that a rig is opened completely or not at all."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from capture.errors import RigConnectionError
 from capture.rig import opening
 from capture.rig.description import RigDescription, load_rig, recorded_rig
 from capture.rig.opening import describe, open_arm, open_rig, scene_for, write_simulated_rig
 from capture.sim.controller.process import SimulatedController
+from capture.sim.grbl import SimulatedGrbl
 from capture.trajectory import Trajectory, load_trajectory
 from datasets.core.errors import UsageError
 from datasets.recording import Recording
@@ -190,3 +192,35 @@ def test_a_camera_that_cannot_be_opened_leaves_no_controller(
         with open_rig("sim", koala, scene="shiny_ball", seed=0, time_scale=20):
             raise AssertionError("not reached")
     assert watched == ["controller None hangs=False", "controller closed"]
+
+
+@pytest.mark.parametrize("missing", ["camera", "arm", "nothing"])
+def test_the_table_of_a_real_rig_looks_for_its_switch_once_camera_and_arm_are_connected(
+    missing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def device(kind: str) -> Iterator[str]:
+        if kind == missing:
+            raise RigConnectionError(f"no {kind} was found")
+        yield kind
+
+    monkeypatch.setattr(opening, "_camera", lambda *arguments: (device("camera"), None))
+    monkeypatch.setattr(opening, "_arm", lambda *arguments: device("arm"))
+    with SimulatedGrbl(time_scale=50, state="Alarm") as controller:
+        rig = describe("ur5e_turntable").model_dump(mode="json", include={"turntable"})
+        rig["turntable"] |= {"address": controller.address, "homing": True}
+        (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+        with ExitStack() as stack:
+            if missing != "nothing":
+                stack.enter_context(pytest.raises(RigConnectionError, match=f"^no {missing} was found$"))
+            trajectory = load_trajectory("koala_turntable")
+            opened = stack.enter_context(open_rig(str(tmp_path / "rig.yaml"), trajectory, scene="", seed=0, time_scale=1))
+            assert (opened.camera, opened.robot) == ("camera", "arm") and opened.turntable is not None
+        assert controller.state == ("Idle" if missing == "nothing" else "Alarm")  # the way to the switch ends the alarm
+
+
+def test_a_rig_without_the_table_that_the_views_turn_is_not_opened(watched: list[str]) -> None:
+    with pytest.raises(UsageError, match="the rig has no turntable"):
+        with open_rig("sim", load_trajectory("koala_turntable"), scene="shiny_ball", seed=0, time_scale=20):
+            raise AssertionError("not reached")
+    assert watched == []
