@@ -17,13 +17,13 @@ from capture.choosing.loop import LEAST, MOST
 from capture.choosing.places import Places, of_mesh
 from capture.choosing.sight import Eye
 from capture.planning import Obstacles
-from capture.shapes.meshes import read_mesh
 from capture.trajectory import Trajectory
 from capture.viewpoints import CameraPose, PoseViews, Viewpoint
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.core.errors import UsageError
+from datasets.core.meshes import read_mesh
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from capture.geometry import PoseDescription
 from capture.shapes.distances import box_distance, least
-from capture.shapes.meshes import FORMATS, read_mesh
 from datasets import pose
+from datasets.core.meshes import FORMATS, read_mesh
 from datasets.core.schema import Schema
 
 Array = NDArray[np.float64]

@@ -9,6 +9,7 @@ from datasets.core import console, options
 from datasets.core.options import DataRoot, Json, OutFolder, Port
 
 if TYPE_CHECKING:
+    from datasets.scene import Scene
     from datasets.segmentation.grow import Grower, Grown
     from datasets.segmentation.space import Ball
     from datasets.segmentation.strokes import Stroke
@@ -26,6 +27,12 @@ Centre = Annotated[
     ),
 ]
 Strokes = Annotated[Path | None, typer.Option(metavar="FILE", help="Corrections, as --page writes them.")]
+Mesh = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="The object's shape, where it stands in the scene's world and unit: masks are what it covers."
+    ),
+]
 InPage = Annotated[bool, typer.Option("--page", help="Show the masks in the browser and correct them with a brush.")]
 
 
@@ -39,6 +46,7 @@ def mask(
     out: OutFolder,
     ball: Centre = None,
     strokes: Strokes = None,
+    mesh: Mesh = None,
     page: InPage = False,
     port: Port = 8080,
     data_root: DataRoot = None,
@@ -46,15 +54,22 @@ def mask(
 ) -> None:
     """Write a scene with masks of its object, found where all views agree.
 
-    Cameras should look at the object from all around, and it should differ from what is behind it in colour."""
+    Cameras should look at the object from all around, and it should differ from what is behind it in colour. Where its shape
+    is known, --mesh needs neither."""
     from datasets.core import files
+    from datasets.core.errors import UsageError
     from datasets.formats import load_scene
     from datasets.segmentation import strokes as corrections
     from datasets.segmentation.grow import ROUNDS, Grower
     from datasets.segmentation.write import write
 
     files.refuse_existing(out)
+    if mesh is not None and (ball is not None or strokes is not None or page):
+        raise UsageError("needs no --ball, --strokes or --page", where="--mesh", remedy="leave them out")
     loaded = load_scene(scene, data_root=data_root)
+    if mesh is not None:
+        _of_known_shape(loaded, mesh, out, as_json)
+        return
     drawn = corrections.read(strokes, (view.name for view in loaded.views)) if strokes is not None else []
     with console.progress("reading", len(loaded.views), "views") as shown:
         grower = Grower(loaded, _ball(ball), done=shown.advance)
@@ -65,7 +80,7 @@ def mask(
     else:
         _serve(grower, found, drawn, out, port, as_json)
     with console.progress("writing", len(loaded.views), "views") as shown:
-        write(loaded, found, drawn, out, done=shown.advance)
+        write(loaded, found.masks, drawn, out, done=shown.advance)
     doubtful = doubts(grower, found)
     lines = [
         f"{len(loaded.views)} masks written to {out}; they agree by {found.agreement.mean():.0%} with those of the other views"
@@ -75,6 +90,28 @@ def mask(
         lines.append("correct them with a brush: --page, and a new --out")
     result = {"out": str(out), "views": len(loaded.views), "agreement": float(found.agreement.mean()), "doubtful": doubtful}
     console.report(result, as_json=as_json, text="\n".join(lines))
+
+
+def _of_known_shape(scene: "Scene", mesh: Path, out: Path, as_json: bool) -> None:
+    """Write the masks of a mesh; raises UsageError where it cannot be read, or most views do not see it."""
+    from datasets.core.errors import UsageError
+    from datasets.core.meshes import read_mesh
+    from datasets.segmentation.known_shape import silhouettes
+    from datasets.segmentation.write import write
+
+    vertices, faces = read_mesh(mesh)
+    with console.progress("drawing", len(scene.views), "views") as shown:
+        masks = silhouettes(scene.views, vertices, faces, done=shown.advance)
+    unseen = sum(not one.any() for one in masks)
+    if 2 * unseen > len(masks):
+        why = f"{unseen} of {len(masks)} views do not see it"
+        raise UsageError(
+            "the mesh is not where the views look", where=mesh, why=why, remedy="give it in the scene's world and unit"
+        )
+    with console.progress("writing", len(masks), "views") as shown:
+        write(scene, masks, [], out, done=shown.advance)
+    text = f"{len(masks)} masks written to {out}; the mesh covers {sum(one.mean() for one in masks) / len(masks):.0%} of the pictures"
+    console.report({"out": str(out), "views": len(masks), "unseen": unseen}, as_json=as_json, text=text)
 
 
 def _refuse_nothing(found: "Grown", scene: str) -> None:

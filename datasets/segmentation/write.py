@@ -5,21 +5,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from datasets.core.files import refuse_existing
 from datasets.core.progress import Step, ignore
 from datasets.formats import koala
 from datasets.imaging import images
 from datasets.scene import Scene
 from datasets.segmentation import strokes
-from datasets.segmentation.grow import Grown, enlarged
+from datasets.segmentation.grow import enlarged
 from datasets.structure import bounds
 from datasets.structure.hull import visual_hull
 
 STROKES = "strokes.json"
 
 
-def write(scene: Scene, found: Grown, drawn: Sequence[strokes.Stroke], out: Path, *, done: Step = ignore) -> None:
+def write(
+    scene: Scene, masks: Sequence[NDArray[np.bool_]], drawn: Sequence[strokes.Stroke], out: Path, *, done: Step = ignore
+) -> None:
     """Write a Koala scene whose masks are those found, all or nothing; strokes go to `STROKES` in its folder.
+
+    Args:
+        masks: (height, width) of each view, of its picture's size or smaller.
 
     Raises:
         UsageError: `out` exists.
@@ -28,7 +36,7 @@ def write(scene: Scene, found: Grown, drawn: Sequence[strokes.Stroke], out: Path
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as work:
         views = []
-        for number, (view, mask) in enumerate(zip(scene.views, found.masks, strict=True)):
+        for number, (view, mask) in enumerate(zip(scene.views, masks, strict=True)):
             path = Path(work) / f"{number:05}.png"
             images.write(path, enlarged(mask, view.camera.width, view.camera.height))
             views.append(replace(view, mask=path, mask_inverted=False))

@@ -92,7 +92,7 @@ class MaskPage:
     def write(self) -> None:
         """Write the scene with the masks that were cut last."""
         with self._busy:
-            write(self.grower.scene, self.found, self.strokes, self.out)
+            write(self.grower.scene, self.found.masks, self.strokes, self.out)
             self._words.content = f"written to `{self.out}`"
 
     def picture(self) -> NDArray[np.uint8]:

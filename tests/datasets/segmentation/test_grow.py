@@ -114,7 +114,7 @@ def test_parallel_cameras_need_a_ball(photographed: Any) -> None:
 def test_the_scene_is_written_with_its_masks_and_strokes(photographed: Any, tmp_path: Path) -> None:
     scene, masks = photographed
     stroke = Stroke(view=scene.views[0].name, of="object", points=[(48.0, 36.0)], radius=2.0)
-    write(scene, Grower(scene).grow([stroke]), [stroke], tmp_path / "out")
+    write(scene, Grower(scene).grow([stroke]).masks, [stroke], tmp_path / "out")
     read = koala.load(tmp_path / "out")
     assert [view.name for view in read.views] == [view.name for view in scene.views]
     assert ((read.views[3].read_mask()[..., -1] > 0.5) == masks[3]).mean() > 0.97
@@ -125,12 +125,12 @@ def test_the_scene_is_written_with_its_masks_and_strokes(photographed: Any, tmp_
     assert (read.box[1] - read.box[0] < 2.2 * (high - low)).all(), "a ring of cameras leaves room beside the object"
     assert scene.near < read.near < read.far < 10.0
     with pytest.raises(KoalaError, match="exists"):
-        write(scene, Grower(scene).grow(), [], tmp_path / "out")
+        write(scene, Grower(scene).grow().masks, [], tmp_path / "out")
 
 
 def test_a_stated_box_stays(photographed: Any, tmp_path: Path) -> None:
     scene = replace(photographed[0], bounds_from="stated")
-    write(scene, Grower(scene).grow(), [], tmp_path / "out")
+    write(scene, Grower(scene).grow().masks, [], tmp_path / "out")
     read = koala.load(tmp_path / "out")
     np.testing.assert_allclose(read.box, scene.box)
     assert read.background == "white" and read.bounds_from == "stated"
