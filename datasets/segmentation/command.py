@@ -110,7 +110,8 @@ def _of_known_shape(scene: "Scene", mesh: Path, out: Path, as_json: bool) -> Non
         )
     with console.progress("writing", len(masks), "views") as shown:
         write(scene, masks, [], out, done=shown.advance)
-    text = f"{len(masks)} masks written to {out}; the mesh covers {sum(one.mean() for one in masks) / len(masks):.0%} of the pictures"
+    covered = sum(one.mean() for one in masks) / len(masks)
+    text = f"{len(masks)} masks written to {out}; the mesh covers {covered:.0%} of the pictures"
     console.report({"out": str(out), "views": len(masks), "unseen": unseen}, as_json=as_json, text=text)
 
 
