@@ -12,7 +12,7 @@ from datasets.core.files import refuse_existing
 from datasets.core.progress import Step, ignore
 from datasets.formats import koala
 from datasets.imaging import images
-from datasets.scene import Scene
+from datasets.scene import STATED, Scene
 from datasets.segmentation import strokes
 from datasets.segmentation.grow import enlarged
 from datasets.structure import bounds
@@ -49,8 +49,8 @@ def write(
 def alone(scene: Scene) -> Scene:
     """A scene whose views have masks, with the object as all there is: bounds are those of its hull, a stated box stays."""
     train = tuple(view for view in scene.views if view.split == "train") or scene.views
-    stated = scene.bounds_from == "stated"
+    stated = scene.box_is_stated
     hull = visual_hull(train, scene.box if stated else bounds.visible_box(train))
     near, far = hull.depth_range(scene.views)
-    box, words = (scene.box, scene.bounds_from) if stated else (hull.box, f"masks of {hull.views_used} views")
+    box, words = (scene.box, STATED) if stated else (hull.box, f"masks of {hull.views_used} views")
     return replace(scene, background="white", box=box, near=near, far=far, bounds_from=words)

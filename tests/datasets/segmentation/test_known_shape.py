@@ -66,7 +66,7 @@ def scene(views: list[View], tmp_path: Path) -> Path:
     images.write(path, np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8))
     pictured = tuple(replace(view, image=path) for view in views)
     box = np.stack([CENTRE - 1.2, CENTRE + 1.2])
-    koala.save(Scene("grey", pictured, 0.5, 10.0, box, "scene", bounds_from="stated"), tmp_path / "scene")
+    koala.save(Scene("grey", pictured, 0.5, 10.0, box, "scene", bounds_from="box stated; near from 9 points"), tmp_path / "scene")
     return tmp_path / "scene"
 
 
@@ -78,6 +78,7 @@ def test_the_command_masks_a_scene_whose_colours_tell_nothing(scene: Path, tmp_p
     assert json.loads(ran.stdout) == {"out": str(tmp_path / "masked"), "views": 5, "unseen": 0}
     masked = load_scene(str(tmp_path / "masked"))
     assert masked.background == "white" and masked.box_is_stated
+    np.testing.assert_allclose(masked.box, load_scene(str(scene)).box)
     for view in masked.views:
         exact = coverage(view, CENTRE)
         sure = (exact < 0.2) | (exact > 0.8)
