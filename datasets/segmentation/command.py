@@ -9,6 +9,7 @@ from datasets.core import console, options
 from datasets.core.options import DataRoot, Json, OutFolder, Port
 
 if TYPE_CHECKING:
+    from datasets.formats.links import Extra
     from datasets.scene import Scene
     from datasets.segmentation.grow import Grower, Grown
     from datasets.segmentation.space import Ball
@@ -56,9 +57,10 @@ def mask(
 
     Cameras should look at the object from all around, and it should differ from what is behind it in colour. Where its shape
     is known, --mesh needs neither."""
+    from datasets.build import extra_truth
     from datasets.core import files
     from datasets.core.errors import UsageError
-    from datasets.formats import load_scene
+    from datasets.formats import find, load_scene
     from datasets.segmentation import strokes as corrections
     from datasets.segmentation.grow import ROUNDS, Grower
     from datasets.segmentation.write import write
@@ -66,9 +68,9 @@ def mask(
     files.refuse_existing(out)
     if mesh is not None and (ball is not None or strokes is not None or page):
         raise UsageError("needs no --ball, --strokes or --page", where="--mesh", remedy="leave them out")
-    loaded = load_scene(scene, data_root=data_root)
+    loaded, extra = load_scene(scene, data_root=data_root), extra_truth(find(scene, data_root))
     if mesh is not None:
-        _of_known_shape(loaded, mesh, out, as_json)
+        _of_known_shape(loaded, mesh, out, extra, as_json)
         return
     drawn = corrections.read(strokes, (view.name for view in loaded.views)) if strokes is not None else []
     with console.progress("reading", len(loaded.views), "views") as shown:
@@ -78,9 +80,9 @@ def mask(
     if not page:
         _refuse_nothing(found, scene)
     else:
-        _serve(grower, found, drawn, out, port, as_json)
+        _serve(grower, found, drawn, out, extra, port, as_json)
     with console.progress("writing", len(loaded.views), "views") as shown:
-        write(loaded, found.masks, drawn, out, done=shown.advance)
+        write(loaded, found.masks, drawn, out, extra=extra, done=shown.advance)
     doubtful = doubts(grower, found)
     lines = [
         f"{len(loaded.views)} masks written to {out}; they agree by {found.agreement.mean():.0%} with those of the other views"
@@ -92,7 +94,7 @@ def mask(
     console.report(result, as_json=as_json, text="\n".join(lines))
 
 
-def _of_known_shape(scene: "Scene", mesh: Path, out: Path, as_json: bool) -> None:
+def _of_known_shape(scene: "Scene", mesh: Path, out: Path, extra: "Extra", as_json: bool) -> None:
     """Write the masks of a mesh; raises UsageError where it cannot be read, or most views do not see it."""
     from datasets.core.errors import UsageError
     from datasets.core.meshes import read_mesh
@@ -109,7 +111,7 @@ def _of_known_shape(scene: "Scene", mesh: Path, out: Path, as_json: bool) -> Non
             "the mesh is not where the views look", where=mesh, why=why, remedy="give it in the scene's world and unit"
         )
     with console.progress("writing", len(masks), "views") as shown:
-        write(scene, masks, [], out, done=shown.advance)
+        write(scene, masks, [], out, extra=extra, done=shown.advance)
     covered = sum(one.mean() for one in masks) / len(masks)
     text = f"{len(masks)} masks written to {out}; the mesh covers {covered:.0%} of the pictures"
     console.report({"out": str(out), "views": len(masks), "unseen": unseen}, as_json=as_json, text=text)
@@ -130,12 +132,12 @@ def doubts(grower: "Grower", found: "Grown") -> dict[str, float]:
     return dict(sorted(named.items(), key=lambda one: one[1]))
 
 
-def _serve(grower: "Grower", found: "Grown", drawn: list["Stroke"], out: Path, port: int, as_json: bool) -> None:
+def _serve(grower: "Grower", found: "Grown", drawn: list["Stroke"], out: Path, extra: "Extra", port: int, as_json: bool) -> None:
     from datasets.page import open_page
     from datasets.segmentation.page.brush import MaskPage
 
     with open_page(f"masks of {grower.scene.name}", port) as served:
-        MaskPage(served, grower, found, drawn, out)
+        MaskPage(served, grower, found, drawn, out, extra)
         text = f"{served.url} shows the masks; nothing is written before 'write the scene' is pressed; Ctrl-C ends it"
         console.report({"url": served.url, "out": str(out)}, as_json=as_json, text=text)
         served.serve()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from datasets.core.files import refuse_existing
 from datasets.core.progress import Step, ignore
 from datasets.formats import koala
+from datasets.formats.links import Extra
 from datasets.imaging import images
 from datasets.scene import STATED, Scene
 from datasets.segmentation import strokes
@@ -22,12 +23,19 @@ STROKES = "strokes.json"
 
 
 def write(
-    scene: Scene, masks: Sequence[NDArray[np.bool_]], drawn: Sequence[strokes.Stroke], out: Path, *, done: Step = ignore
+    scene: Scene,
+    masks: Sequence[NDArray[np.bool_]],
+    drawn: Sequence[strokes.Stroke],
+    out: Path,
+    *,
+    extra: Extra = None,
+    done: Step = ignore,
 ) -> None:
     """Write a Koala scene whose masks are those found, all or nothing; strokes go to `STROKES` in its folder.
 
     Args:
         masks: (height, width) of each view, of its picture's size or smaller.
+        extra: more files of the scene, by their path in it.
 
     Raises:
         UsageError: `out` exists.
@@ -41,7 +49,7 @@ def write(
             images.write(path, enlarged(mask, view.camera.width, view.camera.height))
             views.append(replace(view, mask=path, mask_inverted=False))
             done()
-        koala.save(alone(scene.with_views(tuple(views))), out)
+        koala.save(alone(scene.with_views(tuple(views))), out, extra=extra)
     if drawn:
         strokes.write(out / STROKES, drawn)
 

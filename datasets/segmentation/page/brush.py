@@ -8,6 +8,7 @@ import viser
 from numpy.typing import ArrayLike, NDArray
 
 from datasets.core.progress import ignore
+from datasets.formats.links import Extra
 from datasets.page import shapes
 from datasets.page.server import Page
 from datasets.segmentation.grow import Grower, Grown
@@ -22,8 +23,9 @@ COLOURS = {"object": (0, 200, 0), "background": (220, 0, 0)}
 class MaskPage:
     """The content of the page: one view at a time, seen from its own camera."""
 
-    def __init__(self, page: Page, grower: Grower, found: Grown, strokes: list[Stroke], out: Path) -> None:
-        self.page, self.grower, self.found, self.strokes, self.out = page, grower, found, list(strokes), out
+    def __init__(self, page: Page, grower: Grower, found: Grown, strokes: list[Stroke], out: Path, extra: Extra = None) -> None:
+        self.page, self.grower, self.found, self.strokes = page, grower, found, list(strokes)
+        self.out, self.extra = out, extra
         self.chosen = int(found.agreement.argmin())
         self._busy = threading.Lock()
         gui = page.gui
@@ -92,7 +94,7 @@ class MaskPage:
     def write(self) -> None:
         """Write the scene with the masks that were cut last."""
         with self._busy:
-            write(self.grower.scene, self.found.masks, self.strokes, self.out)
+            write(self.grower.scene, self.found.masks, self.strokes, self.out, extra=self.extra)
             self._words.content = f"written to `{self.out}`"
 
     def picture(self) -> NDArray[np.uint8]:

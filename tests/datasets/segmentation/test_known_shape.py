@@ -67,15 +67,18 @@ def scene(views: list[View], tmp_path: Path) -> Path:
     pictured = tuple(replace(view, image=path) for view in views)
     box = np.stack([CENTRE - 1.2, CENTRE + 1.2])
     koala.save(Scene("grey", pictured, 0.5, 10.0, box, "scene", bounds_from="box stated; near from 9 points"), tmp_path / "scene")
+    (tmp_path / "scene" / "truth").mkdir()
+    ball().export(tmp_path / "scene" / "truth" / "object.ply")
     return tmp_path / "scene"
 
 
 def test_the_command_masks_a_scene_whose_colours_tell_nothing(scene: Path, tmp_path: Path) -> None:
-    ball().export(tmp_path / "ball.ply")
-    arguments = ["mask", str(scene), "--mesh", str(tmp_path / "ball.ply"), "--out", str(tmp_path / "masked"), "--json"]
+    mesh = scene / "truth" / "object.ply"
+    arguments = ["mask", str(scene), "--mesh", str(mesh), "--out", str(tmp_path / "masked"), "--json"]
     ran = CliRunner().invoke(app, arguments)
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout) == {"out": str(tmp_path / "masked"), "views": 5, "unseen": 0}
+    assert (tmp_path / "masked" / "truth" / "object.ply").read_bytes() == mesh.read_bytes()  # for 'reconstruct eval'
     masked = load_scene(str(tmp_path / "masked"))
     assert masked.background == "white" and masked.box_is_stated
     np.testing.assert_allclose(masked.box, load_scene(str(scene)).box)
