@@ -34,7 +34,7 @@ from calib.targets import screening
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
 
-MIN_CORNERS_GIVEN = 20  # fewest corners of a session whose camera is known: one tag in five views
+CORNERS_PER_VIEW = 4  # fewest corners of a session whose camera is known: one tag in each view
 MAX_DISTANCE_M = 1e7
 STATED = Accuracy()  # accuracy that is assumed of a UR5e
 
@@ -61,7 +61,7 @@ def _intrinsics(session: TargetSession, lens: str) -> estimate.Intrinsics:
     return estimate.calibrate(session.observations, session.width, session.height, lenses=candidates, spline=spline)
 
 
-def _knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> Known | None:
+def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> Known | None:
     """What is assumed of the knots of a camera that are `free`; None where there are none."""
     pixels = estimate.flat(session.observations).pixels
     return splined.prior(camera, free, pixels) if any(map(projection.is_knot, free)) else None
@@ -133,7 +133,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
     _check_poses(session)
     joints.check(session, accuracy)
-    first = _first(session, given, lens)
+    first = first_stage(session, given, lens)
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
     names = [observation.name for observation in first.session.observations]
     order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names)
@@ -173,25 +173,28 @@ def _closed_form(session: TargetSession, boards: Array) -> tuple[closed_forms.Ha
     return closed, keep
 
 
-def _first(session: TargetSession, given: Calibration | None, lens: str) -> First:
-    """The camera to start from, and the views with plausible corners."""
+def first_stage(
+    session: TargetSession, given: Calibration | None, lens: str = "auto", least_views: int = estimate.MIN_VIEWS
+) -> First:
+    """The camera to start from, and the views with plausible corners. `least_views` is for a camera that is `given`."""
     if given is None:
         found = _intrinsics(session, lens)
         chosen = session.with_observations(found.observations)
-        known = _knots(found.camera, found.lens.free, chosen)
+        known = knots(found.camera, found.lens.free, chosen)
         return First(chosen, found.camera, found.lens.free, known, found.sigma_px, found.left_out)
     verify.check_size(session, given.camera)
     observations, left_out = screening.agreeing_with_plane(session.observations)
     session = session.with_observations(observations)
-    estimate.check_enough(observations, MIN_CORNERS_GIVEN)
+    estimate.check_enough(observations, CORNERS_PER_VIEW * least_views, least_views)
     every = (*projection.NAMES, *projection.knot_names(projection.form(given.camera).grid))
     free = tuple(name for name in every if given.camera_std.get(name, 0) > 0)
-    same = given.provenance.get("frames_sha256", "") == session.provenance.get("frames_sha256")
+    counted = [given.provenance.get("frames_sha256", ""), *given.provenance.get("together_sha256", ())]
+    same = session.provenance.get("frames_sha256") in counted
     boards = estimate.camera_from_boards(given.camera, observations)
     pairs = zip(boards, observations, strict=True)
     residuals = np.concatenate([estimate.reproject(given.camera, board, o) - o.pixels for board, o in pairs])
     sigma_px = max(float(np.median(np.abs(residuals))) * 1.4826, 1e-3)
-    known = _knots(given.camera, free, session) if same or not free else _known(given, free)
+    known = knots(given.camera, free, session) if same or not free else _known(given, free)
     return First(session, given.camera, free, known, sigma_px, left_out)
 
 

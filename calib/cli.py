@@ -1,12 +1,11 @@
 """The `calib` command: parses, calls, prints."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from typer import Argument, Option
 
 from calib import drawing
-from calib.cameras import commands as camera_commands
 from calib.options import (
     AllowMm,
     Arm,
@@ -24,13 +23,11 @@ from calib.options import (
 )
 from calib.study import commands as study_commands
 from calib.targets import commands as target_commands
+from calib.together import commands as together_commands
 from calib.turntable import commands as turntable_commands
 from datasets.core import console
 from datasets.core.console import Json
 from datasets.core.errors import UsageError
-
-if TYPE_CHECKING:
-    from datasets.calibration import Calibration
 
 app = console.make_app("calib", "Calibrate the camera and its pose on the arm from a recording of a target.")
 
@@ -46,10 +43,11 @@ Out = Annotated[Path, Option("--out", help="Calibration file to write (JSON).")]
 def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: Json = False) -> None:
     """Calibrate the camera alone: focal lengths, principal point, distortion."""
     from calib.calibrate import calibrate_intrinsics
+    from calib.page.finish import finish
 
     _check_out(out)
     check_lens(lens)
-    _finish(calibrate_intrinsics(pictures.observe()[0], lens), out, json)
+    finish(calibrate_intrinsics(pictures.observe()[0], lens), out, json)
 
 
 @app.command("handeye")
@@ -68,11 +66,12 @@ def handeye_command(
     Everything is estimated together, with its uncertainty, and tested on views held out of the fit.
     """
     from calib.calibrate import calibrate_handeye
+    from calib.page.finish import finish
 
     accuracy, allow_m = rig.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
     _check_out(out)
     session, given = rig.read()
-    _finish(calibrate_handeye(session, given, accuracy, rig.lens, allow_m), out, json)
+    finish(calibrate_handeye(session, given, accuracy, rig.lens, allow_m), out, json)
 
 
 @app.command("compare")
@@ -253,7 +252,10 @@ app.command("uncertainty")(drawing.uncertainty)
 app.command("difference")(drawing.difference)
 
 
-app.command("cameras")(camera_commands.cameras)
+app.command("cameras")(together_commands.cameras)
+
+
+app.command("boards")(together_commands.boards)
 
 
 app.command("turntable")(turntable_commands.turntable)
@@ -275,21 +277,6 @@ def _check_out(out: Path) -> None:
     if out.is_dir():
         raise UsageError("is a folder", where=out, remedy="give --out the name of a new file")
     refuse_existing(out)
-
-
-def _finish(calibration: "Calibration", out: Path, json: bool) -> None:
-    """Write a calibration and print it."""
-    from calib.page.summary import describe_calibration, notes
-
-    calibration.save(out)
-    facts = {name: getattr(calibration, name) for name in ("camera_std", "residuals")}
-    result: dict[str, Any] = {"out": str(out), "camera": calibration.camera.to_json(), **facts, "notes": notes(calibration)}
-    for name, value in calibration.poses.items():
-        std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
-        result[name] = {**value.to_json(), **std}
-    if calibration.joint_offsets is not None:
-        result["joint_offsets"] = calibration.joint_offsets.to_json()
-    console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")
 
 
 def main() -> None:

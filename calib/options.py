@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calib.handeye.model import Accuracy
     from calib.sessions.session import TargetSession
     from datasets.calibration import Calibration
+    from datasets.targets.board import Board
 
 RecordingPath = Annotated[
     Path, Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
@@ -74,8 +75,8 @@ class Pictures:
     description: Import = None
     leave_out: LeaveOut = False
 
-    def observe(self) -> "tuple[TargetSession, Calibration | None]":
-        """Find the target in every image, with a progress bar; and the camera, where an imported session brings its own."""
+    def observe(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
+        """Find the target, or `board`, in every image, with a progress bar; and the camera that an imported session brings."""
         from calib.sessions.importer import count_views, observe_folder
         from datasets.calibration import Calibration
 
@@ -85,7 +86,8 @@ class Pictures:
                 bar.note(words)
                 bar.advance()
 
-            session, camera = observe_folder(self.recording, self.description, seen=seen, leave_out=self.leave_out)
+            options = {"board": board, "seen": seen, "leave_out": self.leave_out}
+            session, camera = observe_folder(self.recording, self.description, **options)
         return session, Calibration(camera, {}) if camera else None
 
 
@@ -96,14 +98,14 @@ class Rig(Arm, Pictures):
     intrinsics: Intrinsics = None
     lens: Lens = "auto"
 
-    def read(self) -> "tuple[TargetSession, Calibration | None]":
-        """The session, and the camera that is given for it. Options are checked before the pictures are searched."""
+    def read(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
+        """The session of its target, or of `board`, and the camera that is given. Options are checked before pictures."""
         from datasets.calibration import Calibration
 
         check_lens(self.lens)
         self._require_still()
         given = Calibration.load(self.intrinsics) if self.intrinsics is not None else None
-        session, camera = self.observe()
+        session, camera = self.observe(board)
         return session, given or camera
 
     def _require_still(self) -> None:

@@ -167,7 +167,7 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
         (n, 2) pixels; (n, 2, p) by the global parameters; (n, 2, 6) by the correction of the corner's own view.
     """
     chain, view = _chain(session, state), session.view
-    if not chain.in_camera[:, 2].min() > 1e-6:
+    if not chain.in_camera[:, 2].min(initial=np.inf) > 1e-6:
         raise CalibrationError("target comes to lie behind the camera", why="the start is too far from the answer")
     pixels, by_camera, by_intrinsics = projection.project(chain.in_camera, state.intrinsics, session.form)
     by_mount = by_camera @ chain.camera_from_mount

@@ -44,7 +44,7 @@ S = TypeVar("S", bound=Unknowns)
 
 
 class Problem(Protocol[S]):
-    """What is refined: a `Session` with a `State`, or several cameras (`calib.cameras.model`)."""
+    """What is refined: a `Session` with a `State`, or several cameras or targets (`calib.together.model`)."""
 
     @property
     def view(self) -> Indices:

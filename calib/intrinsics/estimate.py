@@ -168,11 +168,11 @@ def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
     return not lens.fisheye or all(other.fisheye for other in lenses) or reach > np.tan(np.deg2rad(35))
 
 
-def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_CORNERS) -> None:
+def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_CORNERS, views: int = MIN_VIEWS) -> None:
     """Raise TargetError where there are fewer views or corners than a calibration needs."""
     corners = sum(len(o.ids) for o in observations)
-    if len(observations) < MIN_VIEWS or corners < least:
-        why = f"{corners} corners in {len(observations)} views, at least {least} in {MIN_VIEWS} are needed"
+    if len(observations) < views or corners < least:
+        why = f"{corners} corners in {len(observations)} views, at least {least} in {views} are needed"
         remedy = "record more views with the whole target in the picture, sharp and evenly lit"
         raise TargetError("target is not seen often enough", why=why, remedy=remedy)
 

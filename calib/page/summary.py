@@ -1,5 +1,8 @@
 """A calibration as text for a terminal."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from calib.handeye import surface
@@ -37,6 +40,7 @@ def describe_calibration(calibration: Calibration) -> str:
         lines.append(f"  {name:<17} {getattr(camera, name):.{digits}f} ± {std:.{digits}f}{unit}")
     if knots := splined.in_words(camera):
         lines.append(f"  {'spline':<17} {knots}")
+    lines += _board_lines(residuals.get("boards", ()))
     lines.append(f"residual            {residuals['rms_px']:.3f} px rms over {residuals['corners']} corners")
     if residuals.get("held_out_px") is not None:
         millimetres = f" = {residuals['held_out_mm']:.3f} mm at the target" if residuals.get("held_out_mm") is not None else ""
@@ -54,6 +58,18 @@ def describe_calibration(calibration: Calibration) -> str:
     lines.append(f"views used          {residuals['views_used']}, corners in {residuals['coverage']:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)
+
+
+def _board_lines(boards: Sequence[dict[str, Any]]) -> list[str]:
+    """A line for each of several targets."""
+    lines = []
+    for board in boards:
+        (value,) = (UncertainPose.from_json(board[key], where=key) for key in board if key.endswith("_from_board"))
+        millimetres, degrees = value.total_std
+        error = "no corner fits" if board["rms_px"] is None else f"{board['rms_px']:.3f} px"
+        counts = f"{board['views']} views, {board['corners']} corners, {error}"
+        lines.append(f"target              {board['name']}: {counts}; placed to {millimetres:.3f} mm, {degrees:.4f} deg")
+    return lines
 
 
 def notes(calibration: Calibration) -> list[str]:

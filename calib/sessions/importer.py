@@ -103,17 +103,24 @@ def load_description(description: Path) -> Description:
 
 
 def observe_folder(
-    folder: Path, description: Path | None = None, *, seen: Seen = lambda words: None, leave_out: bool = False
+    folder: Path,
+    description: Path | None = None,
+    *,
+    board: Board | None = None,
+    seen: Seen = lambda words: None,
+    leave_out: bool = False,
 ) -> tuple[TargetSession, Camera | None]:
     """Find the target in a recording or, as `description` says, in a folder to import; and the camera that the import brings.
 
-    With `leave_out`, images without a pose are left out instead of refusing the session.
+    `board` is looked for instead of the target that the recording or the description names. With `leave_out`, images without a
+    pose are left out instead of refusing the session.
 
     Raises UsageError where the folder is no recording and no description is given, and what the two functions for them raise.
     """
     imported = _imported(folder, description)
     if imported is None:
-        return observe_recording(folder, seen=seen), None
+        return observe_recording(folder, board, seen=seen), None
+    imported = imported.model_copy(update={"board": board or imported.board})
     session = import_session(folder, imported, seen=seen, leave_out=leave_out)
     return session, imported.camera.camera() if imported.camera else None
 

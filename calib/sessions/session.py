@@ -99,10 +99,12 @@ def observe(
     return replace(found, eye_to_hand=eye_to_hand, images={name: image for name, image, _ in views})
 
 
-def observe_recording(path: Path, *, seen: Callable[[str], None] = lambda words: None) -> TargetSession:
-    """Find the target of a recording in its frames. Nothing under its truth folder is read."""
+def observe_recording(
+    path: Path, board: Board | None = None, *, seen: Callable[[str], None] = lambda words: None
+) -> TargetSession:
+    """Find the target of a recording in its frames, or another `board`. Nothing under its truth folder is read."""
     recording = Recording.open(path)
-    board = read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
+    board = board or read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
     views = [(f.name, recording.image_path(f), f.base_from_flange) for f in recording.frames]  # paths are checked on opening
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")

@@ -164,7 +164,8 @@ def board_picture():
 def make_recording():
     """Function that writes a recording of a target session, pictures and all, and returns its truth."""
 
-    def make(path, *, seed=0, views=12, blank=(), camera=SMALL_CAMERA):
+    def make(path, *, seed=0, views=12, blank=(), camera=SMALL_CAMERA, beside=None):
+        """`beside` is another board in the pictures, with its pose in the base."""
         session = _simulate(seed=seed, views=views, camera=camera)
         recording = Recording.create(path, {"trajectory": {}, "board": {**BOARD.to_json(), "name": "extra keys do no harm"}})
         rng = np.random.default_rng(seed)
@@ -176,6 +177,10 @@ def make_recording():
                 if index in blank
                 else _photograph(BOARD, camera, camera_from_board, rng=rng)
             )
+            if beside is not None:  # the ground is as light as the boards' margins, so the darker one is in front
+                other, base_from_other = beside
+                where = pose.inverse(session.taken[index]) @ base_from_other
+                grey = np.minimum(grey, _photograph(other, camera, where, rng=rng))
             image = path / "images" / f"{name}.png"
             images.write(image, np.rint(255 * np.repeat(grey[..., None], 3, -1)).astype(np.uint8))
             recording.append(

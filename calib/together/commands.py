@@ -1,4 +1,4 @@
-"""The command that calibrates several cameras together: `calib cameras`."""
+"""The commands that calibrate several sessions together: `calib cameras`, `calib boards`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,7 +22,8 @@ from calib.options import (
 from datasets.core import console
 
 if TYPE_CHECKING:
-    from calib.cameras.calibrate import Together
+    from calib.together.cameras import Cameras
+    from datasets.targets.board import Board
 
 BETWEEN = "cameras.json"
 FORMAT, VERSION = "koala-cameras", 1
@@ -52,7 +53,7 @@ def cameras(
     All must have seen one target, which nobody has moved. Beside one calibration for each camera, cameras.json holds the pose
     of every camera in the first one's frame, with its uncertainty.
     """
-    from calib.cameras.calibrate import calibrate_together
+    from calib.together.cameras import calibrate_cameras
     from datasets.core import files
     from datasets.core.errors import UsageError
 
@@ -66,7 +67,7 @@ def cameras(
         )
     options = {"description": description, "leave_out": leave_out, "lens": lens}
     sessions = [Rig(recording=path, **options).read()[0] for path in recordings]
-    found = calibrate_together(
+    found = calibrate_cameras(
         sessions, [str(path) for path in recordings], same_stops=same_stops, accuracy=accuracy, lens=lens, allow_m=allow_m
     )
     content = _content(found, names)
@@ -77,12 +78,64 @@ def cameras(
     console.report({"out": str(out), **content}, as_json=json, text=f"{_text(found, names)}\nwritten to {out}")
 
 
-def _content(found: "Together", names: list[str]) -> dict[str, Any]:
+@spread
+def boards(
+    recordings: Annotated[
+        list[Path], Argument(metavar="RECORDING...", help="Folders made by 'capture run' with one camera, a target in each.")
+    ],
+    arm: Arm,
+    out: Annotated[Path, Option("--out", help="Calibration file to write (JSON).")],
+    targets: Annotated[
+        list[Path] | None,
+        Option("--board", help="Target to look for in every recording instead of its own: a shipped name or a file; repeatable."),
+    ] = None,
+    description: Import = None,
+    leave_out: LeaveOut = False,
+    lens: Lens = "auto",
+    joint_deg: JointDeg = 0.0,
+    print_percent: PrintPercent = 0.0,
+    sag_mm: SagMm = 0.0,
+    allow_mm: AllowMm = 5.0,
+    json: console.Json = False,
+) -> None:
+    """Calibrate one camera by several targets, or by one target that stood in several places.
+
+    Camera and arm are the same for all, each target has a pose, a stretch and a sag of its own. Give several recordings, or
+    with --board several targets that are in the pictures of one.
+    """
+    from calib.page.finish import finish
+    from calib.targets.told_apart import check_told_apart
+    from calib.together.boards import calibrate_boards
+    from datasets.core import files
+
+    check_lens(lens)
+    accuracy, allow_m = arm.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
+    files.refuse_existing(out)
+    searched = [(path, _board(path)) for path in targets or ()]
+    check_told_apart([board for _, board in searched], [path for path, _ in searched])
+    options = {"description": description, "leave_out": leave_out, "lens": lens}
+    pairs = [(recording, target) for recording in recordings for target in searched or [(None, None)]]
+    sessions = [Rig(recording=recording, **options).read(board)[0] for recording, (_, board) in pairs]
+    names = [f"{recording}" if target is None else f"{recording}, {target}" for recording, (target, _) in pairs]
+    where = [recording for recording, _ in pairs]
+    finish(calibrate_boards(sessions, names, where, accuracy=accuracy, lens=lens, allow_m=allow_m).calibration, out, json)
+
+
+def _board(path: Path) -> "Board":
+    """A target by its name or its file."""
+    import configs
+    from calib.targets.detection import check_markers
+    from datasets.targets.board import load_board
+
+    return check_markers(load_board(configs.find("boards", path)), where=path)
+
+
+def _content(found: "Cameras", names: list[str]) -> dict[str, Any]:
     between = {name: value.to_json() for name, value in zip(names[1:], found.first_from_camera, strict=True)}
     return {"cameras": names, "first": names[0], "first_from_camera": between, "stops": found.stops, "shared_stops": found.shared}
 
 
-def _text(found: "Together", names: list[str]) -> str:
+def _text(found: "Cameras", names: list[str]) -> str:
     import numpy as np
 
     lines = []

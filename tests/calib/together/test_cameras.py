@@ -8,15 +8,16 @@ from scipy.stats import chi2
 
 from calib import calibrate
 from calib.advice.patterns import Pattern, viewpoints
-from calib.cameras.calibrate import Together, calibrate_together
-from calib.cameras.model import Cameras, CamerasState
 from calib.errors import CalibrationError
 from calib.handeye import model
 from calib.handeye.model import Accuracy
+from calib.handeye.surface import FLAT
 from calib.intrinsics import projection
 from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA
 from calib.targets.detection import Observation
+from calib.together.cameras import Cameras, calibrate_cameras
+from calib.together.model import Together, TogetherState
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import UsageError
@@ -49,31 +50,35 @@ def simulated(seed: int, *, views: int = 20, same_stops: bool, sigma_px: float =
     return found
 
 
-def error(found: Together) -> np.ndarray:
+def error(found: Cameras) -> np.ndarray:
     """(6,) error of the right camera's pose in the left one's frame."""
     motion = LEFT_FROM_RIGHT @ pose.inverse(found.first_from_camera[0].matrix)
     return np.concatenate([motion[:3, 3], pose.rotation_vector(motion[:3, :3])])
 
 
 @pytest.fixture(scope="module")
-def stereo() -> Together:
-    return calibrate_together(simulated(1, same_stops=True), ["left", "right"], same_stops=True)
+def stereo() -> Cameras:
+    return calibrate_cameras(simulated(1, same_stops=True), ["left", "right"], same_stops=True)
 
 
 @pytest.fixture(scope="module")
-def one_after_the_other() -> Together:
-    return calibrate_together(simulated(1, same_stops=False), ["left", "right"])
+def one_after_the_other() -> Cameras:
+    return calibrate_cameras(simulated(1, same_stops=False), ["left", "right"])
 
 
 def test_derivatives_agree_with_central_differences() -> None:
     rng = np.random.default_rng(4)
-    sessions = [model.measured(one, ("fx", "k1"), None, ARM) for one in simulated(2, views=4, same_stops=True)]
-    problem = Cameras(tuple(sessions), (np.arange(4), np.array([0, 1, 2, 4])), (1.0, 2.0))
-    start = CamerasState(
-        (projection.vector(LEFT), projection.vector(RIGHT)), MOUNTS, KOALA.base_from_board, 1e-3 * rng.normal(size=(5, 6))
+    bent = replace(ARM, stretch=1e-3, sag_m=1e-3)
+    sessions = [model.measured(one, ("fx", "k1"), None, bent) for one in simulated(2, views=4, same_stops=True)]
+    sessions.append(replace(sessions[0], points=0.5 * sessions[0].points))  # another target, half as large, the left one's
+    stops = (np.arange(4), np.array([0, 1, 2, 4]), np.array([5, 1, 2, 3]))
+    problem = Together(tuple(sessions), (0, 1, 0), (0, 0, 1), stops, (1.0, 2.0))
+    boards = KOALA.base_from_board, pose.from_rotation_vector([0, 0.02, 0], [0.02, 0, 0]) @ KOALA.base_from_board
+    start = TogetherState(
+        (projection.vector(LEFT), projection.vector(RIGHT)), MOUNTS, boards, 2 * (FLAT,), 1e-3 * rng.normal(size=(6, 6))
     )
     _, by_global, by_stop = problem.predicted(start)
-    still, none, step = np.zeros((5, 6)), np.zeros(problem.unknowns), 1e-6
+    still, none, step = np.zeros((6, 6)), np.zeros(problem.unknowns), 1e-6
     for unknown in range(problem.unknowns):
         moved = [problem.moved(start, sign * step * (none + np.eye(len(none))[unknown]), still) for sign in (1, -1)]
         numeric = (problem.predicted(moved[0])[0] - problem.predicted(moved[1])[0]) / (2 * step)
@@ -86,7 +91,7 @@ def test_derivatives_agree_with_central_differences() -> None:
 
 def test_without_noise_the_truth_is_found() -> None:
     sessions = simulated(3, same_stops=True, sigma_px=1e-4, arm=Accuracy(1e-9, 1e-9))
-    found = calibrate_together(sessions, ["left", "right"], same_stops=True)
+    found = calibrate_cameras(sessions, ["left", "right"], same_stops=True)
     assert np.abs(error(found)[:3]).max() < 1e-6 and np.abs(error(found)[3:]).max() < 1e-6
     for calibration, mount in zip(found.calibrations, MOUNTS, strict=True):
         np.testing.assert_allclose(calibration.flange_from_camera.matrix, mount, atol=1e-6)
@@ -121,17 +126,17 @@ def test_a_target_that_was_moved_is_named() -> None:
     with pytest.raises(
         CalibrationError, match=r"target was moved .*left and right put it .* mm and .* deg apart, where .*stated"
     ):
-        calibrate_together([left, right], ["left", "right"])
+        calibrate_cameras([left, right], ["left", "right"])
 
 
 def test_sessions_that_do_not_belong_together_are_refused() -> None:
     left, right = simulated(6, same_stops=False)
     with pytest.raises(UsageError, match=r"right: views of one name .*arm reported another pose than in left.*--same-stops"):
-        calibrate_together([left, right], ["left", "right"], same_stops=True)
+        calibrate_cameras([left, right], ["left", "right"], same_stops=True)
     with pytest.raises(UsageError, match="by 'calib handeye'"):
-        calibrate_together([left], ["left"])
+        calibrate_cameras([left], ["left"])
     with pytest.raises(UsageError, match="right: one camera is on the flange and one beside"):
-        calibrate_together([left, replace(right, eye_to_hand=True)], ["left", "right"])
+        calibrate_cameras([left, replace(right, eye_to_hand=True)], ["left", "right"])
 
 
 @pytest.mark.slow
@@ -140,7 +145,7 @@ def test_errors_over_many_rigs_are_those_stated(same_stops: bool) -> None:
     """60 rigs: the mean squared distance over the six unknowns has a standard deviation of 7 %."""
     squared, ratio = [], []
     for seed in range(60):
-        found = calibrate_together(simulated(100 + seed, same_stops=same_stops), ["left", "right"], same_stops=same_stops)
+        found = calibrate_cameras(simulated(100 + seed, same_stops=same_stops), ["left", "right"], same_stops=same_stops)
         between, difference = found.first_from_camera[0], error(found)
         squared.append(difference @ np.linalg.solve(between.covariance, difference) / 6)
         ratio.append(difference**2 / np.diag(between.covariance))

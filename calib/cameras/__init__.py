@@ -1,1 +1,0 @@
-"""Several cameras on one arm, calibrated together."""

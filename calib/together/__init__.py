@@ -1,0 +1,1 @@
+"""Several cameras or several targets on one arm, calibrated together."""
