@@ -15,7 +15,7 @@ from calib.handeye import (
     closed_forms,
     flatness,
     flips,
-    joints,
+    links,
     mistakes,
     order,
     outliers,
@@ -132,7 +132,7 @@ class Solution:
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
     _check_poses(session)
-    joints.check(session, accuracy)
+    links.check(session, accuracy)
     first = first_stage(session, given, lens)
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
     names = [observation.name for observation in first.session.observations]
@@ -149,7 +149,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
 def start_from(camera: Camera, closed: closed_forms.HandEye, views: int, joints: int = 6) -> State:
     """Where the refinement of a number of views of an arm with so many joints begins."""
     return State(
-        projection.vector(camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((views, 6)), np.zeros(joints)
+        projection.vector(camera), closed.mount_from_camera, closed.stand_from_board, np.zeros((views, 6)), np.zeros(4 * joints)
     )
 
 
@@ -244,34 +244,28 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
         residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
     residuals["rig_correlation"] = correlation(tuple(uncertainty.parameter_names(measured)), covariance)
     if measured.shaped:
-        std, before = np.zeros(4), len(free) + len(measured.turning)
+        std, before = np.zeros(4), len(free) + len(measured.erring)
         std[measured.shaped] = np.sqrt(np.diag(covariance))[before : before + len(measured.shaped)]
         residuals |= surface.facts(refined.state.shape, std)
     if (shape := flatness.asked_for(measured, refined)) is not None:
         residuals["target_seems"] = shape.tolist()
-    offsets = joints.found(measured, refined, covariance)
-    if offsets is not None:
-        residuals |= joints.facts(measured, refined, offsets)
+    link_errors = links.found(measured, refined, covariance)
+    if link_errors is not None:
+        residuals |= links.facts(measured, refined, link_errors)
     provenance = {
         **session.provenance,
         "method": "hand-eye",
         "closed_form": closed.method,
         "intrinsics_given": given,
         "eye_to_hand": session.eye_to_hand,
-        "arm_accuracy_stated": {
-            "translation_mm": 1e3 * accuracy.translation_m,
-            "rotation_deg": float(np.rad2deg(accuracy.rotation_rad)),
-            "joint_deg": float(np.rad2deg(accuracy.joint_rad)),
-            "print_percent": 100 * accuracy.stretch,
-            "sag_mm": 1e3 * accuracy.sag_m,
-        },
+        "arm_accuracy_stated": accuracy.to_json(),
     }
     return Calibration(
         projection.with_vector(first.camera, refined.state.intrinsics).checked(where="estimated camera"),
         dict(zip(free, map(float, np.sqrt(np.diag(covariance))), strict=False)),
         residuals=residuals,
         provenance=provenance,
-        joint_offsets=offsets,
+        link_errors=link_errors,
         region=session.region,
         **dict(zip(measured.pose_names, (camera_pose, board_pose), strict=True)),
     )

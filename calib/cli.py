@@ -10,13 +10,11 @@ from calib.options import (
     AllowMm,
     Arm,
     Import,
+    Inexact,
     Intrinsics,
-    JointDeg,
     Lens,
     Pictures,
-    PrintPercent,
     Rig,
-    SagMm,
     allowed_m,
     check_lens,
     spread,
@@ -54,10 +52,8 @@ def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: 
 @spread
 def handeye_command(
     rig: Rig,
+    inexact: Inexact,
     out: Out,
-    joint_deg: JointDeg = 0.0,
-    print_percent: PrintPercent = 0.0,
-    sag_mm: SagMm = 0.0,
     allow_mm: AllowMm = 5.0,
     json: Json = False,
 ) -> None:
@@ -68,7 +64,7 @@ def handeye_command(
     from calib.calibrate import calibrate_handeye
     from calib.page.finish import finish
 
-    accuracy, allow_m = rig.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
+    accuracy, allow_m = rig.accuracy(inexact), allowed_m(allow_mm)
     _check_out(out)
     session, given = rig.read()
     finish(calibrate_handeye(session, given, accuracy, rig.lens, allow_m), out, json)

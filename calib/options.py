@@ -37,6 +37,12 @@ ArmDeg = Annotated[float, Option("--arm-deg", help="The arm's stated orientation
 JointDeg = Annotated[
     float, Option("--joint-deg", help="Accuracy of the joints' zeros [deg]. Above 0, joint offsets are estimated.")
 ]
+LinkMm = Annotated[
+    float, Option("--link-mm", help="Accuracy of the links' lengths [mm]. Above 0, errors of all lengths d and a are estimated.")
+]
+LinkDeg = Annotated[
+    float, Option("--link-deg", help="Accuracy of the links' angles [deg]. Above 0, errors of all alpha and theta are estimated.")
+]
 PrintPercent = Annotated[
     float, Option("--print-percent", help="Accuracy of the printed target's lengths [%]. Above 0, its stretch is estimated.")
 ]
@@ -48,23 +54,42 @@ AllowMm = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
+class Inexact:
+    """What may be off by the same in all views. It is estimated where the stated accuracy is above 0."""
+
+    joint_deg: JointDeg = 0.0
+    link_mm: LinkMm = 0.0
+    link_deg: LinkDeg = 0.0
+    print_percent: PrintPercent = 0.0
+    sag_mm: SagMm = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Arm:
     """How accurate the arm is."""
 
     arm_mm: ArmMm = 0.05
     arm_deg: ArmDeg = 0.01
 
-    def accuracy(self, joint_deg: float = 0.0, print_percent: float = 0.0, sag_mm: float = 0.0) -> "Accuracy":
+    def accuracy(self, inexact: Inexact | None = None) -> "Accuracy":
         """The accuracy of arm and target as given on the command line. Raises UsageError where it is impossible."""
         from calib.handeye.model import Accuracy
 
+        inexact = inexact or Inexact()
         stated = {"--arm-mm": self.arm_mm, "--arm-deg": self.arm_deg}
-        of_what_may_be_exact = {"--joint-deg": joint_deg, "--print-percent": print_percent, "--sag-mm": sag_mm}
-        for name, value in (stated | of_what_may_be_exact).items():
+        given = stated | {f"--{field.name.replace('_', '-')}": getattr(inexact, field.name) for field in fields(Inexact)}
+        for name, value in given.items():
             if not (math.isfinite(value) and value >= (1e-9 if name in stated else 0)):
                 raise UsageError("accuracy must be a positive number", where=name, why=f"{value:g} given")
-        arm = 1e-3 * self.arm_mm, math.radians(self.arm_deg), math.radians(joint_deg)
-        return Accuracy(*arm, stretch=print_percent / 100, sag_m=1e-3 * sag_mm)
+        return Accuracy(
+            1e-3 * self.arm_mm,
+            math.radians(self.arm_deg),
+            math.radians(inexact.joint_deg),
+            1e-3 * inexact.link_mm,
+            math.radians(inexact.link_deg),
+            inexact.print_percent / 100,
+            1e-3 * inexact.sag_mm,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

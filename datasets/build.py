@@ -1,6 +1,6 @@
 """From a recording and a calibration to a scene. The world is the robot's base, the unit the metre.
 
-world_from_camera = base_from_flange @ flange_from_camera, with the arm's joint offsets applied where the calibration has them
+world_from_camera = base_from_flange @ flange_from_camera, with errors of the arm's links corrected where the calibration has them
 
 Where the object turned on a table, the world is the object's frame of `datasets.turntable`: the base at the table's angle zero.
 """

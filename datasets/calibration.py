@@ -3,7 +3,7 @@
 Covariances of poses are (6, 6) over a left perturbation, translation first [m], then rotation vector [rad]:
 `true = perturbation(twist) @ stated`. What was not calibrated is None.
 
-Joint offsets and hand-eye pose are estimated together and are valid only together. `camera_pose` applies both.
+Errors of the arm's links and hand-eye pose are estimated together and are valid only together. `camera_pose` applies both.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ from datasets.recording import Frame
 from datasets.turntable import Axis
 
 FORMAT, VERSION = "koala-calibration", 1
+_LINKS = ("d_m", "a_m", "alpha_rad", "theta_rad")
 _POSES = ("flange_from_camera", "base_from_board", "base_from_camera", "flange_from_board")
 
 
@@ -78,36 +79,69 @@ class UncertainPose:
 
 
 @dataclass(frozen=True)
-class JointOffsets:
-    """True minus reported joint angles. The first and last are zero by convention: other poses absorb them."""
+class LinkErrors:
+    """True minus nominal Denavit-Hartenberg parameters of the arm; errors of theta are offsets of the joints.
 
-    offsets: NDArray[np.float64]
-    """(n,) true angle minus reported angle [rad]."""
+    Those that move all views alike are zero by convention: other poses absorb them.
+    """
+
+    errors: NDArray[np.float64]
+    """(4 n,) of d, a [m], alpha, theta [rad], in this order."""
     std: NDArray[np.float64]
-    """(n,) standard deviations [rad]; 0 where the offset is zero by convention."""
+    """(4 n,) standard deviations; 0 where an error was not estimated."""
     links: Links = UR5E
     """The nominal chain of the arm."""
 
+    @property
+    def joints(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n,) offsets of the joints, true angle minus reported angle, and their standard deviations [rad]."""
+        return self.errors[-self.links.count :], self.std[-self.links.count :]
+
+    @property
+    def only_joints(self) -> bool:
+        """Whether nothing but offsets of joints was estimated."""
+        return not self.std[: -self.links.count].any()
+
     def corrected(self, base_from_flange: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
         """(..., 4, 4) true flange poses from reported (..., 4, 4) poses [m] and (..., n) joint angles [rad]."""
-        return kinematics.turned(base_from_flange, joints, self.offsets, self.links)
+        return kinematics.corrected(base_from_flange, joints, self.errors, self.links)
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary."""
-        return {"offsets_rad": self.offsets.tolist(), "std_rad": self.std.tolist(), "links": self.links.to_json()}
+        of = {name: part.tolist() for name, part in zip(_LINKS, np.split(self.errors, 4), strict=True)}
+        std = {f"{name}_std": part.tolist() for name, part in zip(_LINKS, np.split(self.std, 4), strict=True)}
+        return {**of, **std, "links": self.links.to_json()}
 
     @classmethod
     def from_json(cls, content: Any, *, where: object) -> Self:
-        """Offsets from `to_json`'s dictionary; files of older versions, without links, are of a UR5e."""
+        """Errors from `to_json`'s dictionary."""
+        try:
+            links = Links.from_json(content["links"], where=f"{where}, links")
+            errors, std = (
+                np.concatenate([np.asarray(content[name + end], np.float64).reshape(links.count) for name in _LINKS])
+                for end in ("", "_std")
+            )
+        except (TypeError, KeyError, ValueError, AttributeError) as error:
+            raise DatasetError("errors of the links are not complete", where=where, why=str(error)) from None
+        return cls._credible(errors, std, links, where)
+
+    @classmethod
+    def from_offsets(cls, content: Any, *, where: object) -> Self:
+        """Errors from the joint offsets in files of older versions; without links they are of a UR5e."""
         try:
             stored = content.get("links")
             links = UR5E if stored is None else Links.from_json(stored, where=f"{where}, links")
             offsets, std = (np.asarray(content[key], np.float64).reshape(links.count) for key in ("offsets_rad", "std_rad"))
         except (TypeError, KeyError, ValueError, AttributeError) as error:
             raise DatasetError("joint offsets are not complete", where=where, why=str(error)) from None
-        if not (np.isfinite([offsets, std]).all() and np.abs(offsets).max() < 1):
-            raise DatasetError("joint offsets are not credible", where=where, why=f"{offsets.tolist()} rad")
-        return cls(offsets, std, links)
+        none = np.zeros(3 * links.count)
+        return cls._credible(np.concatenate([none, offsets]), np.concatenate([none, std]), links, where)
+
+    @classmethod
+    def _credible(cls, errors: NDArray[np.float64], std: NDArray[np.float64], links: Links, where: object) -> Self:
+        if not (np.isfinite([errors, std]).all() and np.abs(errors).max() < 1):
+            raise DatasetError("errors of the links are not credible", where=where, why=f"{errors.tolist()} m, rad")
+        return cls(errors, std, links)
 
 
 @dataclass(frozen=True)
@@ -126,8 +160,8 @@ class Calibration:
     """Replaces the hand-eye pose where the camera stands beside the arm."""
     flange_from_board: UncertainPose | None = None
     """Pose of the target on the flange, where the camera stands beside the arm."""
-    joint_offsets: JointOffsets | None = None
-    """Joint offsets of the arm, where they were estimated."""
+    link_errors: LinkErrors | None = None
+    """Errors of the arm's links, where they were estimated: of joint offsets alone, or of all parameters."""
     turntable: Axis | None = None
     """Axis of the turntable on which the object stands, where it was calibrated."""
     region: Region | None = None
@@ -147,14 +181,14 @@ class Calibration:
 
         Args:
             base_from_flange: (..., 4, 4) [m].
-            joints: (..., n) [rad]; ignored where no offsets were estimated.
+            joints: (..., n) [rad]; ignored where no errors of the links were estimated.
 
         Raises:
             DatasetError: there is no hand-eye pose.
         """
         if self.flange_from_camera is None:
             raise DatasetError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
-        flange = base_from_flange if self.joint_offsets is None else self.joint_offsets.corrected(base_from_flange, joints)
+        flange = base_from_flange if self.link_errors is None else self.link_errors.corrected(base_from_flange, joints)
         return flange @ self.flange_from_camera.matrix
 
     def camera_poses(self, frames: Sequence[Frame]) -> NDArray[np.float64]:
@@ -176,7 +210,7 @@ class Calibration:
         """Write atomically as JSON."""
         content = {"format": FORMAT, "version": VERSION, "camera": self.camera.to_json(), "camera_std": self.camera_std}
         content |= dict.fromkeys(_POSES[:2]) | {name: value.to_json() for name, value in self.poses.items()}
-        optional = {"joint_offsets": self.joint_offsets, "turntable": self.turntable, "region": self.region}
+        optional = {"link_errors": self.link_errors, "turntable": self.turntable, "region": self.region}
         content |= {name: value.to_json() for name, value in optional.items() if value}
         files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})
 
@@ -191,8 +225,10 @@ class Calibration:
         for name in _POSES:
             if content.get(name):
                 stored[name] = UncertainPose.from_json(content[name], where=f"{path}, {name}")
-        if content.get("joint_offsets"):
-            stored["joint_offsets"] = JointOffsets.from_json(content["joint_offsets"], where=f"{path}, joint_offsets")
+        if content.get("link_errors"):
+            stored["link_errors"] = LinkErrors.from_json(content["link_errors"], where=f"{path}, link_errors")
+        elif content.get("joint_offsets"):
+            stored["link_errors"] = LinkErrors.from_offsets(content["joint_offsets"], where=f"{path}, joint_offsets")
         if content.get("turntable"):
             stored["turntable"] = Axis.from_json(content["turntable"], where=f"{path}, turntable")
         if content.get("region"):

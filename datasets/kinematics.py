@@ -41,6 +41,17 @@ class Links:
         """Number of joints."""
         return len(self.d)
 
+    @property
+    def parameters(self) -> list[str]:
+        """Names of the 4 n parameters, in the order of `link_motions`."""
+        kinds = ("d of link {}", "a of link {}", "alpha of link {}", "offset of joint {}")
+        return [kind.format(link + 1) for kind in kinds for link in range(self.count)]
+
+    def with_errors(self, errors: ArrayLike) -> "Links":
+        """An arm whose parameters differ by (4 n,) errors of d, a [m], alpha, theta [rad], in this order."""
+        d, a, alpha, theta = np.split(np.asarray(errors, np.float64), 4)
+        return Links(self.d + d, self.a + a, self.alpha + alpha, self.theta + theta, self.base, self.tool)
+
     def calibrated(self, rng: np.random.Generator, length_m: float, angle_rad: float) -> "Links":
         """An arm as built: every parameter has a normal error of the given standard deviation.
 
@@ -149,18 +160,18 @@ def link_motions(joints: ArrayLike, links: Links = UR5E) -> Array:
     return np.swapaxes(np.concatenate(moved, -1), -1, -2)
 
 
-def turned(base_from_flange: ArrayLike, joints: ArrayLike, offsets: ArrayLike, links: Links = UR5E) -> Array:
-    """(..., 4, 4) pose of the flange if each joint angle differs by its offset from the one the arm reported.
+def corrected(base_from_flange: ArrayLike, joints: ArrayLike, errors: ArrayLike, links: Links = UR5E) -> Array:
+    """(..., 4, 4) pose of the flange if the arm's parameters differ by their errors from those it reports its pose with.
 
-    Only the change is computed from `links`. Nominal links make it wrong by the offset times the angle between nominal and real
+    Only the change is computed from `links`. Nominal links make it wrong by the error times the angle between nominal and real
     axes, a thousandth of itself.
 
     Args:
         base_from_flange: (..., 4, 4) as reported [m].
         joints: (..., n) as reported [rad].
-        offsets: (n,) true angle minus reported angle [rad].
+        errors: (4 n,) true minus reported d, a [m], alpha, theta [rad]; an error of theta is the offset of a joint.
         links: the arm's parameters.
     """
     joints = np.asarray(joints, np.float64)
-    change = pose.inverse(forward(joints, links)) @ forward(joints + np.asarray(offsets, np.float64), links)
+    change = pose.inverse(forward(joints, links)) @ forward(joints, links.with_errors(errors))
     return np.asarray(base_from_flange, np.float64) @ change

@@ -23,7 +23,7 @@ def asked_for(session: Session, refined: Refined[State]) -> Array | None:
         return None
     tolerant = replace(session.some(refined.inliers), accuracy=replace(session.accuracy, stretch=TRIED[0], sag_m=TRIED[1]))
     system = refine.linear_system(tolerant, refined.state, refined.sigmas)
-    first = len(session.free) + len(session.turning)
+    first = len(session.free) + len(session.erring)
     step, inverse = system.step(0.0)[0], np.linalg.pinv(system.root)
     shape, covariance = step[first : first + 4], (inverse @ inverse.T)[first : first + 4, first : first + 4]
     squared = float(shape @ np.linalg.solve(covariance, shape))

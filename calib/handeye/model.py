@@ -2,10 +2,11 @@
 
 The flange of view i is truly at
 
-    flange[i] = base_from_flange[i] @ D(q[i], offsets) @ C[i],
+    flange[i] = base_from_flange[i] @ D(q[i], errors) @ C[i],
 
-where D is the motion of the flange due to joint `offsets` (true minus reported angle), and C[i] is the remaining error of the
-report: a small motion of the flange about its own origin. Corner k of that view is predicted at
+where D is the motion of the flange due to errors of the links (true minus nominal parameters, among them the offsets of the
+joints), and C[i] is the remaining error of the report: a small motion of the flange about its own origin. Corner k of that view
+is predicted at
 
     project(inverse(flange[i] @ flange_from_camera) @ base_from_board @ point[k])      camera on the flange,
     project(inverse(base_from_camera) @ flange[i] @ flange_from_board @ point[k])      camera beside the arm.
@@ -42,9 +43,23 @@ class Accuracy:
 
     translation_m: float = 5e-5  # of the reported flange pose, per axis
     rotation_rad: float = float(np.deg2rad(0.01))
-    joint_rad: float = 0.0  # of each joint's offset, which is the same in all views; 0: the joints have no offsets
+    joint_rad: float = 0.0  # of each joint's offset, which is the same in all views; 0: as `angle_rad`
+    length_m: float = 0.0  # of the lengths d and a of each link; 0: they are exact
+    angle_rad: float = 0.0  # of the angles alpha and theta of each link; 0: they are exact
     stretch: float = 0.0  # of the print's lengths along x and y, as a share; 0: it is exact
     sag_m: float = 0.0  # of the target's middle over its edges; 0: it is flat
+
+    def to_json(self) -> dict[str, float]:
+        """Plain dictionary with the units of the command line."""
+        return {
+            "translation_mm": 1e3 * self.translation_m,
+            "rotation_deg": float(np.rad2deg(self.rotation_rad)),
+            "joint_deg": float(np.rad2deg(self.joint_rad)),
+            "link_mm": 1e3 * self.length_m,
+            "link_deg": float(np.rad2deg(self.angle_rad)),
+            "print_percent": 100 * self.stretch,
+            "sag_mm": 1e3 * self.sag_m,
+        }
 
 
 @dataclass(frozen=True)
@@ -69,14 +84,25 @@ class Session:
         """Which numbers of the target's `shape` are estimated."""
         return [0, 1] * (self.accuracy.stretch > 0) + [2, 3] * (self.accuracy.sag_m > 0)
 
-    @property
-    def turning(self) -> list[int]:
-        """Joints whose offsets are estimated: all but the first and the last if the stated accuracy asks for them, else none.
+    @cached_property
+    def link_std(self) -> Array:
+        """(4 n,) stated deviations of d, a [m], alpha, theta [rad]; 0 where no error is estimated.
 
-        An offset of the first joint rotates the whole base, one of the last rotates the flange: the two unknown poses absorb
-        them exactly, so they are zero by convention.
+        Errors of d and theta of the first link move the whole base, all of the last link move the flange: the two unknown poses
+        absorb them exactly, so they are zero by convention.
         """
-        return list(range(1, self.links.count - 1)) if self.accuracy.joint_rad > 0 and self.joints is not None else []
+        accuracy, count = self.accuracy, self.links.count
+        if self.joints is None:
+            return np.zeros(4 * count)
+        kinds = (accuracy.length_m, accuracy.length_m, accuracy.angle_rad, accuracy.joint_rad or accuracy.angle_rad)
+        found = np.repeat(np.array(kinds)[:, None], count, axis=1)
+        found[:, -1], found[[0, 3], 0] = 0.0, 0.0
+        return found.ravel()
+
+    @property
+    def erring(self) -> list[int]:
+        """Which of the 4 n parameters of the links have errors that are estimated."""
+        return np.flatnonzero(self.link_std).tolist()
 
     @property
     def pose_names(self) -> tuple[str, str]:
@@ -98,28 +124,26 @@ class Session:
 
     def moved(self, state: "State", step: Array, view_steps: Array) -> "State":
         """`state` after a step of the global unknowns and the (views, 6) corrections."""
-        counts = [len(self.free), len(self.turning), len(self.shaped), 6]
-        of_camera, of_joints, of_shape, of_mount, of_board = np.split(step, np.cumsum(counts))
-        intrinsics, offsets, shape = state.intrinsics.copy(), state.offsets.copy(), state.shape.copy()
+        counts = [len(self.free), len(self.erring), len(self.shaped), 6]
+        of_camera, of_links, of_shape, of_mount, of_board = np.split(step, np.cumsum(counts))
+        intrinsics, errors, shape = state.intrinsics.copy(), state.link_errors.copy(), state.shape.copy()
         intrinsics[self.columns] += of_camera
-        offsets[self.turning] += of_joints
+        errors[self.erring] += of_links
         shape[self.shaped] += of_shape
         mount, board = perturbed(state.mount_from_camera, of_mount), perturbed(state.stand_from_board, of_board)
-        return State(intrinsics, mount, board, state.corrections + view_steps, offsets, shape)
+        return State(intrinsics, mount, board, state.corrections + view_steps, errors, shape)
 
     def known_rows(self, state: "State") -> Array:
         """(k, p + 1) what is known of the global unknowns, whitened: derivatives, and the deviation of `state` from it.
 
-        The last rows are those of joints and target, one for each unknown.
+        The last rows are those of links and target, one for each unknown.
         """
-        names, turning, shaped, known = self.free, self.turning, self.shaped, self.known
-        own = len(turning) + len(shaped)
+        names, erring, shaped, known = self.free, self.erring, self.shaped, self.known
+        own = len(erring) + len(shaped)
         rows = np.zeros((own, len(names) + own + 13))
-        std = [self.accuracy.joint_rad] * len(turning) + [
-            [self.accuracy.stretch, self.accuracy.sag_m][one // 2] for one in shaped
-        ]
+        std = [*self.link_std[erring], *([self.accuracy.stretch, self.accuracy.sag_m][one // 2] for one in shaped)]
         rows[range(own), range(len(names), len(names) + own)] = 1.0
-        rows[:, -1] = -np.concatenate([state.offsets[turning], state.shape[shaped]])
+        rows[:, -1] = -np.concatenate([state.link_errors[erring], state.shape[shaped]])
         rows /= np.array(std)[:, None]
         if known is None:
             return rows
@@ -144,14 +168,15 @@ def measured(session: TargetSession, free: Sequence[str], known: Known | None, a
 class State:
     """The unknowns.
 
-    Order of the global ones: free intrinsics, joint offsets, shape of the target, mount_from_camera (6), stand_from_board (6).
+    Order of the global ones: free intrinsics, errors of the links, shape of the target, mount_from_camera (6),
+    stand_from_board (6).
     """
 
     intrinsics: Array  # in the order of `calib.intrinsics.projection`
     mount_from_camera: Array  # (4, 4); perturbed from the left, translation first
     stand_from_board: Array  # (4, 4); perturbed from the left, translation first
     corrections: Array  # (views, 6): translation [m] and rotation vector [rad] of C[i]
-    offsets: Array = field(default_factory=lambda: np.zeros(6))  # (n,) of the joints: true angle minus reported angle [rad]
+    link_errors: Array = field(default_factory=lambda: np.zeros(24))  # (4 n,) of d, a [m], alpha, theta [rad]
     shape: Array = field(default_factory=surface.FLAT.copy)  # (4,) of the target, see `calib.handeye.surface`
 
 
@@ -177,8 +202,8 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     by_flange = by_board_pose if session.eye_to_hand else by_camera_pose
     rotation, right_jacobian = exponential(state.corrections[:, 3:])
     own = np.concatenate([by_flange[..., :3] @ np.swapaxes(rotation, 1, 2)[view], by_flange[..., 3:] @ right_jacobian[view]], -1)
-    by_offsets = by_flange @ _joint_motions(session, state, rotation)[view]
-    by_global = [by_intrinsics[..., session.columns], by_offsets, by_camera_pose, by_board_pose]
+    by_links = by_flange @ _link_motions(session, state, rotation)[view]
+    by_global = [by_intrinsics[..., session.columns], by_links, by_camera_pose, by_board_pose]
     if session.shaped:
         by_global.insert(2, by_stand @ state.stand_from_board[:3, :3] @ session.by_shape[..., session.shaped])
     return pixels, np.concatenate(by_global, -1), own
@@ -213,21 +238,21 @@ def _chain(session: Session, state: State) -> _Chain:
 
 
 def _reported(session: Session, state: State) -> Array:
-    """(views, 4, 4) base_from_flange @ D: the report with joint offsets corrected."""
-    if session.joints is None or not state.offsets.any():
+    """(views, 4, 4) base_from_flange @ D: the report with errors of the links corrected."""
+    if session.joints is None or not state.link_errors.any():
         return session.base_from_flange
-    return kinematics.turned(session.base_from_flange, session.joints, state.offsets, session.links)
+    return kinematics.corrected(session.base_from_flange, session.joints, state.link_errors, session.links)
 
 
-def _joint_motions(session: Session, state: State, rotation: Array) -> Array:
-    """(views, 6, k) motion of the true flange, in its own frame, for a small turn of each joint of `session.turning`.
+def _link_motions(session: Session, state: State, rotation: Array) -> Array:
+    """(views, 6, k) motion of the true flange, in its own frame, for a small error of each parameter of `session.erring`.
 
     The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of
     its correction lead to, it is turned back, and turning moves what is not at the origin.
     """
-    if session.joints is None or not session.turning:
+    if session.joints is None or not session.erring:
         return np.zeros((len(session.base_from_flange), 6, 0))
-    motions = kinematics.flange_jacobian(session.joints + state.offsets, session.links)[..., session.turning]
+    motions = kinematics.link_motions(session.joints, session.links.with_errors(state.link_errors))[..., session.erring]
     moved = motions[:, :3] + np.cross(motions[:, 3:], state.corrections[:, :3, None], axis=1)
     back = np.swapaxes(rotation, 1, 2)
     return np.concatenate([back @ moved, back @ motions[:, 3:]], axis=1)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from calib.arrays import Array
-from calib.handeye import joints
+from calib.handeye import links
 from calib.handeye.refine import PRIOR_VIEWS, Problem, Refined, S, Sigmas, linear_system
 from datasets import kinematics
 
@@ -57,8 +57,8 @@ class Posed(Problem[S], Protocol[S]):
         ...
 
     @property
-    def turning(self) -> list[int]:
-        """Joints whose offsets are estimated."""
+    def link_std(self) -> Array:
+        """(4 n,) stated deviations of the links' errors that are estimated; 0 where none is."""
         ...
 
 
@@ -142,7 +142,7 @@ def estimate(session: Posed[S], refined: Refined[S]) -> Repeating:
     views, sigmas = _views(session, refined), refined.sigmas
     tried: list[tuple[float, Array, float]] = []
     stop = np.array([sigmas.translation_m, sigmas.rotation_rad])
-    for scale in SCALES:
+    for scale in SCALES if views.repeating.any() else SCALES[:1]:
         stop, likelihood = views.most_likely_stop(scale, stop)
         tried.append((scale, stop, likelihood))
         if likelihood < max(value for _, _, value in tried) - NEGLIGIBLE:
@@ -168,10 +168,11 @@ def _views(session: Posed[S], refined: Refined[S]) -> _Views:
 
 def motions(session: Posed[Any]) -> Array:
     """(views, 6, k) motion of the flange in its own axes [m, rad] for each of the errors that repeat, at a scale of one."""
-    if session.joints is None or not joints.are_those_of_the_poses(session.joints, session.base_from_flange, session.links):
+    if session.joints is None or not links.are_those_of_the_poses(session.joints, session.base_from_flange, session.links):
         return _smooth(session.base_from_flange)
     sizes = np.repeat([LENGTH_M, LENGTH_M, ANGLE_RAD, ANGLE_RAD], session.links.count)
-    sizes[[3 * session.links.count + joint for joint in session.turning]] = 0.0  # these are estimated
+    estimated = session.link_std.reshape(4, -1).any(1)  # by kind: what the two poses absorb is zero by convention then
+    sizes[np.repeat(estimated, session.links.count)] = 0.0
     return np.asarray(kinematics.link_motions(session.joints, session.links) * sizes, np.float64)
 
 

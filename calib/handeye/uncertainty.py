@@ -52,11 +52,9 @@ def check_motion(base_from_flange: Array) -> None:
 def parameter_names(session: Session) -> list[str]:
     """Names of the global parameters, with units, in the order of `Refined.information`."""
     axes = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
-    offsets, shape = (
-        (f"offset of joint {number + 1}" for number in session.turning),
-        (surface.NAMES[one] for one in session.shaped),
-    )
-    return [*session.free, *offsets, *shape, *(f"{p} {a}" for p in session.pose_names for a in axes)]
+    of_links = [session.links.parameters[one] for one in session.erring]
+    shape = [surface.NAMES[one] for one in session.shaped]
+    return [*session.free, *of_links, *shape, *(f"{p} {a}" for p in session.pose_names for a in axes)]
 
 
 def covariance(session: Session, refined: Refined, allow_m: float = MAX_STD_M) -> Array:
@@ -81,9 +79,10 @@ def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPo
 
 def _units(session: Session) -> Array:
     """(p,) errors that would matter: scales that make the parameters comparable."""
-    of_camera, of_joints = np.where(np.array(session.columns) < 4, 10.0, 0.1), np.full(len(session.turning), MAX_STD_RAD)
+    of_camera = np.where(np.array(session.columns) < 4, 10.0, 0.1)
+    of_links = np.repeat([MAX_STD_M, MAX_STD_RAD], 2 * session.links.count)[session.erring]
     of_shape = np.full(len(session.shaped), MAX_STD_M)  # a share, or metres
-    return np.concatenate([of_camera, of_joints, of_shape, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
+    return np.concatenate([of_camera, of_links, of_shape, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
 
 def checked(session: Session, refined: Refined, joint: Array, allow_m: float = MAX_STD_M) -> Array:

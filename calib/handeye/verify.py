@@ -45,7 +45,7 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     if mount is None:
         raise UsageError("calibration holds no hand-eye pose", remedy="make one with 'calib handeye'")
     check_size(session, calibration.camera)
-    session = _with_joints_corrected(session, calibration)
+    session = _with_links_corrected(session, calibration)
     camera, stand = calibration.camera, "flange" if session.eye_to_hand else "base"
     boards = estimate.camera_from_boards(camera, session.observations)
     board = closed_forms.assess(session.stand_from_mount, boards, mount.matrix, "given").stand_from_board
@@ -59,13 +59,15 @@ def verify(session: TargetSession, calibration: Calibration) -> Verification:
     return Verification(rms(residuals), rms(millimetres), by_view, len(residuals), stand, state.stand_from_board)
 
 
-def _with_joints_corrected(session: TargetSession, calibration: Calibration) -> TargetSession:
-    """The session with flange poses corrected by the joint offsets of the calibration."""
-    if calibration.joint_offsets is None:
+def _with_links_corrected(session: TargetSession, calibration: Calibration) -> TargetSession:
+    """The session with flange poses corrected by the links' errors of the calibration."""
+    if calibration.link_errors is None:
         return session
     if session.joints is None:
-        raise UsageError("calibration holds joint offsets, the session no joint angles", remedy="calibrate without --joint-deg")
-    return replace(session, base_from_flange=calibration.joint_offsets.corrected(session.base_from_flange, session.joints))
+        raise UsageError(
+            "calibration holds errors of the links, the session no joint angles", remedy="calibrate without --link-mm"
+        )
+    return replace(session, base_from_flange=calibration.link_errors.corrected(session.base_from_flange, session.joints))
 
 
 def held_out(session: Session, refined: Refined) -> dict[str, float | None]:

@@ -130,12 +130,12 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
         predicted = [estimate.reproject(calibration.camera, b, o) for b, o in zip(boards[used], chosen.observations, strict=True)]
         found = {ALONE: measured.pixels - np.concatenate(predicted)}, np.ones(len(measured.view), bool), None
     else:
-        offsets = np.zeros(6) if calibration.joint_offsets is None else calibration.joint_offsets.offsets
+        errors = np.zeros(4 * session.links.count) if calibration.link_errors is None else calibration.link_errors.errors
         still = np.zeros((len(chosen.observations), 6))
         shape = surface.known(calibration.residuals)
-        state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, offsets, shape)
+        state = State(projection.vector(calibration.camera), *poses_of(calibration, session), still, errors, shape)
         refined = refine.with_corrections(measured, state, sigmas_of(calibration))
-        plain = verify.errors(measured, replace(state, offsets=0 * offsets))[0]
+        plain = verify.errors(measured, replace(state, link_errors=0 * errors))[0]
         found = {CORRECTED: refined.residuals, REPORTED: plain}, refined.inliers, refined.state.corrections
     return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
 

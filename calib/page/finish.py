@@ -16,6 +16,6 @@ def finish(calibration: Calibration, out: Path, json: bool) -> None:
     for name, value in calibration.poses.items():
         std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}
         result[name] = {**value.to_json(), **std}
-    if calibration.joint_offsets is not None:
-        result["joint_offsets"] = calibration.joint_offsets.to_json()
+    if calibration.link_errors is not None:
+        result["link_errors"] = calibration.link_errors.to_json()
     console.report(result, as_json=json, text=f"{describe_calibration(calibration)}\nwritten to {out}")

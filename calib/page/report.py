@@ -1,5 +1,7 @@
 """A stored calibration as one HTML page that needs nothing else: numbers with their uncertainty, figures, views left out."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from calib.errors import CalibrationError
@@ -8,7 +10,7 @@ from calib.page import figures
 from calib.page.evidence import Evidence
 from calib.page.summary import RELAXED, notes
 from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
+from datasets.calibration import Calibration, LinkErrors, UncertainPose
 from datasets.reports.html import Number, ReportPage
 
 CENTRE = {"fx": "focal length", "fy": "focal length", "cx": "principal point", "cy": "principal point"}
@@ -67,7 +69,7 @@ def _pose(report: ReportPage, name: str, value: UncertainPose) -> None:
 
 
 def _camera(report: ReportPage, calibration: Calibration) -> None:
-    camera, offsets = calibration.camera, calibration.joint_offsets
+    camera = calibration.camera
     report.heading(f"camera, {camera.width}×{camera.height} px")
     report.numbers(
         (name, Number(getattr(camera, name), "px" if name in CENTRE else "", std), CENTRE.get(name, "distortion"))
@@ -76,10 +78,18 @@ def _camera(report: ReportPage, calibration: Calibration) -> None:
     )
     if knots := splined.in_words(camera):
         report.paragraph(f"Splined lens: {knots}.")
-    if offsets is not None:
-        found = [Number(float(o), "°", float(s)) for o, s in zip(*np.rad2deg([offsets.offsets, offsets.std]), strict=True)]
-        report.heading("joint offsets: true angle minus reported angle")
-        report.numbers((f"joint {i + 1}", found[i], "") for i in range(1, len(found) - 1))
+    if calibration.link_errors is not None:
+        report.heading("errors of the arm's links: true minus nominal")
+        report.numbers(_link_rows(calibration.link_errors))
+
+
+def _link_rows(found: LinkErrors) -> Iterator[tuple[str, Number, str]]:
+    """A row for each error that was estimated."""
+    units = np.repeat(["mm", "°"], 2 * found.links.count)
+    scales = np.where(units == "mm", 1e3, np.rad2deg(1.0))
+    for name, error, std, unit in zip(found.links.parameters, scales * found.errors, scales * found.std, units, strict=True):
+        if std:
+            yield name, Number(float(error), str(unit), float(std)), ""
 
 
 def _figures(report: ReportPage, evidence: Evidence) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.handeye import surface
+from calib.handeye import links, surface
 from calib.handeye.uncertainty import MAX_STD_M
 from calib.handeye.verify import Verification
 from calib.intrinsics import projection, splined
@@ -25,10 +25,9 @@ def describe_calibration(calibration: Calibration) -> str:
     mark = RELAXED if "allowed_mm" in calibration.residuals else ""
     for title, value in calibration.poses.items():
         lines += _pose_lines(f"{title}{mark}", value)
-    camera, residuals, offsets = calibration.camera, calibration.residuals, calibration.joint_offsets
-    if offsets is not None:
-        numbers = [f"{o:.4f} ± {s:.4f}" for o, s in zip(np.rad2deg(offsets.offsets), np.rad2deg(offsets.std), strict=True)][1:-1]
-        lines.append(f"joints 2 to {len(numbers) + 1}       offset by {', '.join(numbers)} deg")
+    camera, residuals = calibration.camera, calibration.residuals
+    if calibration.link_errors is not None:
+        lines += [f"{kind:<19} {values}" for kind, values in links.in_words(calibration.link_errors)]
     if shape := surface.in_words(residuals):
         lines.append(f"target              {shape}")
     lines.append(f"camera              {camera.width}x{camera.height}")
@@ -53,8 +52,8 @@ def describe_calibration(calibration: Calibration) -> str:
         lines.append(f"arm errors          {millimetres:.3f} mm, {degrees:.4f} deg per axis")
     if residuals.get("arm_links_mm", 0.0) > REPEATS_MM:
         stop = f"{residuals['arm_stop_mm']:.3f} mm, {residuals['arm_stop_deg']:.4f} deg"
-        links = f"{residuals['arm_links_mm']:.2f} mm, {residuals['arm_links_deg']:.3f} deg"
-        lines.append(f"  of these          {stop} at each stop; the rest repeats, like links that are off by {links}")
+        of_links = f"{residuals['arm_links_mm']:.2f} mm, {residuals['arm_links_deg']:.3f} deg"
+        lines.append(f"  of these          {stop} at each stop; the rest repeats, like links that are off by {of_links}")
     lines.append(f"views used          {residuals['views_used']}, corners in {residuals['coverage']:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)
@@ -93,11 +92,13 @@ def notes(calibration: Calibration) -> list[str]:
         found.append("the refinement did not converge; look for views that do not fit")
     if residuals.get("coverage", 1.0) < 0.4:
         found.append("corners cover little of the image; distortion is not known elsewhere")
-    if residuals.get("joints_not_shown"):
-        found.append(f"the views do not determine the offset of joint {', '.join(map(str, residuals['joints_not_shown']))}")
-    without = residuals.get("held_out_px_without_joint_offsets")
+    if residuals.get("links_not_shown"):
+        found.append(f"the views do not determine {', '.join(residuals['links_not_shown'])}")
+    without = residuals.get("held_out_px_without_link_errors")
     if without is not None and residuals.get("held_out_px") is not None and not residuals["held_out_px"] < 0.98 * without:
-        found.append(f"joint offsets do not help on unseen views ({without:.3f} px without them): omit --joint-deg")
+        found.append(
+            f"errors of the links do not help on unseen views ({without:.3f} px without them): omit --joint-deg and --link-mm"
+        )
     stated = calibration.provenance.get("arm_accuracy_stated", {}).get("translation_mm")
     if stated and (times := residuals["arm_translation_mm"] / stated) > 3:
         advice = "check settling, time stamps and the arm's own calibration"

@@ -156,7 +156,7 @@ def _joined(
     states = [fit.refined.state for fit in fits]
     corrections = np.zeros((1 + max(int(one.max()) for one in stops), 6))
     boards, shapes = tuple(state.stand_from_board for state in states), tuple(state.shape for state in states)
-    return problem, TogetherState((start.intrinsics,), (start.mount_from_camera,), boards, shapes, corrections, start.offsets)
+    return problem, TogetherState((start.intrinsics,), (start.mount_from_camera,), boards, shapes, corrections, start.link_errors)
 
 
 def _boards(problem: Together, refined: Refined[TogetherState], covariance: Array) -> tuple[UncertainPose, ...]:

@@ -96,7 +96,7 @@ def _joined(alone: Sequence[Solution], names: Sequence[str], same_stops: bool) -
         (first.stand_from_board,),
         (first.shape,),
         corrections,
-        first.offsets,
+        first.link_errors,
     )
 
 

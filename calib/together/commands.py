@@ -9,12 +9,10 @@ from calib.options import (
     AllowMm,
     Arm,
     Import,
-    JointDeg,
+    Inexact,
     LeaveOut,
     Lens,
-    PrintPercent,
     Rig,
-    SagMm,
     allowed_m,
     check_lens,
     spread,
@@ -35,6 +33,7 @@ def cameras(
         list[Path], Argument(metavar="RECORDING...", help="Folders made by 'capture run', one for each camera; the first counts.")
     ],
     arm: Arm,
+    inexact: Inexact,
     out: Annotated[Path, Option("--out", help="Folder to write: a calibration file for each camera, and cameras.json.")],
     same_stops: Annotated[
         bool, Option("--same-stops", help="Views of one name were taken at the same stop of the arm, as a stereo camera does.")
@@ -42,9 +41,6 @@ def cameras(
     description: Import = None,
     leave_out: LeaveOut = False,
     lens: Lens = "auto",
-    joint_deg: JointDeg = 0.0,
-    print_percent: PrintPercent = 0.0,
-    sag_mm: SagMm = 0.0,
     allow_mm: AllowMm = 5.0,
     json: console.Json = False,
 ) -> None:
@@ -58,7 +54,7 @@ def cameras(
     from datasets.core.errors import UsageError
 
     check_lens(lens)
-    accuracy, allow_m = arm.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
+    accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
     files.refuse_existing(out)
     names = [path.resolve().name for path in recordings]
     if len(set(names)) < len(names):
@@ -84,6 +80,7 @@ def boards(
         list[Path], Argument(metavar="RECORDING...", help="Folders made by 'capture run' with one camera, a target in each.")
     ],
     arm: Arm,
+    inexact: Inexact,
     out: Annotated[Path, Option("--out", help="Calibration file to write (JSON).")],
     targets: Annotated[
         list[Path] | None,
@@ -92,9 +89,6 @@ def boards(
     description: Import = None,
     leave_out: LeaveOut = False,
     lens: Lens = "auto",
-    joint_deg: JointDeg = 0.0,
-    print_percent: PrintPercent = 0.0,
-    sag_mm: SagMm = 0.0,
     allow_mm: AllowMm = 5.0,
     json: console.Json = False,
 ) -> None:
@@ -109,7 +103,7 @@ def boards(
     from datasets.core import files
 
     check_lens(lens)
-    accuracy, allow_m = arm.accuracy(joint_deg, print_percent, sag_mm), allowed_m(allow_mm)
+    accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
     files.refuse_existing(out)
     searched = [(path, _board(path)) for path in targets or ()]
     check_told_apart([board for _, board in searched], [path for path, _ in searched])

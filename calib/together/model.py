@@ -1,9 +1,10 @@
 """Several cameras or several targets on one arm: the equations of `calib.handeye.model` side by side.
 
 A session is what one camera saw of one target. Sessions of one camera share its lens and its mount, sessions of one target share
-its pose and its shape, and all share the joints' offsets. Views that were taken at the same stop share the arm's error too: it
-drops out of the pose between two cameras, and of that between two targets. The global unknowns are, in this order: for each
-camera its free intrinsics and mount_from_camera (6); the joints' offsets; for each target its shape and stand_from_board (6).
+its pose and its shape, and all share the errors of the arm's links. Views that were taken at the same stop share the arm's error
+too: it drops out of the pose between two cameras, and of that between two targets. The global unknowns are, in this order: for
+each camera its free intrinsics and mount_from_camera (6); the errors of the links; for each target its shape and
+stand_from_board (6).
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,7 +27,7 @@ class TogetherState:
     stand_from_board: tuple[Array, ...]  # (4, 4) of each target
     shapes: tuple[Array, ...]  # (4,) of each target
     corrections: Array  # (stops, 6)
-    offsets: Array = field(default_factory=lambda: np.zeros(6))  # (joints,)
+    link_errors: Array = field(default_factory=lambda: np.zeros(24))  # (4 n,), see `calib.handeye.model.State`
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,9 @@ class Together:
         return self.sessions[0].accuracy
 
     @property
-    def turning(self) -> list[int]:
-        """Joints whose offsets are estimated."""
-        return self.sessions[0].turning
+    def link_std(self) -> Array:
+        """(4 n,) stated deviations of the links' errors that are estimated."""
+        return self.sessions[0].link_std
 
     @property
     def links(self) -> Links:
@@ -84,7 +85,7 @@ class Together:
     def _first_columns(self) -> tuple[list[int], list[int]]:
         """Where the unknowns of each camera begin, and where those of each target do."""
         of_cameras = [len(self._of_camera(number).free) + 6 for number in range(1 + max(self.cameras))]
-        before = sum(of_cameras) + len(self.turning)
+        before = sum(of_cameras) + len(self.sessions[0].erring)
         of_board = len(self.sessions[0].shaped) + 6
         boards = range(before, before + of_board * (1 + max(self.boards)), of_board)
         return np.cumsum([0, *of_cameras]).tolist(), list(boards)
@@ -98,10 +99,10 @@ class Together:
         """Where among the global unknowns those of a session are, in that session's order."""
         session, (cameras, boards) = self.sessions[number], self._first_columns
         mount = cameras[self.cameras[number]] + len(session.free)
-        shape, turning = boards[self.boards[number]], range(cameras[-1], cameras[-1] + len(self.turning))
+        shape, links = boards[self.boards[number]], range(cameras[-1], cameras[-1] + len(session.erring))
         board = shape + len(session.shaped)
         lens = range(mount - len(session.free), mount)
-        return [*lens, *turning, *range(shape, board), *range(mount, mount + 6), *range(board, board + 6)]
+        return [*lens, *links, *range(shape, board), *range(mount, mount + 6), *range(board, board + 6)]
 
     def corners_of(self, number: int) -> slice:
         """Which of the corners are a session's."""
@@ -116,7 +117,7 @@ class Together:
             state.mount_from_camera[camera],
             state.stand_from_board[board],
             state.corrections[self.stops[number]],
-            state.offsets,
+            state.link_errors,
             state.shapes[board],
         )
 
@@ -151,19 +152,19 @@ class Together:
             tuple(one.stand_from_board for one in boards),
             tuple(one.shape for one in boards),
             state.corrections + view_steps,
-            each[0].offsets,
+            each[0].link_errors,
         )
 
     def known_rows(self, state: TogetherState) -> Array:
-        """What is known of each camera, of the joints, and of each target: once, though several sessions know it."""
+        """What is known of each camera, of the links, and of each target: once, though several sessions know it."""
         placed = []
         for number, session in enumerate(self.sessions):
             rows = session.known_rows(self.state_of(state, number))
             wide = np.zeros((len(rows), self.unknowns + 1))
             wide[:, [*self.columns_of(number), -1]] = rows
-            of_target, of_joints = len(session.shaped), len(self.turning)
+            of_target, of_links = len(session.shaped), len(session.erring)
             news = [self.cameras.index(self.cameras[number]), 0, self.boards.index(self.boards[number])]
-            kinds = np.repeat([0, 1, 2], [len(rows) - of_joints - of_target, of_joints, of_target])
+            kinds = np.repeat([0, 1, 2], [len(rows) - of_links - of_target, of_links, of_target])
             placed.append(wide[np.array(news)[kinds] == number])
         return np.concatenate(placed)
 

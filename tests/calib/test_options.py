@@ -44,7 +44,7 @@ def test_an_option_without_a_default_is_demanded_and_the_words_stay(app):
 
 
 def test_accuracies_are_converted():
-    found = options.Arm(arm_mm=0.1, arm_deg=180.0).accuracy(90.0)
+    found = options.Arm(arm_mm=0.1, arm_deg=180.0).accuracy(options.Inexact(joint_deg=90.0, link_mm=2.0))
     assert found.translation_m == pytest.approx(1e-4)
     assert found.rotation_rad == pytest.approx(2 * found.joint_rad) == pytest.approx(3.14159265)
 

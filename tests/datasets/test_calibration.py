@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from datasets import kinematics, pose
-from datasets.calibration import Calibration, JointOffsets, UncertainPose
+from datasets.calibration import Calibration, LinkErrors, UncertainPose
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging.region import Region
@@ -82,16 +82,36 @@ def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
         Calibration.load(tmp_path / "none.json")
 
 
-def test_joint_offsets_come_back_and_move_the_camera(tmp_path: Path) -> None:
-    offsets = JointOffsets(np.deg2rad([0, 0.1, -0.05, 0.02, 0.03, 0]), np.full(6, 1e-4))
+def test_errors_of_the_links_come_back_and_move_the_camera(tmp_path: Path) -> None:
+    offsets = np.deg2rad([0, 0.1, -0.05, 0.02, 0.03, 0])
+    errors = LinkErrors(np.concatenate([np.zeros(18), offsets]), np.repeat([0.0, 1e-4], [18, 6]))
     joints = np.array([0.3, -1.5, 1.6, -1.4, -1.5, 0.2])
     reported = kinematics.forward(joints)
-    Calibration(CAMERA, {}, POSE, joint_offsets=offsets).save(tmp_path / "c.json")
+    Calibration(CAMERA, {}, POSE, link_errors=errors).save(tmp_path / "c.json")
     again = Calibration.load(tmp_path / "c.json")
-    assert again.joint_offsets is not None and np.array_equal(again.joint_offsets.std, offsets.std)
-    expected = kinematics.forward(joints + offsets.offsets) @ POSE.matrix  # a nominal arm: exact
+    assert again.link_errors is not None and np.array_equal(again.link_errors.std, errors.std)
+    expected = kinematics.forward(joints + offsets) @ POSE.matrix  # a nominal arm: exact
     assert np.abs(again.camera_pose(reported, joints) - expected).max() < 1e-12
     assert np.array_equal(Calibration(CAMERA, {}, POSE).camera_pose(reported, joints), reported @ POSE.matrix)
+
+
+def test_joint_offsets_of_older_files_are_read(tmp_path: Path) -> None:
+    Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
+    older = {"joint_offsets": {"offsets_rad": [0.0, 1e-3, 0.0, 0.0, 0.0, 0.0], "std_rad": [0.0, *[1e-4] * 4, 0.0]}}
+    (tmp_path / "c.json").write_text(json.dumps(json.loads((tmp_path / "c.json").read_text()) | older))
+    found = Calibration.load(tmp_path / "c.json").link_errors
+    assert found is not None and found.only_joints and found.joints[0][1] == 1e-3 and len(found.errors) == 24
+
+
+def test_impossible_errors_of_the_links_are_refused(tmp_path: Path) -> None:
+    Calibration(CAMERA, {}, POSE, link_errors=LinkErrors(np.full(24, 2.0), np.zeros(24))).save(tmp_path / "c.json")
+    with pytest.raises(DatasetError, match="errors of the links are not credible"):
+        Calibration.load(tmp_path / "c.json")
+    content = json.loads((tmp_path / "c.json").read_text())
+    del content["link_errors"]["a_m"]
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(DatasetError, match="errors of the links are not complete"):
+        Calibration.load(tmp_path / "c.json")
 
 
 @pytest.mark.parametrize("offsets", [{"offsets_rad": [0.1] * 6}, {"offsets_rad": [10.0] * 6, "std_rad": [0.0] * 6}, [1, 2]])
@@ -99,7 +119,7 @@ def test_impossible_joint_offsets_are_refused(tmp_path: Path, offsets: object) -
     Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
     content = json.loads((tmp_path / "c.json").read_text()) | {"joint_offsets": offsets}
     (tmp_path / "c.json").write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match="joint offsets are not"):
+    with pytest.raises(DatasetError, match=r"(joint offsets|errors of the links) are not"):
         Calibration.load(tmp_path / "c.json")
 
 

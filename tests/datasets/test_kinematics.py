@@ -27,17 +27,20 @@ def test_flange_jacobian_is_the_small_motion_on_the_right(joints):
         np.testing.assert_allclose(kinematics.flange_jacobian(joints)[..., index], difference, atol=2e-6)  # the step's own size
 
 
-def test_turning_a_nominal_arm_is_exact(joints):
+def test_correcting_a_nominal_arm_is_exact(joints):
     offsets = np.array([0.1, -0.2, 0.3, 0.1, -0.1, 0.2])
-    found = kinematics.turned(kinematics.forward(joints), joints, offsets)
+    found = kinematics.corrected(kinematics.forward(joints), joints, np.concatenate([np.zeros(18), offsets]))
     np.testing.assert_allclose(found, kinematics.forward(joints + offsets), atol=1e-12)
+    errors = np.random.default_rng(2).normal(0, 0.01, 24)
+    found = kinematics.corrected(kinematics.forward(joints), joints, errors)
+    np.testing.assert_allclose(found, kinematics.forward(joints, kinematics.UR5E.with_errors(errors)), atol=1e-12)
 
 
-def test_turning_an_arm_as_built_is_accurate_to_a_hundredth(joints):
+def test_correcting_an_arm_as_built_is_accurate_to_a_hundredth(joints):
     built = kinematics.UR5E.calibrated(np.random.default_rng(1), 1e-3, 1e-3)
     offsets = np.deg2rad([0.05, -0.03, 0.04, 0.02, -0.05, 0.03])
     true, reported = (kinematics.forward(joints + turn, built) for turn in (offsets, 0))
-    left, _ = pose.difference(kinematics.turned(reported, joints, offsets), true)
+    left, _ = pose.difference(kinematics.corrected(reported, joints, np.concatenate([np.zeros(18), offsets])), true)
     distance, _ = pose.difference(reported, true)
     assert distance.min() > 1e-4 and left.max() < 0.01 * distance.max()
 

@@ -1,4 +1,4 @@
-"""Joint offsets of arms that are no UR5e: their own links, and as many offsets as they have joints between first and last."""
+"""Errors of the links of arms that are no UR5e: their own links, as many offsets as they have joints between first and last."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from calib import calibrate
 from calib.errors import CalibrationError
-from calib.handeye import joints, model, uncertainty
+from calib.handeye import links, model, uncertainty
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import projection
 from calib.sessions.session import TargetSession
@@ -15,7 +15,7 @@ from calib.study.simulate import KOALA, Pattern, viewpoints
 from calib.targets.detection import Observation
 from capture.arms.model import ArmModel, load_arm
 from datasets import kinematics, pose
-from datasets.calibration import Calibration, JointOffsets
+from datasets.calibration import Calibration, LinkErrors
 from datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
@@ -57,9 +57,9 @@ def test_jacobian_agrees_with_central_differences(name: str) -> None:
     arm = load_arm(name)
     session, rng = simulated(arm, np.zeros(arm.count), 4), np.random.default_rng(3)
     measured = model.measured(session, ("fx",), None, ARM)
-    assert measured.turning == list(range(1, arm.count - 1))
+    assert measured.erring == list(range(3 * arm.count + 1, 4 * arm.count - 1))
     corrections = rng.normal(0, 1, (4, 6)) * np.repeat([0.01, 0.1], 3)
-    offsets = np.concatenate([[0], rng.normal(0, 0.02, arm.count - 2), [0]])
+    offsets = np.concatenate([np.zeros(3 * arm.count + 1), rng.normal(0, 0.02, arm.count - 2), [0]])
     state = State(projection.vector(RIG.camera), RIG.flange_from_camera, RIG.base_from_board, corrections, offsets)
     _, by_global, _ = model.predict(measured, state)
     count = 1 + arm.count - 2 + 12
@@ -78,27 +78,31 @@ def test_offsets_come_out_within_their_deviations(name: str) -> None:
     session = simulated(arm, offsets, 25)
     found = calibrate.calibrate_handeye(session, Calibration(RIG.camera, {}), ARM)
     inner = slice(1, arm.count - 1)
-    assert found.joint_offsets is not None and found.joint_offsets.offsets.shape == (arm.count,)
-    off = (found.joint_offsets.offsets - offsets)[inner] / found.joint_offsets.std[inner]
+    assert found.link_errors is not None
+    joints, std = found.link_errors.joints
+    assert joints.shape == (arm.count,)
+    off = (joints - offsets)[inner] / std[inner]
     assert np.abs(off).max() < 4
-    assert found.residuals["held_out_px"] < 0.8 * found.residuals["held_out_px_without_joint_offsets"]
+    assert found.residuals["held_out_px"] < 0.8 * found.residuals["held_out_px_without_link_errors"]
     corrected = found.camera_pose(session.base_from_flange, session.joints)
-    truth = kinematics.turned(session.base_from_flange, session.joints, offsets, arm.links) @ RIG.flange_from_camera
+    errors = np.concatenate([np.zeros(3 * arm.count), offsets])
+    truth = kinematics.corrected(session.base_from_flange, session.joints, errors, arm.links) @ RIG.flange_from_camera
     assert np.median(pose.difference(corrected, truth)[0]) < 5e-4
 
 
 def test_the_links_of_another_arm_are_refused() -> None:
     session = simulated(load_arm("ur10e"), np.zeros(6), 4)
-    joints.check(session, ARM)
+    links.check(session, ARM)
     with pytest.raises(CalibrationError, match="by the kinematics of the arm's model the flange is"):
-        joints.check(replace(session, links=load_arm("ur5e").links), ARM)
+        links.check(replace(session, links=load_arm("ur5e").links), ARM)
 
 
 def test_stored_offsets_keep_their_arm(tmp_path) -> None:
     arm = load_arm("panda")
-    offsets = JointOffsets(np.full(7, 1e-3), np.full(7, 1e-4), arm.links)
-    again = JointOffsets.from_json(offsets.to_json(), where="here")
+    errors = LinkErrors(np.repeat([0.0, 1e-3], [21, 7]), np.repeat([0.0, 1e-4], [21, 7]), arm.links)
+    again = LinkErrors.from_json(errors.to_json(), where="here")
+    assert again.only_joints
     reported = arm.forward(arm.home)
     np.testing.assert_allclose(again.corrected(reported, arm.home), arm.forward(arm.home + 1e-3), atol=1e-12)
-    older = {key: value[:6] for key, value in offsets.to_json().items() if key != "links"}
-    assert JointOffsets.from_json(older, where="here").links is kinematics.UR5E
+    older = {"offsets_rad": [1e-3] * 6, "std_rad": [1e-4] * 6}
+    assert LinkErrors.from_offsets(older, where="here").links is kinematics.UR5E

@@ -10,7 +10,7 @@ from calib.advice.patterns import Pattern, viewpoints
 from calib.handeye import model, surface
 from calib.handeye.model import Accuracy, State
 from calib.intrinsics import projection
-from calib.options import Arm
+from calib.options import Arm, Inexact
 from calib.page.summary import describe_calibration
 from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, simulate
@@ -108,8 +108,8 @@ def test_a_file_without_a_credible_shape_is_of_a_flat_target() -> None:
 
 def test_options_that_are_no_accuracy_are_refused() -> None:
     with pytest.raises(UsageError, match=r"--sag-mm: accuracy must be a positive number .-1 given"):
-        Arm().accuracy(sag_mm=-1)
-    assert Arm().accuracy(print_percent=0.5, sag_mm=2) == replace(TOLERANT, joint_rad=0.0)
+        Arm().accuracy(Inexact(sag_mm=-1))
+    assert Arm().accuracy(Inexact(print_percent=0.5, sag_mm=2)) == replace(TOLERANT, joint_rad=0.0)
 
 
 def test_the_pose_of_the_target_does_not_hide_it(found) -> None:
