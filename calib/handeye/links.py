@@ -1,4 +1,4 @@
-"""Errors of the arm's links: of its joints' zeros, or of all Denavit-Hartenberg parameters. What can be estimated, what was found?
+"""Errors of the arm's links: of the zeros of its joints, or of all Denavit-Hartenberg parameters. What was found, what can be?
 
 An error of a link moves the flange differently in every view, but by the same law. `calib.handeye.model` estimates the errors
 with everything else. Their stated accuracy is their prior; one that the views do not determine stays at the prior and is named.
