@@ -30,10 +30,7 @@ class EncodingConfig(Schema):
     )
     finest: float = setting(256.0, "The same at the finest level.", gt=0)
     volume: float | None = setting(
-        None,
-        "Volume that can hold anything [scene unit^3], for tables that are no larger than needed; none: as measured with "
-        "skip.table_size, else full tables.",
-        gt=0,
+        None, "Volume that can hold anything [scene unit^3], for tables that are no larger than needed; none: full tables.", gt=0
     )
 
 
@@ -266,8 +263,6 @@ class SkipConfig(Schema):
         False, "Regularisers of shape and normals, where neither masks nor the scene's box say what the object is."
     )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
-    fine_levels: bool = setting(False, "Levels finer than the smallest footprint of a pixel at the surface.")
-    table_size: bool = setting(False, "Rows that levels with few vertices in the occupied space cannot fill.")
     multisampling: bool = setting(False, "Six Gaussians per frustum, where pixels' footprints are alike everywhere.")
     reflection: bool = setting(
         False, "Reflections and predicted normals, where most of the object keeps its colour from view to view."

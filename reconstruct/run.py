@@ -93,7 +93,8 @@ class Run:
         content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
         try:
             facts = SceneFacts.from_json(content.get("facts") or {"normalisation": content["normalisation"]})
-            return cls(path, Config.model_validate(_current(content["config"])), content["scene"], facts, content)
+            config = Config.model_validate(_current(content["config"], content.get("facts") or {}))
+            return cls(path, config, content["scene"], facts, content)
         except (KeyError, TypeError, ValueError) as error:
             raise DatasetError("run is not complete", where=path / RUN, why=str(error).splitlines()[0]) from None
 
@@ -157,12 +158,15 @@ def _append(path: Path, line: dict[str, Any]) -> None:
         files.flush(path.parent)
 
 
-def _current(config: dict[str, Any]) -> dict[str, Any]:
+def _current(config: dict[str, Any], facts: dict[str, Any]) -> dict[str, Any]:
     """A run's configuration in today's terms.
 
     At first it counted the points that stand for a frustum. What is measured on a scene was written into it until the facts had a
-    place of their own; there it still has effect, as a value that a person gave. Skips that training no longer has are left out.
+    place of their own; there it still has effect, as a value that a person gave. Skips that training no longer has are left
+    out; the tables that `skip.table_size` made smaller keep their size.
     """
+    if config["skip"].get("table_size") and not config["encoding"].get("volume"):
+        config = {**config, "encoding": {**config["encoding"], "volume": facts.get("volume")}}
     config = {**config, "skip": {name: value for name, value in config["skip"].items() if name in SkipConfig.model_fields}}
     if "multisamples" not in config["sampler"]:
         return config

@@ -37,17 +37,15 @@ class Field(eqx.Module):
         encoding: EncodingConfig,
         field: FieldConfig,
         *,
-        volume: float | None = None,
         start: Start | None = None,
     ) -> "Field":
         """Fresh weights for the given sizes.
 
         Args:
-            volume: see `create_encoding`.
             start: where the object is, for appearances that begin differently around it.
         """
         encoding_key, spatial_key, view_key = jax.random.split(key, 3)
-        encoded = create_encoding(encoding_key, encoding, volume)
+        encoded = create_encoding(encoding_key, encoding)
         appearance = create_appearance(view_key, field, start)
         spatial = Mlp.create(
             spatial_key,

@@ -55,7 +55,7 @@ class Model(eqx.Module):
         start = Start(
             config.field.towards or facts.towards, config.field.half_box or facts.half_box, facts.light, Parallax.of(config.light)
         )
-        field = Field.create(field_key, config.encoding, config.field, volume=facts.table_volume(config), start=start)
+        field = Field.create(field_key, config.encoding, config.field, start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None

@@ -39,13 +39,12 @@ class Proposal(eqx.Module):
         *,
         width: int = 64,
         depth: int = 1,
-        volume: float | None = None,
     ) -> "Proposal":
-        """One level whose finest resolution is `finest`; a factor 2 between its grids. `volume`: see `create_encoding`."""
+        """One level whose finest resolution is `finest`; a factor 2 between its grids."""
         encoding_key, spatial_key = jax.random.split(key)
         levels = max(2, round(np.log2(finest / encoding.coarsest)) + 1)
         sizes = encoding.model_copy(update={"levels": levels, "features": 1, "finest": finest})
-        encoded = create_encoding(encoding_key, sizes, volume)
+        encoded = create_encoding(encoding_key, sizes)
         network = Mlp.create(spatial_key, channels=encoded.num_channels, width=width, depth=depth, outputs=1)
         return cls(encoded, network, density_bias)
 

@@ -40,7 +40,7 @@ class ProposedIntervals(Sampler):
         """Fresh proposals; `possible` is ignored."""
         sampler, encoding = config.sampler, config.encoding
         _, *keys = jax.random.split(key, 1 + len(sampler.proposal_finest))
-        sizes = {"width": sampler.proposal_width, "depth": sampler.proposal_depth, "volume": facts.table_volume(config)}
+        sizes = {"width": sampler.proposal_width, "depth": sampler.proposal_depth}
         proposals = tuple(
             Proposal.create(level_key, encoding, finest, density_bias, **sizes)
             for level_key, finest in zip(keys, sampler.proposal_finest, strict=True)

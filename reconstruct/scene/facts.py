@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import Scene, View
-from reconstruct.config import Config
 from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.light import STILL, LightFrame
 from reconstruct.scene.rays import Normalisation, direction_of_cameras
@@ -30,29 +29,23 @@ class SceneFacts:
     """Half the size of the object's box [scene unit] where there is something around it."""
     box_is_stated: bool = False
     """Whether the scene states the object's box; else the pictures suggest it."""
-    volume: float | None = None
-    """Contracted space that can hold anything [scene unit^3]; None: not measured."""
     log_gains: tuple[Vector, ...] | None = None
     """Logarithm of each view's gain per colour, from matched points; None: not measured."""
     light: LightFrame = STILL
     """Where the lamps stand still, as it was decided."""
 
     @classmethod
-    def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation, volume: float | None = None) -> "SceneFacts":
+    def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation) -> "SceneFacts":
         """Measure a scene. `views`: those that are trained on."""
         half_box = None
         if not normalisation.bounded:
             x, y, z = (np.diff(scene.box, axis=0)[0] / 2 * normalisation.scale).tolist()
             half_box = (x, y, z)
-        return cls(normalisation, direction_of_cameras(views, normalisation), half_box, scene.box_is_stated, volume)
+        return cls(normalisation, direction_of_cameras(views, normalisation), half_box, scene.box_is_stated)
 
     def with_gains(self, log: NDArray[np.float64]) -> "SceneFacts":
         """The same with the (views, 3) log gains of its views."""
         return replace(self, log_gains=tuple(tuple(gain) for gain in log.tolist()))
-
-    def table_volume(self, config: Config) -> float | None:
-        """Space that the encoding's tables are made for; None: full tables."""
-        return config.encoding.volume or (self.volume if config.skip.table_size else None)
 
     def to_json(self) -> dict[str, Any]:
         """As run.json has it."""
@@ -67,4 +60,5 @@ class SceneFacts:
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
         gains = None if (v := content.get("log_gains")) is None else tuple(tuple(gain) for gain in v)
         parts = {"normalisation": Normalisation(**normalisation), "log_gains": gains}
+        content = {name: value for name, value in content.items() if name != "volume"}  # of runs with skip.table_size
         return cls(**{**content, **vectors, **parts, "light": LightFrame.from_json(content.get("light"))})

@@ -83,7 +83,7 @@ def prepare(
             skips.append(lamps)
             if light.moves:
                 hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")
-            config, facts = lean, replace(SceneFacts.of(scene, views, normalisation, evidence.volume), light=light)
+            config, facts = lean, replace(SceneFacts.of(scene, views, normalisation), light=light)
             if gains is not None and config.train.per_image != "none":
                 facts = facts.with_gains(gains.log_gains_of(views))
     assert facts is not None, "a training that is not fresh knows its scene"

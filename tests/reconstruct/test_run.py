@@ -32,10 +32,12 @@ def test_a_run_of_the_first_days_is_read_in_today_s_terms(make_run: Callable[...
     sampler, field = content["config"]["sampler"], content["config"]["field"]
     del sampler["frustum"]
     sampler["multisamples"], field["view_skip"], field["view_depth"] = 6, True, 3
-    content["config"]["skip"]["converged"] = False
+    content["config"]["skip"] |= {"converged": False, "table_size": True}
+    content["facts"]["volume"] = 2.5
     path.write_text(json.dumps(content))
     config = Run.open(path.parent).config
     assert (config.sampler.frustum, config.field.view_skip) == ("hexagon", 2)
+    assert config.encoding.volume == 2.5, "tables keep the size that a skip gave them"
 
 
 def test_a_run_with_facts_in_its_configuration_still_opens(make_run: Callable[..., Run]) -> None:
@@ -52,7 +54,7 @@ def test_a_run_with_facts_in_its_configuration_still_opens(make_run: Callable[..
     assert again.facts == SceneFacts(run.normalisation) and again.config.field.towards == (0.0, 0.25, 0.5)
     state = Step.of(again.config, again.facts).initial(jax.random.key(0))
     assert state.model.field.appearance.start.towards == (0.0, 0.25, 0.5)
-    assert again.facts.table_volume(again.config) == 0.5
+    assert again.config.encoding.volume == 0.5
 
 
 @pytest.mark.parametrize("kind", ["occupancy", "proposal"])

@@ -11,8 +11,8 @@ from reconstruct.field.encodings.voxels import VoxelGrid
 GRIDS = {"lattice": PermutohedralLattice, "voxels": VoxelGrid}
 
 
-def create_encoding(key: PRNGKeyArray, config: EncodingConfig, volume: float | None = None) -> Encoding:
-    """A fresh encoding of the wanted kind and sizes. `volume`: where anything can be [scene unit^3]; None: full tables."""
+def create_encoding(key: PRNGKeyArray, config: EncodingConfig) -> Encoding:
+    """A fresh encoding of the wanted kind and sizes."""
     if config.kind == "frequencies":
         return Frequencies.create(levels=config.levels, coarsest=config.coarsest, finest=config.finest)
-    return GRIDS[config.kind].create(key, **config.model_dump(exclude={"kind", "volume"}), volume=volume)
+    return GRIDS[config.kind].create(key, **config.model_dump(exclude={"kind"}))

@@ -13,8 +13,6 @@ from reconstruct.training.skipping.gains import Differences
 
 PLACES = 2000
 """Places of the object at which footprints are measured."""
-CUBE, BALL, CONTRACTED = 8.0, 4 / 3 * np.pi, 4 / 3 * np.pi * 8
-"""Volume of the cube, the object's ball where there are surroundings, and of all space once it is contracted [scene unit^3]."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +41,6 @@ class Evidence:
     """Exposure and white balance of the views; None: not measured."""
     matte: float | None = None
     """Share of the object that keeps its colour from view to view; None: not known."""
-
-    @property
-    def volume(self) -> float:
-        """Space that can hold anything, contracted [scene unit^3]."""
-        around = self.frustum is None and not self.bounded
-        return BALL + (CONTRACTED - BALL) * self.possible if around else CUBE * self.possible
-
-    @property
-    def everything(self) -> int:
-        """All space, contracted [scene unit^3]."""
-        return round(CUBE if self.bounded or self.frustum else CONTRACTED)
 
 
 def evidence_of(

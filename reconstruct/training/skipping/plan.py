@@ -6,7 +6,6 @@ import numpy as np
 
 from datasets.scene import Scene, View
 from reconstruct.config import Config
-from reconstruct.field.encodings.tables import fitting_sizes, resolutions_between
 from reconstruct.models import Tree, merged, merged_config
 from reconstruct.sampling.create import sampler_type
 from reconstruct.sampling.steps import BEHIND, FRONT
@@ -63,7 +62,7 @@ def lenses(views: tuple[View, ...], config: Config) -> tuple[View, ...]:
 def plan(found: Evidence, config: Config) -> tuple[Config, list[Skip]]:
     """The configuration without what the scene does not need, and all decisions."""
     skips = [_surroundings(found, config), _contraction(found, config), _empty_rays(found, config)]
-    for rule in (_regularisers, _reflection, _fine_levels, _table_size, _multisampling):
+    for rule in (_regularisers, _reflection, _multisampling):
         config, skip = rule(found, config)
         skips.append(skip)
     skips += [_distortion(found, config), _structure_from_motion(found)]
@@ -107,32 +106,6 @@ def _regularisers(found: Evidence, config: Config) -> Decision:
         config = _free(config, UNREGULARISED)
     evidence = "masks or the scene's box say what the object is" if found.object_known else "nothing says what the object is"
     return config, Skip.of("regularisers", skipped, evidence, "the second pass, and the normals of first surfaces")
-
-
-def _fine_levels(found: Evidence, config: Config) -> Decision:
-    encoding, limit = config.encoding, 1 / max(found.smallest, 1e-9)
-    if encoding.kind == "frequencies":
-        return config, Skip.of("fine_levels", False, "frequencies fade by themselves", "nothing")
-    resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
-    useful = max(1, sum(resolution <= limit for resolution in resolutions))
-    spare = encoding.levels - useful
-    evidence = f"smallest footprint {found.smallest:.2g}, {spare} of {encoding.levels} levels are finer"
-    skipped = spare > 0 and config.skip.fine_levels
-    if skipped:
-        config = merged_config(config, {"encoding": {"levels": useful, "finest": resolutions[useful - 1]}})
-    return config, Skip.of("fine_levels", skipped, evidence, f"{spare / encoding.levels:.0%} of the encoding")
-
-
-def _table_size(found: Evidence, config: Config) -> Decision:
-    encoding = config.encoding
-    if encoding.kind == "frequencies":
-        return config, Skip.of("table_size", False, "frequencies have no tables", "nothing")
-    resolutions = resolutions_between(encoding.coarsest, encoding.finest, encoding.levels)
-    sizes = fitting_sizes(resolutions, encoding.log2_size, found.volume)
-    rows, full = sum(2**size for size in sizes), encoding.levels * 2**encoding.log2_size
-    evidence = f"{found.volume:.2g} of {found.everything} cubic units can hold anything"
-    skipped = rows < full and config.skip.table_size  # the encoding takes its volume from the scene's facts then
-    return config, Skip.of("table_size", skipped, evidence, f"{1 - rows / full:.0%} of the tables and of their optimiser's work")
 
 
 def _multisampling(found: Evidence, config: Config) -> Decision:

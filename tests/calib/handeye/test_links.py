@@ -241,7 +241,5 @@ def test_unseen_views_over_ten_arms(off, gained):
         found = calibrated(session, replace(ARM, joint_rad=0.0, length_m=5e-4, angle_rad=float(np.deg2rad(0.05))))
         without.append(found.residuals["held_out_mm_without_link_errors"])
         with_errors.append(found.residuals["held_out_mm"])
-    print(
-        f"\nlinks off by {0.5 * off} mm: {np.median(without):.3f} mm as reported, {np.median(with_errors):.3f} mm with errors"
-    )
+    print(f"\nlinks off by {0.5 * off} mm: {np.median(without):.3f} mm as reported, {np.median(with_errors):.3f} mm with errors")
     assert np.median(with_errors) < gained * np.median(without)

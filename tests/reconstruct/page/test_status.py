@@ -24,11 +24,11 @@ def test_skips_are_listed_with_their_evidence(make_run: Callable[..., Any]) -> N
     run = make_run()
     (run.path / record.SKIPS).unlink(missing_ok=True)
     assert skips_text(run) == ""
-    fine = record.Skip("fine_levels", True, "no pixel is finer than 2 mm", "a third of the table", "up to 0.4 dB")
+    fine = record.Skip("multisampling", True, "footprints are alike", "five of six places", "up to 0.4 dB")
     reflection = record.Skip("reflection", False, "5% of the object keeps its colour", "half a step", "nothing")
     record.write(run.path, [fine, reflection])
     words = skips_text(run)
-    assert words.startswith("- **detail that is finer than a pixel can show** skipped: no pixel is finer than 2 mm")
+    assert words.startswith("- **several samples at one place** skipped: footprints are alike")
     assert "cost: up to 0.4 dB" in words and words.endswith(
         "- reflections of a matte object kept: 5% of the object keeps its colour"
     )

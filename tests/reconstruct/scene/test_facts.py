@@ -17,8 +17,8 @@ from reconstruct.scene.rays import Normalisation
 SMALL = ["encoding.levels=2", "encoding.log2_size=8", "sampler.grid=16", "sampler.outer_grid=8"]
 
 
-def facts_of(scene: Scene, volume: float | None = None) -> SceneFacts:
-    return SceneFacts.of(scene, scene.views, Normalisation.of(scene), volume)
+def facts_of(scene: Scene) -> SceneFacts:
+    return SceneFacts.of(scene, scene.views, Normalisation.of(scene))
 
 
 def created(facts: SceneFacts, *overrides: str) -> Model:
@@ -37,7 +37,7 @@ def test_the_box_among_surroundings_is_measured(ball_scene: tuple[Scene, Path]) 
 
 def test_facts_survive_being_written(ball_scene: tuple[Scene, Path]) -> None:
     for scene in (ball_scene[0], replace(ball_scene[0], background="scene")):
-        for facts in (found := facts_of(scene, volume=2.0), found.with_gains(np.array([[0.1, 0.2, 0.3], [0.0, 0.0, -1.0]]))):
+        for facts in (found := facts_of(scene), found.with_gains(np.array([[0.1, 0.2, 0.3], [0.0, 0.0, -1.0]]))):
             assert SceneFacts.from_json(json.loads(json.dumps(facts.to_json()))) == facts
 
 
@@ -70,12 +70,10 @@ def test_rays_that_meet_a_stated_box_are_preferred(
     assert (focused and focused.candidates) == candidates
 
 
-def test_tables_shrink_to_the_measured_volume_only_where_that_is_wanted(ball_scene: tuple[Scene, Path]) -> None:
-    facts, sizes = facts_of(ball_scene[0], volume=1e-3), ["encoding.log2_size=12", "encoding.coarsest=8"]
-    full, fitted = created(facts, *sizes), created(facts, *sizes, "skip.table_size=true")
+def test_tables_are_made_for_the_volume_that_is_given(ball_scene: tuple[Scene, Path]) -> None:
+    facts, sizes = facts_of(ball_scene[0]), ["encoding.log2_size=12", "encoding.coarsest=8"]
+    full, fitted = created(facts, *sizes), created(facts, *sizes, "encoding.volume=1e-3")
     assert fitted.field.encoding.log2_sizes < full.field.encoding.log2_sizes == (12, 12)
-    given = created(facts, *sizes, "skip.table_size=true", "encoding.volume=8")
-    assert given.field.encoding.log2_sizes > fitted.field.encoding.log2_sizes
 
 
 def test_gains_begin_as_they_were_measured(ball_scene: tuple[Scene, Path]) -> None:

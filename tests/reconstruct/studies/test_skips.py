@@ -37,12 +37,12 @@ def skip(name: str, skipped: bool) -> Skip:
 
 
 def test_cost_is_what_skipping_loses_whichever_is_the_default(tmp_path: Path) -> None:
-    """Base skips empty rays and keeps fine levels; the cells invert both."""
-    both = [skip("empty_rays", True), skip("fine_levels", False)]
+    """Base skips empty rays and keeps samples; the cells invert both."""
+    both = [skip("empty_rays", True), skip("multisampling", False)]
     cell(tmp_path, BASE, [], 30.0, 12.0, 10.0, both)
     cell(tmp_path, "empty_rays", ["skip.empty_rays=false"], 30.05, 12.1, 25.0, [skip("empty_rays", False)])
-    cell(tmp_path, "fine_levels", ["skip.fine_levels=true"], 29.7, 12.0, 8.0, [skip("fine_levels", True)])
-    empty, fine = skips.compare(tmp_path, "empty_rays"), skips.compare(tmp_path, "fine_levels")
+    cell(tmp_path, "multisampling", ["skip.multisampling=true"], 29.7, 12.0, 8.0, [skip("multisampling", True)])
+    empty, fine = skips.compare(tmp_path, "empty_rays"), skips.compare(tmp_path, "multisampling")
     assert empty.cost_db == pytest.approx(0.05) and empty.cost_deg == pytest.approx(-0.1) and empty.cheap and empty.applied
     assert empty.step_ms == pytest.approx((25.0, 10.0)), "the undisturbed tenth"
     assert fine.cost_db == pytest.approx(0.3) and not fine.cheap and fine.step_ms == pytest.approx((10.0, 8.0))
@@ -66,8 +66,8 @@ def test_every_skip_has_a_cell_that_inverts_it() -> None:
     assert list(wanted) == [BASE, *record.NAMES]
     for name in record.NAMES:
         assert getattr(load_config(overrides=list(wanted[name])).skip, name) != getattr(load_config().skip, name)
-    with pytest.raises(UsageError, match="fine_levels"):
-        skips.cells(["fine_level"])
+    with pytest.raises(UsageError, match="multisampling"):
+        skips.cells(["multisample"])
 
 
 def test_a_comparison_is_resumed_with_the_same_settings_only(
@@ -79,7 +79,7 @@ def test_a_comparison_is_resumed_with_the_same_settings_only(
 
     monkeypatch.setattr(Job, "run", stub)
     out = tmp_path / "skips"
-    ask = lambda **request: skips.run([str(ball_scene[1])], out, names=["fine_levels"], **request)  # noqa: E731
+    ask = lambda **request: skips.run([str(ball_scene[1])], out, names=["multisampling"], **request)  # noqa: E731
     with pytest.raises(UsageError, match="surfnerf"):
         ask(model="surfnrf")
     assert not out.exists()

@@ -8,9 +8,7 @@ from datasets.camera_model import Camera
 from datasets.scene import Scene
 from datasets.structure.exposure import ExposureGains
 from reconstruct.config import Config
-from reconstruct.field.encodings.create import create_encoding
 from reconstruct.models import load_config
-from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, view_rays
 from reconstruct.training.skipping.evidence import Evidence
 from reconstruct.training.skipping.gains import Differences
@@ -43,31 +41,6 @@ def test_a_disabled_skip_changes_nothing() -> None:
     config, skips = plan(FOUND, base)
     assert config == base
     assert not any(skip.skipped for skip in skips if skip.name in names and skip.name not in ("surroundings", "multisampling"))
-
-
-@pytest.mark.parametrize(("smallest", "left"), [(1e-3, 8), (0.01, 6), (0.05, 3), (10.0, 1)])
-def test_levels_finer_than_the_smallest_footprint_go(smallest: float, left: int) -> None:
-    before, config = load_config().encoding, planned(replace(FOUND, smallest=smallest), fine_levels=True)[0].encoding
-    assert config.levels == left  # 6 * 1.71^n <= 1 / smallest; the coarsest stays
-    assert config.coarsest == before.coarsest and (left == 1 or config.finest <= 1 / smallest)
-    if 1 < left < 8:
-        growth = (before.finest / before.coarsest) ** (1 / 7)
-        np.testing.assert_allclose(config.finest, before.coarsest * growth ** (left - 1), rtol=1e-6)
-
-
-def test_tables_shrink_with_the_space_that_is_left() -> None:
-    import jax
-
-    rows = []
-    for possible in (1.0, 0.1):
-        found = replace(FOUND, possible=possible)
-        config, skips = planned(found, table_size=True)
-        facts = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0), volume=found.volume)
-        assert config.encoding.volume is None, "what is measured is not written into the configuration"
-        rows.append(create_encoding(jax.random.key(0), config.encoding, facts.table_volume(config)).table.shape[1])
-        assert skips["table_size"].skipped
-    assert rows[1] < rows[0] < 8 * 2**16
-    assert "%" in skips["table_size"].saving
 
 
 def test_multisampling_goes_where_footprints_are_alike() -> None:

@@ -11,8 +11,8 @@ from reconstruct.training.skipping.record import Skip
 
 SKIPS = [
     Skip.of("empty_rays", True, "masks", "much"),
-    Skip.of("table_size", False, "a tenth can hold anything", "rows"),
-    Skip.of("fine_levels", True, "3 levels are finer", "levels"),
+    Skip.of("contraction", False, "cameras look different ways", "space"),
+    Skip.of("multisampling", True, "footprints are alike", "five of six places"),
 ]
 
 
@@ -30,7 +30,7 @@ def test_names_are_forced_by_overrides_that_the_configuration_knows() -> None:
     assert set(record.COSTS) == {*SkipConfig.model_fields, *record.LEARNED, *record.ELSEWHERE}
 
 
-@pytest.mark.parametrize(("name", "answer"), [("fine_level", "fine_levels"), ("structure_from_motion", "calib refine")])
+@pytest.mark.parametrize(("name", "answer"), [("multisample", "multisampling"), ("structure_from_motion", "calib refine")])
 def test_an_unknown_name_is_answered_with_the_nearest(name: str, answer: str) -> None:
     with pytest.raises(UsageError, match=answer):
         record.forced([name])
@@ -41,7 +41,7 @@ def test_a_person_reads_what_was_left_out_why_and_what_it_saved_and_nothing_else
     elsewhere = Skip.of("structure_from_motion", True, "poses from the scene", "matching the views")
     assert record.left_out([*SKIPS, beside, elsewhere]) == [
         "empty space: masks; saves much",
-        "detail that is finer than a pixel can show: 3 levels are finer; saves levels",
+        "several samples at one place: footprints are alike; saves five of six places",
     ]
     assert not any(name in line for line in record.left_out(SKIPS) for name in record.NAMES), "words, and no names of settings"
 
