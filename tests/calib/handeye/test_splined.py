@@ -109,6 +109,7 @@ def test_a_session_with_this_camera_given_counts_its_knots_with_their_uncertaint
     assert found.residuals["rms_px"] < 0.1 * np.sqrt(2)
 
 
+@pytest.mark.slow
 def test_the_same_session_with_this_camera_given_assumes_of_knots_what_it_assumed_before(
     seen: TargetSession, splined: Calibration
 ) -> None:
