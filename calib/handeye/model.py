@@ -84,7 +84,7 @@ class Session:
         """Which numbers of the target's `shape` are estimated."""
         return [0, 1] * (self.accuracy.stretch > 0) + [2, 3] * (self.accuracy.sag_m > 0)
 
-    @cached_property
+    @property
     def link_std(self) -> Array:
         """(4 n,) stated deviations of d, a [m], alpha, theta [rad]; 0 where no error is estimated.
 
