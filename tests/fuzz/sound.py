@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from datasets import pose
-from datasets.calibration import Calibration, JointOffsets, UncertainPose
+from datasets.calibration import Calibration, LinkErrors, UncertainPose
 from datasets.camera_model import Camera
 from datasets.core import files
 from datasets.formats import ply, save_scene
@@ -125,8 +125,8 @@ def _recording(folder: Path) -> None:
 
 def _calibration(folder: Path) -> None:
     mount = UncertainPose(np.eye(4), 1e-6 * np.eye(6))
-    offsets = JointOffsets(np.zeros(6), np.zeros(6))
-    Calibration(CAMERA, {"fx": 1.0}, mount, mount, joint_offsets=offsets).save(folder / "calibration.json")
+    errors = LinkErrors(np.zeros(24), np.zeros(24))
+    Calibration(CAMERA, {"fx": 1.0}, mount, mount, link_errors=errors).save(folder / "calibration.json")
 
 
 def _points(folder: Path) -> None:
