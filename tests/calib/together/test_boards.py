@@ -145,6 +145,7 @@ def test_its_corners_do_not_count_again_in_a_session_that_it_was_made_from() -> 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("one_recording", [True, False])
 def test_errors_over_many_rigs_are_those_stated(one_recording: bool) -> None:
     """60 rigs: the mean squared distance over the six unknowns has a standard deviation of 7 %."""

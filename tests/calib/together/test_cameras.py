@@ -140,6 +140,7 @@ def test_sessions_that_do_not_belong_together_are_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("same_stops", [True, False])
 def test_errors_over_many_rigs_are_those_stated(same_stops: bool) -> None:
     """60 rigs: the mean squared distance over the six unknowns has a standard deviation of 7 %."""
