@@ -17,7 +17,6 @@ from calib.errors import TargetError, Unobservable
 from calib.handeye import closed_forms, flips, model, outliers, refine, repeating, uncertainty, verify
 from calib.handeye.model import Accuracy, State
 from calib.handeye.refine import Refined
-from calib.handeye.repeating import Repeating
 from calib.handeye.surface import FLAT
 from calib.intrinsics import estimate, projection
 from calib.intrinsics.estimate import rms
@@ -73,7 +72,9 @@ def calibrate_boards(
     refined = refine.refine(problem, start, sigma_px=best.fit.refined.sigmas.pixel)
     arm = repeating.estimate(problem, refined)
     boards = _boards(problem, refined, arm.covariance)
-    calibration = _with_all(_of_one(solutions, best, problem, refined, arm, accuracy, allow_m), sessions, refined)
+    number = next(number for number, solution in enumerate(solutions) if solution is best)
+    of_best = joining.calibration_of(problem, refined, arm, best, number, accuracy, allow_m)
+    calibration = _with_all(of_best, sessions, refined)
     calibration.residuals["boards"] = _facts(names, solutions, problem, refined, boards)
     calibration.residuals.update(_held_out(problem, refined))
     calibration.residuals["coverage"] = estimate.coverage(pooled.observations, pooled.width, pooled.height)
@@ -108,12 +109,8 @@ def _pooled(sessions: Sequence[TargetSession]) -> TargetSession:
         for number, session in enumerate(sessions)
         for observation in session.observations
     ]
-    return replace(sessions[0], observations=tuple(every), base_from_flange=_stacked(sessions), joints=None)
-
-
-def _stacked(sessions: Sequence[TargetSession]) -> Array:
-    """(views, 4, 4) poses of the flange, session after session."""
-    return np.concatenate([session.base_from_flange for session in sessions])
+    flanges = np.concatenate([session.base_from_flange for session in sessions])
+    return replace(sessions[0], observations=tuple(every), base_from_flange=flanges, joints=None)
 
 
 def _alone(session: TargetSession, camera: Calibration, accuracy: Accuracy) -> Solution | None:
@@ -164,24 +161,6 @@ def _boards(problem: Together, refined: Refined[TogetherState], covariance: Arra
     columns = [problem.columns_of(number)[-6:] for number in range(len(problem.sessions))]
     pairs = zip(refined.state.stand_from_board, columns, strict=True)
     return tuple(UncertainPose(board, covariance[np.ix_(own, own)]) for board, own in pairs)
-
-
-def _of_one(
-    solutions: Sequence[Solution],
-    best: Solution,
-    problem: Together,
-    refined: Refined[TogetherState],
-    arm: Repeating,
-    accuracy: Accuracy,
-    allow_m: float,
-) -> Calibration:
-    """The calibration as the session with the most corners sees it."""
-    number = next(number for number, solution in enumerate(solutions) if solution is best)
-    columns = problem.columns_of(number)
-    own = replace(arm, covariance=arm.covariance[np.ix_(columns, columns)])
-    part = joining.own_part(problem, refined, own.covariance, number)
-    fit = replace(best.fit, measured=problem.sessions[number], refined=part)
-    return calibrate.described(replace(best, fit=fit), own, accuracy, False, allow_m)
 
 
 def _with_all(calibration: Calibration, sessions: Sequence[TargetSession], refined: Refined[TogetherState]) -> Calibration:

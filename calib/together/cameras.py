@@ -4,7 +4,7 @@ Each camera is calibrated alone first, which finds its lens, its outliers and a 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,12 +60,10 @@ def calibrate_cameras(
     refined = refine.refine(problem, start, sigma_px=sigma_px)
     arm = repeating.estimate(problem, refined)
     between = [_between(problem, refined.state, arm.covariance, camera) for camera in range(1, len(sessions))]
-    found = []
-    for camera, solution in enumerate(alone):
-        columns = problem.columns_of(camera)
-        own = replace(arm, covariance=arm.covariance[np.ix_(columns, columns)])
-        fit = replace(solution.fit, refined=joining.own_part(problem, refined, own.covariance, camera))
-        found.append(calibrate.described(replace(solution, fit=fit), own, accuracy, False, allow_m))
+    found = [
+        joining.calibration_of(problem, refined, arm, solution, camera, accuracy, allow_m)
+        for camera, solution in enumerate(alone)
+    ]
     taken = np.bincount(np.concatenate(problem.stops))
     return Cameras(tuple(found), tuple(between), len(taken), int((taken > 1).sum()))
 

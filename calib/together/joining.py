@@ -6,17 +6,19 @@ from typing import Any
 
 import numpy as np
 
+from calib import calibrate
 from calib.arrays import Array, Indices
 from calib.calibrate import Solution
 from calib.errors import CalibrationError
 from calib.handeye import repeating, uncertainty
+from calib.handeye.model import Accuracy
 from calib.handeye.refine import Refined
 from calib.sessions.session import TargetSession
 from calib.solver.elimination import covariance_of
 from calib.solver.geometry import rms_difference
 from calib.together.model import Together, TogetherState
 from datasets import pose
-from datasets.calibration import UncertainPose
+from datasets.calibration import Calibration, UncertainPose
 from datasets.core.errors import UsageError
 
 APART = 60.0
@@ -62,7 +64,7 @@ def stops(sessions: Sequence[TargetSession], recordings: Sequence[object]) -> tu
     return tuple(np.array([places.setdefault((one, o.name), len(places)) for o in s.observations]) for s, one in pairs)
 
 
-def own_part(problem: Together, refined: Refined[TogetherState], covariance: Array, number: int) -> Refined[Any]:
+def _own_part(problem: Together, refined: Refined[TogetherState], covariance: Array, number: int) -> Refined[Any]:
     """One session's part of what was found together; `covariance` is that of its own unknowns."""
     corners, noise = problem.corners_of(number), problem.noise[problem.cameras[number]]
     return replace(
@@ -73,6 +75,23 @@ def own_part(problem: Together, refined: Refined[TogetherState], covariance: Arr
         residuals=refined.residuals[corners] * noise,
         inliers=refined.inliers[corners],
     )
+
+
+def calibration_of(
+    problem: Together,
+    refined: Refined[TogetherState],
+    arm: repeating.Repeating,
+    solution: Solution,
+    number: int,
+    accuracy: Accuracy,
+    allow_m: float,
+) -> Calibration:
+    """What was found together, as the calibration of one session whose own `solution` was the start."""
+    columns = problem.columns_of(number)
+    own = replace(arm, covariance=arm.covariance[np.ix_(columns, columns)])
+    part = _own_part(problem, refined, own.covariance, number)
+    fit = replace(solution.fit, measured=problem.sessions[number], refined=part)
+    return calibrate.described(replace(solution, fit=fit), own, accuracy, False, allow_m)
 
 
 def _twist(motion: Array) -> Array:
