@@ -1,12 +1,24 @@
 """The command `calib board`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from datasets.core import console
 from datasets.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from datasets.targets.board import Board
+
+
+def board_named(path: Path) -> "Board":
+    """A target by its shipped name or its file. Raises UsageError or TargetError where there is none, or it cannot be printed."""
+    import configs
+    from calib.targets.detection import check_markers
+    from datasets.targets.board import load_board
+
+    return check_markers(load_board(configs.find("boards", path)), where=path)
 
 
 def board(
@@ -29,13 +41,11 @@ def board(
     as_json: console.Json = False,
 ) -> None:
     """Make a target to print, in true size."""
-    import configs
     from calib.targets import printing
-    from calib.targets.detection import check_markers, read_board
-    from datasets.targets.board import load_board
+    from calib.targets.detection import read_board
 
     if shipped is not None:
-        target = check_markers(load_board(configs.find("boards", shipped)), where=shipped)
+        target = board_named(shipped)
     else:
         numbers = squares.lower().split("x")
         if len(numbers) != 2 or not all(n.isdigit() for n in numbers):

@@ -17,11 +17,11 @@ from calib.options import (
     check_lens,
     spread,
 )
+from calib.targets.commands import board_named
 from datasets.core import console
 
 if TYPE_CHECKING:
     from calib.together.cameras import Cameras
-    from datasets.targets.board import Board
 
 BETWEEN = "cameras.json"
 FORMAT, VERSION = "koala-cameras", 1
@@ -105,7 +105,7 @@ def boards(
     check_lens(lens)
     accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
     files.refuse_existing(out)
-    searched = [(path, _board(path)) for path in targets or ()]
+    searched = [(path, board_named(path)) for path in targets or ()]
     check_told_apart([board for _, board in searched], [path for path, _ in searched])
     options = {"description": description, "leave_out": leave_out, "lens": lens}
     pairs = [(recording, target) for recording in recordings for target in searched or [(None, None)]]
@@ -113,15 +113,6 @@ def boards(
     names = [f"{recording}" if target is None else f"{recording}, {target}" for recording, (target, _) in pairs]
     where = [recording for recording, _ in pairs]
     finish(calibrate_boards(sessions, names, where, accuracy=accuracy, lens=lens, allow_m=allow_m).calibration, out, json)
-
-
-def _board(path: Path) -> "Board":
-    """A target by its name or its file."""
-    import configs
-    from calib.targets.detection import check_markers
-    from datasets.targets.board import load_board
-
-    return check_markers(load_board(configs.find("boards", path)), where=path)
 
 
 def _content(found: "Cameras", names: list[str]) -> dict[str, Any]:
