@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.background import silhouettes, table_height
+from capture.choosing.background import outlines, table_height
 from capture.choosing.candidates import seen_from
+from capture.choosing.carving import carved
 from capture.choosing.gain import Seen
 from capture.choosing.loop import Known
-from capture.choosing.places import Places, of_box, of_cells
+from capture.choosing.places import Places, of_box
 from capture.choosing.sight import Eye
 from capture.trajectory import Trajectory
 from datasets.build import camera_for
@@ -24,7 +25,6 @@ from datasets.core.errors import UsageError
 from datasets.imaging import images
 from datasets.recording import MANIFEST, Frame, Recording
 from datasets.scene import View
-from datasets.structure.votes import distance_to
 
 Array = NDArray[np.float64]
 
@@ -32,10 +32,6 @@ FEWEST_VIEWS = 8
 """Views that masks and colours need."""
 GROWTH = 1.15
 """The shape is found again when there are so many times more views."""
-CELLS = 48
-"""Cells along the longest edge of the box."""
-AGAINST = 0.025
-"""Share of the views that must see the table through a cell for it to be free; one view at least."""
 SIDE = 480
 """Longest side of the pictures in which colours are compared [px]."""
 UNKNOWN = 0.5
@@ -138,24 +134,8 @@ class _Pictures:
         return table_height(self.small, *self._cameras, corners.mean(0)[:2], table_z)
 
     def shape(self, corners: Array, table_z: float) -> Places | None:
-        """The surface of the largest body in a box that the pictures do not show to be free; None where there is none."""
-        from scipy.ndimage import label
-
-        low, high = corners
-        counts = np.ceil(CELLS * (high - low) / (high - low).max()).astype(int)
-        cell = (high - low) / counts
-        axes = [low[k] + cell[k] * (np.arange(counts[k]) + 0.5) for k in range(3)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        found = silhouettes(self.small, *self._cameras, corners.mean(0)[:2], table_z)
-        against = np.zeros(len(points), int)
-        for one in found:
-            against += one.votes(points.T.copy(), distance_to(one.inside), 0.0)[1]
-        occupied = (against < max(1, np.ceil(AGAINST * len(found)))).reshape(counts)
-        if not occupied.any():
-            return None
-        bodies = np.asarray(label(occupied)[0])  # type: ignore[index]
-        largest = 1 + int(np.bincount(bodies.ravel())[1:].argmax())
-        return of_cells(bodies == largest, low, cell)
+        """The surface of the object, see `carving.carved`."""
+        return carved(outlines(self.small, *self._cameras, corners.mean(0)[:2], table_z), corners, table_z)
 
     def changing(self, places: Places) -> Array:
         """(n,) how much the colour of each place changes between the training views that see it well, from 0 to 1."""

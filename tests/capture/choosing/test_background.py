@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from capture.choosing.background import silhouettes, table_height
+from capture.choosing.background import outlines, table_height
 from datasets import pose
 from datasets.camera_model import Camera
 
@@ -50,15 +50,25 @@ def test_pictures_from_all_sides_agree_about_the_table_alone(mirror, error_m):
     given = [one for one, _ in rendered], [CAMERA] * 12, np.stack(cameras), MIDDLE
     height = table_height(*given, error_m)
     assert abs(height) < 1e-6
-    found = silhouettes(*given, height)
-    blocks, cut = np.stack([block for _, block in rendered]), np.stack([one.inside for one in found])
+    found = outlines(*given, height)
+    blocks, cut = np.stack([block for _, block in rendered]), np.stack([one.foreground.inside for one in found])
     assert (blocks & ~cut).sum() / blocks.sum() < 0.03
     near = np.stack([np.linalg.norm(CAMERA.pixel_centres() - 0.5 * np.array([160, 120]), axis=-1) < 50] * 12)
     assert (cut & ~blocks & near).sum() / (~blocks & near).sum() < 0.35  # rims of patches, and what three pictures do not show
 
 
+def test_the_height_of_a_table_with_little_contrast_is_found():
+    """Where nearly all agrees at any height, how much pictures differ still says it."""
+    rng, cameras = np.random.default_rng(0), []
+    for index in range(12):
+        angle, up = 2.4 * index, 0.15 + 0.02 * index
+        cameras.append(pose.look_at((0.38 + 0.35 * np.cos(angle), 0.35 * np.sin(angle), up), (0.38, 0, 0.04), (0, 0, 1)))
+    pictures = [0.1 + 0.1 * render(one, rng, True)[0] for one in cameras]
+    assert abs(table_height(pictures, [CAMERA] * 12, np.stack(cameras), MIDDLE, 0.006)) < 1e-6
+
+
 def test_one_picture_agrees_with_nobody():
     picture, _ = render(pose.look_at((0.7, 0, 0.3), (0.38, 0, 0.04), (0, 0, 1)), np.random.default_rng(0), False)
     only = pose.look_at((0.7, 0, 0.3), (0.38, 0, 0.04), (0, 0, 1))
-    (found,) = silhouettes([picture], [CAMERA], only[None], MIDDLE, 0.0)
-    assert found.inside.all()
+    (found,) = outlines([picture], [CAMERA], only[None], MIDDLE, 0.0)
+    assert found.foreground.inside.all() and found.silent.inside.all()
