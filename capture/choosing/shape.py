@@ -3,7 +3,7 @@
 Without a calibration nothing can be told from pictures: the object's stated box stands for its shape.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,13 +54,19 @@ def eye_of(flange_from_camera: Array, calibration: Calibration | None) -> Eye:
 def lens_of(trajectory: Trajectory, calibration: Calibration | None) -> Camera | None:
     """The calibrated camera for pictures of a trajectory that is not recorded yet; None without a calibration.
 
-    Raises UsageError: the calibration is for pictures of another size.
+    Where the trajectory states no offsets, its region is taken to be centred where that of the calibration is.
+
+    Raises UsageError: the calibration is for pictures of another size, and does not know which region of the sensor they show.
     """
     if calibration is None:
         return None
-    camera, size = calibration.camera, (trajectory.camera.width, trajectory.camera.height)
-    if (camera.width, camera.height) != size:
-        why = f"pictures are {size[0]}x{size[1]}, the calibrated camera is {camera.width}x{camera.height}"
+    camera, region, wanted = calibration.camera, calibration.region, trajectory.camera
+    if region is not None:
+        shown = region.middle(wanted.width, wanted.height, wanted.binning)
+        given = {"offset_x": wanted.offset_x, "offset_y": wanted.offset_y}
+        return region.converted(camera, replace(shown, **{name: value for name, value in given.items() if value is not None}))
+    if (camera.width, camera.height) != (wanted.width, wanted.height):
+        why = f"pictures are {wanted.width}x{wanted.height}, the calibrated camera is {camera.width}x{camera.height}"
         remedy = "calibrate with the same region of interest and binning, or leave --calibration out"
         raise UsageError("calibration is for another image size", where="--calibration", why=why, remedy=remedy)
     return camera

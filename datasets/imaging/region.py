@@ -40,6 +40,12 @@ class Region:
         """The camera of images of region `to`, given that of this region's images."""
         return to.camera(self.sensor_camera(camera, self.width * self.binning, self.height * self.binning))
 
+    def middle(self, width: int, height: int, binning: int) -> "Region":
+        """The region of `width` x `height` [px after `binning`] about this one's centre, to the nearest pixel."""
+        x, y = self.offset_x + self.width / 2, self.offset_y + self.height / 2
+        left, top = (round(self.binning * at / binning - size / 2) for at, size in ((x, width), (y, height)))
+        return Region(width, height, left, top, binning)
+
     def to_json(self) -> dict[str, int]:
         """Plain dictionary of the fields."""
         return asdict(self)
