@@ -50,8 +50,8 @@ def plan(
 ) -> None:
     """Check that the arm can take every view, and estimate how long that takes. Nothing moves.
 
-    With --for-mesh, views are chosen: ten from all sides, then those that add most, until every place of a known shape that is
-    within reach is seen three times at 60 degrees or less.
+    With --for-mesh, views are chosen: few within reach that show every place of a known shape three times at 60 degrees or less,
+    from directions that differ.
     """
     from capture.rig.opening import describe
     from capture.trajectory import load_trajectory

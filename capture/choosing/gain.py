@@ -65,23 +65,27 @@ def surface_gains(places: Places, taken: Seen, within_reach: Seen) -> Array:
     return within_reach.well @ (places.shares * WORTH[np.minimum(taken.counts, ENOUGH)])
 
 
-def angle_gains(places: Places, changing: Array, taken: Seen, within_reach: Seen) -> Array:
+def angle_gains(places: Places, changing: Array, taken: Seen, within_reach: Seen, nearest: NDArray[np.float32]) -> Array:
     """(candidates,) what each view within reach adds by new directions onto places whose colour changes [share].
 
     Args:
         changing: (n,) from 0, the same colour from everywhere, to 1.
+        nearest: (candidates, n) see `nearest_directions`.
     """
-    which = np.flatnonzero((changing > 0) & (taken.counts > 0))
-    if not len(which):
-        return np.zeros(len(within_reach.eyes))
-    points, worth = places.points[which], (places.shares * changing)[which]
-    ways = _ways(points, within_reach.eyes)
-    nearest = np.full(ways.shape[:2], -1.0, np.float32)
-    for way, seen in zip(_ways(points, taken.eyes), taken.well[:, which], strict=True):
-        cosine = np.einsum("cnd,nd->cn", ways, way)
-        np.maximum(nearest, np.where(seen, cosine, -1.0), out=nearest)
     new = np.clip((KNOWN - nearest) / (KNOWN - NEW), 0, 1)
-    return np.where(within_reach.well[:, which], new, 0) @ worth
+    return np.where(within_reach.well, new, 0) @ np.where(taken.counts > 0, places.shares * changing, 0)
+
+
+def nearest_directions(places: Places, taken: Seen, within_reach: Seen) -> NDArray[np.float32]:
+    """(candidates, n) how near the direction from each place to a view within reach is to one from which it was seen well.
+
+    The cosine of the smallest angle between them; -1 where no view has seen the place.
+    """
+    ways = _ways(places.points, within_reach.eyes)
+    nearest = np.full(ways.shape[:2], -1.0, np.float32)
+    for way, seen in zip(_ways(places.points, taken.eyes), taken.well, strict=True):
+        np.maximum(nearest, np.where(seen, np.einsum("cnd,nd->cn", ways, way), np.float32(-1.0)), out=nearest)
+    return nearest
 
 
 def _ways(points: Array, eyes: Array) -> NDArray[np.float32]:

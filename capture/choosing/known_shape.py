@@ -1,11 +1,11 @@
 """Views of a known shape: few within reach that cover its surface, and how far given views cover it.
 
-Like a session that chooses its views, a plan begins with some that are spread evenly. Views that only cover crowd where most of
-the surface is seen at once, and a reconstruction from them is worse: depth needs an angle between views.
+As in a session that chooses its views, new directions onto the surface count as well. What it looks like is not known, so all of
+it is taken to change its colour with direction a little.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,10 +17,10 @@ from capture.arms.carrier import Carrier
 from capture.choosing import gain
 from capture.choosing.candidates import Candidate, dense, see, seen_from, within_reach
 from capture.choosing.gain import ENOUGH, Coverage, Seen
-from capture.choosing.loop import LEAST, MOST
+from capture.choosing.loop import ANGLES, LEAST, MOST
 from capture.choosing.places import Places, of_mesh
+from capture.choosing.shape import UNKNOWN
 from capture.choosing.sight import Eye
-from capture.choosing.tour import FIRST, far_apart
 from capture.planning import Obstacles
 from capture.trajectory import Trajectory
 from capture.viewpoints import CameraPose, PoseViews, Viewpoint
@@ -91,7 +91,7 @@ def cover(
     views: int = MOST,
     done: Callable[[], None] = lambda: None,
 ) -> Cover:
-    """A trajectory of few views within reach that cover a shape: `FIRST` spread ones, then greedily; its test views are kept.
+    """A trajectory of few views within reach that cover a shape: found greedily; its test views are kept.
 
     Args:
         eye: where the camera is when the flange is somewhere.
@@ -109,7 +109,7 @@ def cover(
             "no view within reach", where=trajectory.name, why=reasons[0] if reasons else "", remedy="see 'capture plan'"
         )
     seen = see(candidates, places, obstacles, eye, camera)
-    chosen = greedy(places, seen, until, views, first=far_apart(seen.eyes, FIRST))
+    chosen = greedy(places, seen, until, views)
     taken = Seen(seen.facing[chosen], seen.eyes[chosen])
     groups = [*_groups([candidates[index].solutions.viewpoint for index in chosen], None)]
     tests = [one.solutions.viewpoint for one in _tests(trajectory, obstacles)]
@@ -120,19 +120,25 @@ def cover(
     return Cover(trajectory.model_copy(update=update), gain.coverage(places, taken, seen), len(candidates))
 
 
-def greedy(places: Places, seen: Seen, until: float, views: int, *, first: Sequence[int] = ()) -> list[int]:
-    """Indices of views: `first`, then each the one that adds most, until `until` is covered or nothing is added."""
-    chosen = list(first[:views])
+def greedy(places: Places, seen: Seen, until: float, views: int) -> list[int]:
+    """Indices of views, each the one that adds most, until `until` of the surface is covered or no view shows more of it."""
+    chosen: list[int] = []
+    left = np.ones(len(seen.eyes), bool)
+    nearest = np.full(seen.facing.shape, -1.0, np.float32)
+    changing = np.full(len(places.points), UNKNOWN)
     while len(chosen) < views:
         taken = Seen(seen.facing[chosen], seen.eyes[chosen])
         if gain.coverage(places, taken, seen).covered >= until:
             break
-        gains = gain.surface_gains(places, taken, seen)
-        gains[chosen] = 0.0
-        best = int(gains.argmax())
-        if gains[best] < LEAST:
+        surface = np.where(left, gain.surface_gains(places, taken, seen), 0.0)
+        if surface.max() < LEAST:
             break
+        angles = np.where(left, gain.angle_gains(places, changing, taken, seen, nearest), 0.0)
+        best = int((surface + ANGLES * angles).argmax())
         chosen.append(best)
+        left[best] = False
+        latest = Seen(seen.facing[[best]], seen.eyes[[best]])
+        np.maximum(nearest, gain.nearest_directions(places, latest, seen), out=nearest)
     return chosen
 
 

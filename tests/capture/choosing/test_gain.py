@@ -42,13 +42,17 @@ def test_coverage_is_of_what_views_within_reach_can_cover():
     assert nothing.reachable == 0 and nothing.covered == 1
 
 
+def angle_gains(changing: np.ndarray, taken: Seen, candidates: Seen) -> np.ndarray:
+    return gain.angle_gains(PLATE, changing, taken, candidates, gain.nearest_directions(PLATE, taken, candidates))
+
+
 def test_a_new_direction_is_worth_something_where_the_colour_changes():
     changing, taken = np.array([1.0, 0.5, 0.0]), seen((1, 1, 1), tilt_deg=(0,))
     candidates = seen((1, 1, 1), (1, 1, 1), (1, 1, 1), (1, 0, 0), tilt_deg=(4, 40, 14, 40))
-    found = gain.angle_gains(PLATE, changing, taken, candidates)
+    found = angle_gains(changing, taken, candidates)
     assert found[0] == pytest.approx(0, abs=1e-3) and found[1] == pytest.approx(0.25 + 0.125, rel=1e-3)
     assert 0.2 * found[1] < found[2] < 0.8 * found[1] and found[3] == pytest.approx(0.25, rel=1e-3)
-    unseen = gain.angle_gains(PLATE, changing, seen((0, 0, 0), tilt_deg=(0,)), candidates)
+    unseen = angle_gains(changing, seen((0, 0, 0), tilt_deg=(0,)), candidates)
     assert not unseen.any(), "surface that no view has seen is counted as such"
-    both = gain.angle_gains(PLATE, changing, seen((1, 1, 1), (1, 1, 1), tilt_deg=(0, 38)), candidates)
+    both = angle_gains(changing, seen((1, 1, 1), (1, 1, 1), tilt_deg=(0, 38)), candidates)
     assert both[1] == pytest.approx(0, abs=1e-3), "the nearest of the directions decides"
