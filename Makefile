@@ -43,6 +43,9 @@ demo: $(READY)
 	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --stands-on -z --out demo/mesh.ply)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
 
+# small matrices gain nothing from threads, which would keep both workers' cores busy waiting
+test test-all: export OPENBLAS_NUM_THREADS = 1
+
 test: $(READY)
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 3
 
