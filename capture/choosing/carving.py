@@ -31,8 +31,8 @@ def carved(outlines: Sequence[Outline], corners: Array, table_z: float) -> Place
     counts = np.ceil(CELLS * (high - low) / (high - low).max()).astype(int)
     cell = (high - low) / counts
     axes = [low[k] + cell[k] * (np.arange(counts[k]) + 0.5) for k in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    against, able = np.zeros((2, len(points)), int)
+    points = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
+    against, able = np.zeros((2, points.shape[1]), int)
     for outline in outlines:
         against += _outside(outline.foreground, points)
         able += _outside(outline.silent, points)
@@ -42,8 +42,8 @@ def carved(outlines: Sequence[Outline], corners: Array, table_z: float) -> Place
 
 
 def _outside(silhouette: Silhouette, points: Array) -> NDArray[np.bool_]:
-    """(n,) which points are in the picture, and outside its silhouette."""
-    return silhouette.votes(points.T.copy(), distance_to(silhouette.inside), 0.0)[1]
+    """(n,) which of (3, n) points are in the picture, and outside its silhouette."""
+    return silhouette.votes(points, distance_to(silhouette.inside), 0.0)[1]
 
 
 def _body(left: NDArray[np.bool_], low: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

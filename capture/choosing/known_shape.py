@@ -91,7 +91,7 @@ def cover(
     views: int = MOST,
     done: Callable[[], None] = lambda: None,
 ) -> Cover:
-    """A trajectory of few views within reach that cover a shape: found greedily; its test views are kept.
+    """A trajectory of few views within reach that cover a shape, found greedily; its test views are kept.
 
     Args:
         eye: where the camera is when the flange is somewhere.

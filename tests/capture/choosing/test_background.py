@@ -39,13 +39,16 @@ def render(base_from_camera: np.ndarray, rng: np.random.Generator, mirror: bool)
     return np.clip(picture + rng.normal(0, 0.01, picture.shape), 0, 1).astype(np.float32), block
 
 
+def around() -> list[np.ndarray]:
+    """Twelve base_from_camera around the block, each higher than the last."""
+    eyes = [(0.38 + 0.35 * np.cos(2.4 * k), 0.35 * np.sin(2.4 * k), 0.15 + 0.02 * k) for k in range(12)]
+    return [pose.look_at(eye, (0.38, 0, 0.04), (0, 0, 1)) for eye in eyes]
+
+
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("error_m", [0.0, 0.006])
 def test_pictures_from_all_sides_agree_about_the_table_alone(mirror, error_m):
-    rng, cameras = np.random.default_rng(0), []
-    for index in range(12):
-        angle, up = 2.4 * index, 0.15 + 0.02 * index
-        cameras.append(pose.look_at((0.38 + 0.35 * np.cos(angle), 0.35 * np.sin(angle), up), (0.38, 0, 0.04), (0, 0, 1)))
+    rng, cameras = np.random.default_rng(0), around()
     rendered = [render(one, rng, mirror) for one in cameras]
     given = [one for one, _ in rendered], [CAMERA] * 12, np.stack(cameras), MIDDLE
     height = table_height(*given, error_m)
@@ -59,10 +62,7 @@ def test_pictures_from_all_sides_agree_about_the_table_alone(mirror, error_m):
 
 def test_the_height_of_a_table_with_little_contrast_is_found():
     """Where nearly all agrees at any height, how much pictures differ still says it."""
-    rng, cameras = np.random.default_rng(0), []
-    for index in range(12):
-        angle, up = 2.4 * index, 0.15 + 0.02 * index
-        cameras.append(pose.look_at((0.38 + 0.35 * np.cos(angle), 0.35 * np.sin(angle), up), (0.38, 0, 0.04), (0, 0, 1)))
+    rng, cameras = np.random.default_rng(0), around()
     pictures = [0.1 + 0.1 * render(one, rng, True)[0] for one in cameras]
     assert abs(table_height(pictures, [CAMERA] * 12, np.stack(cameras), MIDDLE, 0.006)) < 1e-6
 
