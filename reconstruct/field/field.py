@@ -74,6 +74,12 @@ class Field(eqx.Module):
         raw, sensitivity = self.spatial.with_sensitivity(features)
         return *self._heads(raw, cloud), -normalise(cloud.gradient(sensitivity, jacobian), axis=0)
 
+    def held_but_for_heads(self) -> "Field":
+        """The same, of which only the last layer of the spatial network is learned: a loss of materials then moves no density."""
+        held: Field = jax.lax.stop_gradient(self)
+        last = lambda field: (field.spatial.weights[-1], field.spatial.biases[-1])  # noqa: E731
+        return eqx.tree_at(last, held, last(self))
+
     def lit(self, material: Material, light: Lit | None) -> Material:
         """The material with its diffuse colour under lamps that move about it; as it is where they stand still (None)."""
         return material if light is None else self.appearance.lit(material, light)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from reconstruct.field.field import Field
+from reconstruct.field.near import Near
 from reconstruct.models import load_config
 from reconstruct.rendering.model import Model
 from reconstruct.scene.facts import SceneFacts
@@ -59,7 +60,7 @@ def test_it_looks_from_every_camera_at_every_point(field: Field, rays: Rays, sur
             direction = place - rays.origins[camera]
             direction = direction / jnp.linalg.norm(direction)
             direction = direction * jnp.where(direction @ material.normals_pred[:, point] > 0, -1, 1)
-            seen[point, camera] = field.shade(alone, direction[:, None]).specular[:, 0]
+            seen[point, camera] = field.shade(alone, direction[:, None], near=Near(place[:, None])).specular[:, 0]
     assert np.ptp(seen, axis=1).max() > 0.01, "the premise: sides differ"
     expected = regularisers.metal_or_not(material.diffuse.T, jnp.asarray(seen))
     np.testing.assert_allclose(bias_for_two_kinds(field, PLACE, rays, surface), expected, rtol=1e-4)
@@ -73,9 +74,10 @@ def test_directions_go_into_the_surface(field: Field, rays: Rays, surface: Surfa
 
 
 def test_neither_shape_nor_light_has_a_gradient(field: Field, rays: Rays, surface: Surface) -> None:
-    """Of the spatial network's last layer only diffuse colour and tint feel it, of the light's network nothing."""
+    """Of the spatial network's last layer only diffuse colour and tint feel it; the features before, and the light, nothing."""
     gradient = eqx.filter_grad(lambda field: jnp.sum(bias_for_two_kinds(field, PLACE, rays, surface)))(field)
-    assert all((leaf == 0).all() for leaf in jax.tree.leaves(gradient.appearance))
+    held = (gradient.appearance, gradient.encoding, gradient.spatial.weights[:-1], gradient.spatial.biases[:-1])
+    assert all((leaf == 0).all() for leaf in jax.tree.leaves(held))
     last = gradient.spatial.weights[-1]  # outputs first: density, diffuse (3), tint (3), roughness, normal (3), bottleneck
     outputs = np.abs(np.asarray(last)).max(axis=1)
     assert (outputs[1:7] > 0).any() and (outputs[0] == 0).all() and (outputs[7:] == 0).all()
