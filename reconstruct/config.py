@@ -97,7 +97,11 @@ class SamplerConfig(Schema):
     steps: int = setting(192, "Occupancy: steps of a ray through the object's box.", ge=32, multiple_of=32)
     grid: int = setting(128, "Occupancy: cells per axis over the object's box.", ge=8)
     outer_grid: int = setting(64, "Occupancy: cells per axis over the contracted surroundings.", ge=8)
-    optical_depth: float = setting(0.01, "Occupancy: a cell counts as empty below this optical depth per step.", gt=0)
+    optical_depth: float = setting(
+        0.01,
+        "Occupancy: a cell counts as empty below this optical depth per step; before a blank background, below a tenth of it.",
+        gt=0,
+    )
     settle: float = setting(0.0, "Occupancy, among surroundings: share of the training before any cell is ruled out.", ge=0, le=1)
     proposals: tuple[int, ...] = setting((64, 64), "Proposal: samples of each proposal level.")
     final: int = setting(32, "Proposal: samples of the final level.", ge=2)

@@ -31,6 +31,9 @@ UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
 """Every so many steps the field is evaluated in so many cells of the grid."""
 SAMPLES_PER_RAY = 8
 """The packed list is planned for rays that need at least this many samples each."""
+BOUNDED = 0.1
+"""Where masks have ruled out most of the space, a cell is empty only below this share of the configured optical depth: what
+is ruled out gets no samples, so a hole that opens in the fog of the first steps stays open."""
 
 Met = tuple[Int[Array, " n"], Float[Array, " n"]]
 """Cells and densities."""
@@ -86,7 +89,7 @@ class OccupiedSteps(Sampler):
             near=normalisation.near,
             far=normalisation.far,
             focused=focused,
-            empty_below=sampler.optical_depth if config.skip.empty_rays else 0.0,
+            empty_below=sampler.optical_depth * (BOUNDED if space.bounded else 1.0) if config.skip.empty_rays else 0.0,
             settle=0.0 if space.bounded else sampler.settle,
         )
 

@@ -3,8 +3,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reconstruct.models import load_config
+from reconstruct.rendering.model import Model
 from reconstruct.sampling.occupancy import Occupancy
 from reconstruct.scene.contraction import contract
+from reconstruct.scene.facts import SceneFacts
+from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BALL, BOX
 
 
@@ -73,3 +77,11 @@ def test_the_outer_extent_is_a_step_in_the_scene() -> None:
         np.testing.assert_allclose(
             occupancy.extent[cell], 4 / 32 / shrink, rtol=0.25
         )  # the cell's centre is up to half a cell away
+
+
+def test_cells_are_kept_longer_where_masks_have_ruled_out_most() -> None:
+    small = ["encoding.levels=1", "encoding.log2_size=4", "field.spatial_width=4", "field.view_width=4", "sampler.grid=8"]
+    config = load_config(overrides=[*small, "sampler.outer_grid=8", "sampler.optical_depth=0.05"])
+    facts = lambda bounded: SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, bounded, 0.5, 4.5))  # noqa: E731
+    samplers = [Model.create(jax.random.key(0), config, facts(bounded)).sampler for bounded in (True, False)]
+    assert [sampler.empty_below for sampler in samplers] == pytest.approx([0.005, 0.05])
