@@ -33,7 +33,7 @@ MATTE = {
 }
 """A diffuse colour, and a small part that changes with the view."""
 MATTE_CONSISTENCY = 1.0
-"""Largest weight of normal consistency there: colours tell the shape."""
+"""Largest weight of normal consistency there, and its second passes do not become more frequent: colours tell the shape."""
 LAST_BLUR = 0.0005
 """Standard deviation of samples at the end there [scene unit]: normals of regularisers need more, colours lose detail by it."""
 
@@ -131,7 +131,9 @@ def _reflection(found: Evidence, config: Config) -> Decision:
         )
     skipped = found.matte >= MOSTLY
     if skipped:
-        consistency = {"surface": {"normal": min(config.surface.normal, MATTE_CONSISTENCY)}}
+        surface = config.surface
+        period = max(surface.first_period, surface.last_period)
+        consistency = {"surface": {"normal": min(surface.normal, MATTE_CONSISTENCY), "last_period": period}}
         config = _free(config, merged(MATTE, consistency))
     return config, Skip.of("reflection", skipped, f"{found.matte:.0%} of the object keeps its colour from view to view", saving)
 
