@@ -241,7 +241,9 @@ class LightConfig(Schema):
         "Lamps on the camera have no such sphere.",
         gt=1,
     )
-    parallax_learned: bool = setting(False, "Learn that radius, beginning with `parallax`, or with 10 where that is none.")
+    parallax_learned: Literal["auto"] | bool = setting(
+        False, "Learn that radius, beginning with `parallax`, or with 10 where that is none; auto: before a blank background."
+    )
     cast: int = setting(
         0,
         "Samples of the scene itself along each reflected ray, whose light comes before that from afar; 0: no ray is cast. For "
@@ -254,6 +256,11 @@ class LightConfig(Schema):
         ge=0,
         le=1,
     )
+
+    def in_scene(self, *, bounded: bool) -> "LightConfig":
+        """The light of a scene with surroundings, or without."""
+        learned = bounded if self.parallax_learned == "auto" else self.parallax_learned
+        return self.model_copy(update={"parallax_learned": learned})
 
 
 class SkipConfig(Schema):

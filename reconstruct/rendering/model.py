@@ -52,9 +52,9 @@ class Model(eqx.Module):
         """
         config = config if facts.normalisation.bounded else config.with_surroundings()
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
-        start = Start(
-            config.field.towards or facts.towards, config.field.half_box or facts.half_box, facts.light, Parallax.of(config.light)
-        )
+        parallax = Parallax.of(config.light.in_scene(bounded=facts.normalisation.bounded))
+        half_box = config.field.half_box or facts.half_box
+        start = Start(config.field.towards or facts.towards, half_box, facts.light, parallax)
         field = Field.create(field_key, config.encoding, config.field, start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)

@@ -81,6 +81,12 @@ def test_the_radius_is_as_stated_and_learned_on_request() -> None:
     assert slope is not None and slope < 0, "towards the nearer sphere"
 
 
+@pytest.mark.parametrize(("setting", "bounded", "learned"), [("auto", True, True), ("auto", False, False), (True, False, True)])
+def test_auto_is_before_a_blank_background(setting: bool | str, bounded: bool, learned: bool) -> None:
+    light = LightConfig(parallax_learned=setting).in_scene(bounded=bounded)
+    assert (Parallax.of(light) is not None) == learned == light.parallax_learned
+
+
 def reflection(parallax: Parallax | None, light: LightFrame | None = None) -> Reflection:
     made = create_appearance(jax.random.key(0), FIELD, Start(light=light or LightFrame(), parallax=parallax))
     assert isinstance(made, Reflection)

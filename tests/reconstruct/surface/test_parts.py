@@ -12,7 +12,7 @@ from reconstruct.models import load_config
 from reconstruct.rendering.model import Model
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.scene.space import BOX
+from reconstruct.scene.space import BALL, BOX
 from reconstruct.surface import regularisers
 from reconstruct.surface.first_surface import Surface
 from reconstruct.surface.parts import bias_for_two_kinds, towards_surface
@@ -81,3 +81,9 @@ def test_neither_shape_nor_light_has_a_gradient(field: Field, rays: Rays, surfac
     last = gradient.spatial.weights[-1]  # outputs first: density, diffuse (3), tint (3), roughness, normal (3), bottleneck
     outputs = np.abs(np.asarray(last)).max(axis=1)
     assert (outputs[1:7] > 0).any() and (outputs[0] == 0).all() and (outputs[7:] == 0).all()
+
+
+def test_among_surroundings_it_reaches_the_features(field: Field, rays: Rays, surface: Surface) -> None:
+    gradient = eqx.filter_grad(lambda field: jnp.sum(bias_for_two_kinds(field, Place(BALL), rays, surface)))(field)
+    assert all((leaf == 0).all() for leaf in jax.tree.leaves(gradient.appearance))
+    assert any((leaf != 0).any() for leaf in jax.tree.leaves(gradient.encoding))
