@@ -178,8 +178,8 @@ def test_rays_without_surface_or_normal_are_finite() -> None:
 
 
 def test_off_is_as_if_it_were_not_there() -> None:
-    on, off = (Model.create(jax.random.key(0), settings(cast=n), FACTS) for n in (8, 0))
-    assert off.casting is None and off.caster is None
+    on, off = (Model.create(jax.random.key(0), settings("light.parallax_learned=false", cast=n), FACTS) for n in (8, 0))
+    assert off.casting is None and off.caster is None and off.field.appearance.parallax is None
     assert on.casting is not None and on.casting.samples == 8
     assert jax.tree.structure(replace(on, casting=None)) == jax.tree.structure(off)
     assert on.split()[0].casting.cast_share is None, "it is not learned"
