@@ -169,10 +169,15 @@ class LossConfig(Schema):
         None, "Weight of the distortion in scenes without surroundings; none: the same.", ge=0
     )
     bounded_decay: float | None = setting(None, "Weight of the decay in scenes without surroundings; none: the same.", ge=0)
+    bounded_density_normals: float | None = setting(
+        None, "The weight density_normals at the end in scenes without surroundings, when normals are right; none: it stays.", ge=0
+    )
 
     def in_scene(self, *, bounded: bool) -> "LossConfig":
         """The weights that count in a scene with surroundings, or without."""
-        own = {"distortion": self.bounded_distortion, "decay": self.bounded_decay} if bounded else {}
+        if not bounded:
+            return self.model_copy(update={"bounded_density_normals": None})
+        own = {"distortion": self.bounded_distortion, "decay": self.bounded_decay}
         return self.model_copy(update={name: weight for name, weight in own.items() if weight is not None})
 
 

@@ -21,12 +21,14 @@ from reconstruct.scene.twists import followed
 from reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces
 from reconstruct.surface.place import Place
 from reconstruct.training import losses
-from reconstruct.training.pace.schedules import late
+from reconstruct.training.pace.schedules import between, late
 
 Terms = dict[str, Float[Array, ""]]
 
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
+FOLLOWING = (0.4, 0.8)
+"""Shares of the training between which the density follows predicted normals ever more strongly."""
 BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
 
@@ -76,7 +78,7 @@ class Objective:
         terms |= self.ray_terms(model, rendered, density, found, progress)
         by = lambda rule: find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, rule)  # noqa: E731
         surfaces = jax.lax.stop_gradient(Surfaces(by(self.first_rule), by("share")))
-        terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place)
+        terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, progress)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
 
     def ray_terms(
@@ -121,9 +123,15 @@ def photometric(
     return {"photometric": jnp.sum(losses.charbonnier(error, width) * share), "mse": jnp.sum(error * error * share)}
 
 
-def surface_point_terms(field: Field, rays: Rays, surface: Surface, weights: LossConfig, place: Place) -> Terms:
-    """Orientation and predicted normals at the first surface of each ray, as far as they have a weight."""
-    alike = (weights.predicted_normals or weights.density_normals) and field.appearance.predicts_normals
+def surface_point_terms(
+    field: Field, rays: Rays, surface: Surface, weights: LossConfig, place: Place, progress: Float[Array, ""]
+) -> Terms:
+    """Orientation and predicted normals at the first surface of each ray, as far as they have a weight.
+
+    The reflection shows early where predicted normals are wrong, and late that they are right: then the density may follow them.
+    """
+    last = weights.density_normals if weights.bounded_density_normals is None else weights.bounded_density_normals
+    alike = (weights.predicted_normals or weights.density_normals or last) and field.appearance.predicts_normals
     if not (weights.orientation or alike):
         return {}
     _, material, normals = field.with_normals(place.of(rays, surface))
@@ -132,9 +140,10 @@ def surface_point_terms(field: Field, rays: Rays, surface: Surface, weights: Los
     if field.appearance.predicts_normals:
         facing = facing + losses.orientation(material.normals_pred, viewdirs)
         held, held_pred = jax.lax.stop_gradient((normals, material.normals_pred))
+        follow = between(progress, first=weights.density_normals, last=last, over=FOLLOWING)
         terms["predicted_normals"] = surface.mean(
             weights.predicted_normals * losses.normal_difference(held, material.normals_pred)
-            + weights.density_normals * losses.normal_difference(normals, held_pred)
+            + follow * losses.normal_difference(normals, held_pred)
         )
     return terms | {"orientation": weights.orientation * surface.mean(facing)}
 

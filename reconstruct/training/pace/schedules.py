@@ -20,6 +20,11 @@ def late(progress: Float[Array, ""], *, start: float) -> Float[Array, ""]:
     return jnp.clip((progress - start) / RISE, 0, 1) if start > 0 else jnp.ones(())
 
 
+def between(progress: Float[Array, ""], *, first: float, last: float, over: tuple[float, float]) -> Float[Array, ""]:
+    """A weight that goes linearly from `first` to `last` between two shares of the training."""
+    return first + (last - first) * jnp.clip((progress - over[0]) / (over[1] - over[0]), 0, 1)
+
+
 def encoding_blur(progress: Float[Array, ""], *, first: float, last: float, until: float) -> Float[Array, ""]:
     """Width of the encoding's blur: log-linear from `first` to `last` over the share `until` of the training; 0 is no blur."""
     if first == 0 or last == 0:

@@ -23,13 +23,19 @@ BOTTLENECK = 8
 """Fewest channels handed to the view network where nothing is known to reflect: each place may have its own light there."""
 UNREGULARISED = {
     "surface": {"enabled": False},
-    "losses": {"orientation": 0.0, "predicted_normals": 3e-4, "density_normals": 0.0, "hollowness": 0.0},
+    "losses": {
+        "orientation": 0.0,
+        "predicted_normals": 3e-4,
+        "density_normals": 0.0,
+        "bounded_density_normals": None,
+        "hollowness": 0.0,
+    },
 }
 """Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
 MATTE = {
     "field": {"appearance": "view_diffuse"},
     "surface": {"bias": 0.0, "variation": 0.0},
-    "losses": {"predicted_normals": 0.0, "density_normals": 0.0},
+    "losses": {"predicted_normals": 0.0, "density_normals": 0.0, "bounded_density_normals": None},
 }
 """A diffuse colour, and a small part that changes with the view."""
 MATTE_CONSISTENCY = 1.0

@@ -86,7 +86,7 @@ def rendered(weights: list[list[float]], rgb: list[list[float]] | None = None) -
 
 def weights(**changed: float) -> LossConfig:
     nothing = dict.fromkeys(LossConfig.model_fields, 0.0)
-    return LossConfig(**{**nothing, "charbonnier": 1e-3, **changed})
+    return LossConfig(**{**nothing, "charbonnier": 1e-3, "bounded_density_normals": None, **changed})
 
 
 def test_colours_count_over_the_background_for_used_rays_alone() -> None:
@@ -142,12 +142,18 @@ def test_decay_sums_levels_and_proposals() -> None:
 def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
     """The density's normal is z, the predicted one (0, 0.6, -0.8): |n - n'|^2 = 0.36 + 3.24 = 3.6, and it faces away: 0.8^2."""
     wanted = weights(orientation=0.1, predicted_normals=3e-4, density_normals=1e-4)
-    found = objective.surface_point_terms(half_space(), rays, surface, wanted, Place(BOX))
+    at = lambda field, wanted, progress=0.0: objective.surface_point_terms(  # noqa: E731
+        field, rays, surface, wanted, Place(BOX), jnp.asarray(progress)
+    )
+    found = at(half_space(), wanted)
     np.testing.assert_allclose(found["predicted_normals"], 0.8 * (3e-4 + 1e-4) * 3.6, rtol=1e-5)
     np.testing.assert_allclose(found["orientation"], 0.1 * 0.8 * 0.64, rtol=1e-5)
-    alone = objective.surface_point_terms(half_space("view"), rays, surface, wanted, Place(BOX))
+    alone = at(half_space("view"), wanted)
     assert alone.keys() == {"orientation"} and float(alone["orientation"]) == 0, "nothing is predicted, and z faces the camera"
-    assert objective.surface_point_terms(half_space(), rays, surface, weights(), Place(BOX)) == {}
+    assert at(half_space(), weights()) == {}
+    rising = weights(density_normals=1e-4, bounded_density_normals=1e-3)
+    for progress, weight in ((0.4, 1e-4), (0.6, 5.5e-4), (0.8, 1e-3), (1.0, 1e-3)):
+        np.testing.assert_allclose(at(half_space(), rising, progress)["predicted_normals"], 0.8 * weight * 3.6, rtol=1e-5)
 
 
 WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)
