@@ -170,7 +170,9 @@ class LossConfig(Schema):
     )
     bounded_decay: float | None = setting(None, "Weight of the decay in scenes without surroundings; none: the same.", ge=0)
     bounded_density_normals: float | None = setting(
-        None, "The weight density_normals at the end in scenes without surroundings, when normals are right; none: it stays.", ge=0
+        None,
+        "The weight density_normals at the end in scenes without surroundings, when normals are right; none: it stays.",
+        ge=0,
     )
 
     def in_scene(self, *, bounded: bool) -> "LossConfig":
