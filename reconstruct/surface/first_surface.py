@@ -40,6 +40,11 @@ class Surfaces(eqx.Module):
     solid: Surface
     """By the rule "share": where a colour is the surface's and not that of fog before it."""
 
+    def solid_where(self, settled: Bool[Array, ""]) -> "Surfaces":
+        """With `solid` in place of `first` if the training has settled."""
+        chosen = jax.tree.map(lambda solid, first: jnp.where(settled, solid, first), self.solid, self.first)
+        return Surfaces(chosen, self.solid)
+
 
 def first_surface(
     weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"], rule: str = "median"

@@ -27,7 +27,9 @@ Terms = dict[str, Float[Array, ""]]
 
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
-FOLLOWING = (0.4, 0.8)
+SETTLED = 0.4
+"""Share of the training from which the fog of the start is gone and the shape roughly right."""
+FOLLOWING = (SETTLED, 0.8)
 """Shares of the training between which the density follows predicted normals ever more strongly."""
 BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
@@ -43,6 +45,9 @@ class Objective:
     """Rays whose first surface is looked for, at most."""
     first_rule: str = "median"
     """How it is found, see `first_surface`."""
+    fog_at_first: bool = False
+    """Whether the second pass goes over to the rule "share" from `SETTLED` on. The losses of normals do not: they thin the fog
+    that is left before the cameras, which is where the rule "median" finds many of its points."""
     precision: str = "float32"
     pose_sigma: tuple[float, ...] = (1.0,) * 6
     """Standard deviations of a pose's correction [scene unit, rad]."""
@@ -54,8 +59,10 @@ class Objective:
         normalisation = facts.normalisation
         weights = config.losses.in_scene(bounded=normalisation.bounded)
         sigma = config.poses.sigma(normalisation.scale)
-        first, precision = config.surface.first_in_scene(bounded=normalisation.bounded), config.train.precision
-        return cls(weights, place, config.surface.rays, first, precision, sigma, config.poses.prior)
+        surface, precision = config.surface, config.train.precision
+        first = surface.first_in_scene(bounded=normalisation.bounded)
+        fog = surface.first == "auto" and not normalisation.bounded
+        return cls(weights, place, surface.rays, first, fog, precision, sigma, config.poses.prior)
 
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
@@ -79,7 +86,11 @@ class Objective:
         by = lambda rule: find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, rule)  # noqa: E731
         surfaces = jax.lax.stop_gradient(Surfaces(by(self.first_rule), by("share")))
         terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, progress)
-        return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
+        return total(terms), (terms, jax.lax.stop_gradient(density), self.regularised(surfaces, progress))
+
+    def regularised(self, surfaces: Surfaces, progress: Float[Array, ""]) -> Surfaces:
+        """The surfaces as the second pass gets them."""
+        return surfaces.solid_where(progress >= SETTLED) if self.fog_at_first else surfaces
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]

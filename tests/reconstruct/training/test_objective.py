@@ -156,6 +156,19 @@ def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
         np.testing.assert_allclose(at(half_space(), rising, progress)["predicted_normals"], 0.8 * weight * 3.6, rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("rule", "bounded", "goes_over"), [("auto", False, True), ("auto", True, False), ("median", False, False)]
+)
+def test_among_surroundings_the_second_pass_goes_over_to_solid_surfaces(
+    surface: Surface, rule: str, bounded: bool, goes_over: bool
+) -> None:
+    facts = replace(FACTS, normalisation=replace(FACTS.normalisation, bounded=bounded))
+    wanted = objective.Objective.of(load_config(overrides=[*SMALL, f"surface.first={rule}"]), facts, Place(BOX))
+    behind = replace(surface, t=surface.t + 1)
+    depth = lambda progress: float(wanted.regularised(Surfaces(surface, behind), jnp.asarray(progress)).first.t[0])  # noqa: E731
+    assert [depth(progress) for progress in (0.0, 0.39, 0.4, 1.0)] == ([2, 2, 3, 3] if goes_over else [2, 2, 2, 2])
+
+
 WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)
 REGULARISERS = SecondPass(Place(BOX), WANTED)
 
