@@ -121,8 +121,8 @@ class SurfaceConfig(Schema):
     first: Literal["auto", "median", "share", "half"] = setting(
         "median",
         "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
-        "weight, or where half of the light is stopped. auto: share before a blank background; among surroundings the median, and "
-        "share for the regularisers from two fifths of the training on.",
+        "weight, or where half of the light is stopped. auto: share before a blank background; among surroundings the median, "
+        "and share for the regularisers from two fifths of the training on.",
     )
     samples: int = setting(32, "Points and directions on the sphere.", ge=4)
     sampling: Literal["lattice", "fibonacci", "random"] = setting(
