@@ -24,10 +24,9 @@ def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface)
     A training can move light from one part to the other in many ways, most of which spoil the shape or the light. So the
     gradient goes to the diffuse colour and the tint alone; the normals, the roughness and the light are held. What pictures leave
     open is little more than one constant for the whole scene, so the gradient ends at the layer that both come from: the features
-    before it are the density's too, and an object whose features are pushed about grows. Among surroundings it does reach them:
-    one of three trainings of a head on a table tore when it did not and lamps were on a sphere.
+    before it are the density's too, and an object whose features are pushed about grows.
     """
-    _, material = (field.held_but_for_heads() if place.space.bounded else field)(place.of(rays, surface))
+    _, material = field.held_but_for_heads()(place.of(rays, surface))
     held: Material = jax.lax.stop_gradient(material)
     towards = towards_surface(rays, surface, held.normals_pred)
     count = towards.shape[1]
