@@ -117,7 +117,12 @@ class SurfaceConfig(Schema):
     """The four surface regularisers and their second pass."""
 
     enabled: bool = setting(True, "Run the second pass.")
-    rays: int = setting(128, "Rays per step whose first surface is used, by the regularisers and by the losses of normals.", ge=1)
+    rays: int = setting(128, "Rays of a second pass, whose first surfaces the regularisers look at.", ge=1)
+    normal_factor: int = setting(
+        1,
+        "The losses of normals look at so many times as many, at every step: they need one point each, not a ball of them.",
+        ge=1,
+    )
     first: Literal["auto", "median", "share", "half"] = setting(
         "median",
         "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "

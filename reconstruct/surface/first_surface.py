@@ -40,6 +40,10 @@ class Surfaces(eqx.Module):
     solid: Surface
     """By the rule "share": where a colour is the surface's and not that of fog before it."""
 
+    def of_rays(self, count: int) -> "Surfaces":
+        """Those of the first rays."""
+        return jax.tree.map(lambda values: values[:count], self)
+
     def solid_where(self, settled: Bool[Array, ""]) -> "Surfaces":
         """With `solid` in place of `first` if the training has settled."""
         chosen = jax.tree.map(lambda solid, first: jnp.where(settled, solid, first), self.solid, self.first)

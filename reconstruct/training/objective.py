@@ -42,7 +42,9 @@ class Objective:
     weights: LossConfig
     place: Place
     surface_rays: int
-    """Rays whose first surface is looked for, at most."""
+    """Rays whose first surface the losses of normals look at, at most."""
+    second_rays: int
+    """Rays of a second pass, the first of these."""
     first_rule: str = "median"
     """How it is found, see `first_surface`."""
     fog_at_first: bool = False
@@ -62,7 +64,8 @@ class Objective:
         surface, precision = config.surface, config.train.precision
         first = surface.first_in_scene(bounded=normalisation.bounded)
         fog = surface.first == "auto" and not normalisation.bounded
-        return cls(weights, place, surface.rays, first, fog, precision, sigma, config.poses.prior)
+        rays = surface.normal_factor * surface.rays
+        return cls(weights, place, rays, surface.rays, first, fog, precision, sigma, config.poses.prior)
 
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
@@ -90,7 +93,8 @@ class Objective:
 
     def regularised(self, surfaces: Surfaces, progress: Float[Array, ""]) -> Surfaces:
         """The surfaces as the second pass gets them."""
-        return surfaces.solid_where(progress >= SETTLED) if self.fog_at_first else surfaces
+        some = surfaces.of_rays(self.second_rays)
+        return some.solid_where(progress >= SETTLED) if self.fog_at_first else some
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]

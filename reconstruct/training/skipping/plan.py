@@ -34,7 +34,7 @@ UNREGULARISED = {
 """Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
 MATTE = {
     "field": {"appearance": "view_diffuse"},
-    "surface": {"bias": 0.0, "variation": 0.0},
+    "surface": {"bias": 0.0, "variation": 0.0, "normal_factor": 1},
     "losses": {"predicted_normals": 0.0, "density_normals": 0.0, "bounded_density_normals": None},
 }
 """A diffuse colour, and a small part that changes with the view."""

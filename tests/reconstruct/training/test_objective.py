@@ -169,6 +169,14 @@ def test_among_surroundings_the_second_pass_goes_over_to_solid_surfaces(
     assert [depth(progress) for progress in (0.0, 0.39, 0.4, 1.0)] == ([2, 2, 3, 3] if goes_over else [2, 2, 2, 2])
 
 
+def test_a_second_pass_takes_the_first_of_the_rays_that_the_losses_of_normals_look_at(surface: Surface) -> None:
+    changes = [*SMALL, "surface.rays=1", "surface.normal_factor=2"]
+    wanted = objective.Objective.of(load_config(overrides=changes), FACTS, Place(BOX))
+    assert wanted.surface_rays == 2 == surface.ray.shape[0]
+    taken = wanted.regularised(Surfaces(surface, surface), jnp.zeros(()))
+    assert taken.first.ray.tolist() == taken.solid.ray.tolist() == [0]
+
+
 WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)
 REGULARISERS = SecondPass(Place(BOX), WANTED)
 
