@@ -22,7 +22,7 @@ MOSTLY = 0.4
 BOTTLENECK = 8
 """Fewest channels handed to the view network where nothing is known to reflect: each place may have its own light there."""
 UNREGULARISED = {
-    "surface": {"enabled": False},
+    "surface": {"enabled": False, "normal_factor": 1},
     "losses": {
         "orientation": 0.0,
         "predicted_normals": 3e-4,
