@@ -127,7 +127,7 @@ class SurfaceConfig(Schema):
         "median",
         "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
         "weight, or where half of the light is stopped. auto: share before a blank background; among surroundings the median, "
-        "and share for the regularisers from two fifths of the training on.",
+        "and share from two fifths of the training on.",
     )
     samples: int = setting(32, "Points and directions on the sphere.", ge=4)
     sampling: Literal["lattice", "fibonacci", "random"] = setting(
@@ -167,25 +167,23 @@ class LossConfig(Schema):
     hollow_from: float = setting(
         0.0, "Share of the training before the hollowness counts: early fog must not be made solid.", ge=0, le=1
     )
+    fog: float = setting(0.0, "Weight: rays lose no light before their surface; from a fifth of the training on.", ge=0)
     orientation: float = setting(0.1, "Weight: visible normals face the camera.", ge=0)
     predicted_normals: float = setting(3e-4, "Weight: predicted normals follow the density's.", ge=0)
     density_normals: float = setting(3e-4, "Weight: the density's normals follow the predicted ones.", ge=0)
+    last_density_normals: float | None = setting(
+        None, "What that weight grows to between two and four fifths of the training, as normals get right; none: it stays.", ge=0
+    )
     decay: float = setting(0.1, "Weight: mean square of the tables' values, per level.", ge=0)
     bounded_distortion: float | None = setting(
         None, "Weight of the distortion in scenes without surroundings; none: the same.", ge=0
     )
     bounded_decay: float | None = setting(None, "Weight of the decay in scenes without surroundings; none: the same.", ge=0)
-    bounded_density_normals: float | None = setting(
-        None,
-        "The weight density_normals at the end in scenes without surroundings, when normals are right; none: it stays.",
-        ge=0,
-    )
+    bounded_fog: float | None = setting(None, "Weight of the fog in scenes without surroundings; none: the same.", ge=0)
 
     def in_scene(self, *, bounded: bool) -> "LossConfig":
         """The weights that count in a scene with surroundings, or without."""
-        if not bounded:
-            return self.model_copy(update={"bounded_density_normals": None})
-        own = {"distortion": self.bounded_distortion, "decay": self.bounded_decay}
+        own = {"distortion": self.bounded_distortion, "decay": self.bounded_decay, "fog": self.bounded_fog} if bounded else {}
         return self.model_copy(update={name: weight for name, weight in own.items() if weight is not None})
 
 

@@ -77,7 +77,7 @@ def grid(base: Config) -> Cells:
         cells["without hollowness"] = ("losses.hollowness=0",)
     cells["no second pass"] = (NO_PASS,)
     normals = [f"losses.{name}={getattr(REFNERF, name)}" for name in ("predicted_normals", "density_normals")]
-    return cells | {"no regulariser": (NO_PASS, "losses.hollowness=0", *normals, "losses.bounded_density_normals=null")}
+    return cells | {"no regulariser": (NO_PASS, "losses.hollowness=0", *normals, "losses.last_density_normals=null")}
 
 
 def _repeats(surface: SurfaceConfig, changes: Sequence[str]) -> bool:

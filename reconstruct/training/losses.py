@@ -2,12 +2,15 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from reconstruct.numerics.volume import sum_before
 
 NOTHING = 1e-35
 """A density that no length makes visible; nothing is divided by less."""
+
+CLEARANCE = 2
+"""Lengths of the surface's sample before it, within which nothing counts as fog."""
 
 
 def charbonnier(error: Float[Array, "..."], width: float) -> Float[Array, "..."]:
@@ -46,6 +49,19 @@ def hollowness(weights: Float[Array, "rays n"], density: Float[Array, "rays n"])
     solid = before > NOTHING
     fall = jnp.where(solid, 1 - density / jnp.where(solid, before, 1.0), 0.0)
     return jnp.sum(held * jnp.maximum(fall, 0.0), -1)
+
+
+def fog(
+    weights: Float[Array, "rays n"], middle: Float[Array, "rays n"], length: Float[Array, "rays n"], surface: Int[Array, " rays"]
+) -> Float[Array, " rays"]:
+    """Light that is lost before a ray's surface: the sum of the weights that are more than two of its samples' lengths before it.
+
+    Args:
+        surface: the column of the surface's sample.
+    """
+    at = lambda values: jnp.take_along_axis(values, surface[:, None], -1)  # noqa: E731
+    before = (length > 0) & (middle < at(middle) - CLEARANCE * at(length))
+    return jnp.sum(jnp.where(before, weights, 0.0), -1)
 
 
 def orientation(normals: Float[Array, "3 n"], viewdirs: Float[Array, "3 n"]) -> Float[Array, " n"]:

@@ -18,7 +18,7 @@ from reconstruct.sampling.samples import RaySamples, cloud_of
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Rays, over
 from reconstruct.scene.twists import followed
-from reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces
+from reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces, first_surface
 from reconstruct.surface.place import Place
 from reconstruct.training import losses
 from reconstruct.training.pace.schedules import between, late
@@ -27,6 +27,8 @@ Terms = dict[str, Float[Array, ""]]
 
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
+FOGGY = 0.2
+"""Share of the training before fog counts: at the start there is nothing else."""
 SETTLED = 0.4
 """Share of the training from which the fog of the start is gone and the shape roughly right."""
 FOLLOWING = (SETTLED, 0.8)
@@ -48,8 +50,7 @@ class Objective:
     first_rule: str = "median"
     """How it is found, see `first_surface`."""
     fog_at_first: bool = False
-    """Whether the second pass goes over to the rule "share" from `SETTLED` on. The losses of normals do not: they thin the fog
-    that is left before the cameras, which is where the rule "median" finds many of its points."""
+    """Whether that is for the fog of the start, and the rule "share" takes its place from `SETTLED` on."""
     precision: str = "float32"
     pose_sigma: tuple[float, ...] = (1.0,) * 6
     """Standard deviations of a pose's correction [scene unit, rad]."""
@@ -88,13 +89,10 @@ class Objective:
         terms |= self.ray_terms(model, rendered, density, found, progress)
         by = lambda rule: find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, rule)  # noqa: E731
         surfaces = jax.lax.stop_gradient(Surfaces(by(self.first_rule), by("share")))
+        if self.fog_at_first:
+            surfaces = surfaces.solid_where(progress >= SETTLED)
         terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, progress)
-        return total(terms), (terms, jax.lax.stop_gradient(density), self.regularised(surfaces, progress))
-
-    def regularised(self, surfaces: Surfaces, progress: Float[Array, ""]) -> Surfaces:
-        """The surfaces as the second pass gets them."""
-        some = surfaces.of_rays(self.second_rays)
-        return some.solid_where(progress >= SETTLED) if self.fog_at_first else some
+        return total(terms), (terms, jax.lax.stop_gradient(density), surfaces.of_rays(self.second_rays))
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]
@@ -108,6 +106,8 @@ class Objective:
         if weights.hollowness:
             weight = weights.hollowness * late(progress, start=weights.hollow_from)
             terms |= hollowness_term(rendered, density, found.samples, weight)
+        if weights.fog:
+            terms |= fog_term(rendered, found.samples, weights.fog * (progress >= FOGGY))
         if weights.decay:
             terms |= decay_term(model, weights.decay)
         return terms
@@ -145,7 +145,7 @@ def surface_point_terms(
 
     The reflection shows early where predicted normals are wrong, and late that they are right: then the density may follow them.
     """
-    last = weights.density_normals if weights.bounded_density_normals is None else weights.bounded_density_normals
+    last = weights.density_normals if weights.last_density_normals is None else weights.last_density_normals
     alike = (weights.predicted_normals or weights.density_normals or last) and field.appearance.predicts_normals
     if not (weights.orientation or alike):
         return {}
@@ -185,6 +185,13 @@ def hollowness_term(
 ) -> Terms:
     """What is solid gets no thinner behind its surface."""
     return {"hollowness": weight * jnp.mean(losses.hollowness(rendered.weights, samples.padded(density)))}
+
+
+def fog_term(rendered: Rendered, samples: RaySamples, weight: float | Float[Array, ""]) -> Terms:
+    """Nothing is before a surface."""
+    middle, length = samples.padded(samples.t), samples.padded(samples.length)
+    slot = first_surface(jax.lax.stop_gradient(rendered.weights), length > 0, "share")
+    return {"fog": weight * jnp.mean(losses.fog(rendered.weights, middle, length, slot))}
 
 
 def pose_term(corrections: Float[Array, "views 6"], weight: float) -> Terms:

@@ -14,6 +14,4 @@ def test_weights_of_bounded_scenes_take_the_place_of_the_others_there() -> None:
     bounded = losses.in_scene(bounded=True)
     assert (bounded.distortion, bounded.decay) == (0.01, 10)
     assert LossConfig(distortion=0.01, bounded_distortion=0).in_scene(bounded=True).distortion == 0
-    following = LossConfig(density_normals=0.1, bounded_density_normals=1.0)
-    assert following.in_scene(bounded=True) == following
-    assert following.in_scene(bounded=False) == LossConfig(density_normals=0.1)
+    assert LossConfig(fog=0.01, bounded_fog=0).in_scene(bounded=True).fog == 0

@@ -27,15 +27,16 @@ UNREGULARISED = {
         "orientation": 0.0,
         "predicted_normals": 3e-4,
         "density_normals": 0.0,
-        "bounded_density_normals": None,
+        "last_density_normals": None,
         "hollowness": 0.0,
+        "fog": 0.0,
     },
 }
 """Shape from colour alone; predicted normals follow the density's, at Ref-NeRF's weight."""
 MATTE = {
     "field": {"appearance": "view_diffuse"},
     "surface": {"bias": 0.0, "variation": 0.0, "normal_factor": 1},
-    "losses": {"predicted_normals": 0.0, "density_normals": 0.0, "bounded_density_normals": None},
+    "losses": {"predicted_normals": 0.0, "density_normals": 0.0, "last_density_normals": None},
 }
 """A diffuse colour, and a small part that changes with the view."""
 MATTE_CONSISTENCY = 1.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruct.sampling.samples import RaySamples
-from reconstruct.surface.first_surface import HALF_WIDTH, find_surfaces, first_surface, neighbourhood_radius
+from reconstruct.surface.first_surface import HALF_WIDTH, Surface, Surfaces, find_surfaces, first_surface, neighbourhood_radius
 
 FIRST = jax.jit(first_surface)
 
@@ -78,3 +78,11 @@ def test_surfaces_are_found_for_opaque_rays_alone_and_carry_no_gradient() -> Non
     assert np.isfinite(found.radius).all()
     gradient = jax.grad(lambda w: jnp.sum(find_surfaces(w, samples, jnp.full(6, 0.01), 4).weight))(weights)
     np.testing.assert_array_equal(gradient, 0)
+
+
+def test_solid_surfaces_take_the_place_of_the_first_once_settled() -> None:
+    first = Surface(jnp.array([0, 1], jnp.int32), jnp.full(2, 2.0), jnp.ones(2), jnp.full(2, 0.1))
+    both = Surfaces(first, Surface(first.ray, first.t + 1, first.weight, first.radius))
+    for settled, depth in ((False, 2.0), (True, 3.0)):
+        chosen = both.solid_where(jnp.asarray(settled)).of_rays(1)
+        assert (chosen.first.t.tolist(), chosen.solid.t.tolist()) == ([depth], [3.0])

@@ -78,6 +78,15 @@ def test_what_grows_denser_along_the_ray_is_not_hollow_and_nothing_is_neither() 
     assert gradients_are_finite(losses.hollowness, jnp.zeros((1, 5)), jnp.zeros((1, 5)))
 
 
+def test_fog_is_what_is_before_a_surface_and_not_close_to_it() -> None:
+    """The surface is at 3, its sample 0.1 long: 2.9 is too near to be fog, and an empty column is nothing."""
+    weights = jnp.array([[0.10, 0.02, 0.05, 0.50, 0.30, 0.9]])
+    middle, length = jnp.array([[1.0, 2.0, 2.9, 3.0, 3.1, 0.0]]), jnp.array([[0.1, 0.1, 0.1, 0.1, 0.1, 0.0]])
+    value, gradient = jax.value_and_grad(lambda w: jnp.sum(losses.fog(w, middle, length, jnp.array([3]))))(weights)
+    np.testing.assert_allclose(value, 0.12, rtol=1e-6)
+    np.testing.assert_array_equal(gradient, [[1, 1, 0, 0, 0, 0]])
+
+
 def test_orientation_punishes_normals_that_face_away() -> None:
     normals, viewdirs = unit((40,), 2), unit((40,), 3)
     expected = [max(0.0, float(n @ d)) ** 2 for n, d in zip(normals, viewdirs, strict=True)]

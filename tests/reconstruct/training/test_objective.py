@@ -86,7 +86,7 @@ def rendered(weights: list[list[float]], rgb: list[list[float]] | None = None) -
 
 def weights(**changed: float) -> LossConfig:
     nothing = dict.fromkeys(LossConfig.model_fields, 0.0)
-    return LossConfig(**{**nothing, "charbonnier": 1e-3, "bounded_density_normals": None, **changed})
+    return LossConfig(**{**nothing, "charbonnier": 1e-3, "last_density_normals": None, **changed})
 
 
 def test_colours_count_over_the_background_for_used_rays_alone() -> None:
@@ -151,7 +151,7 @@ def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
     alone = at(half_space("view"), wanted)
     assert alone.keys() == {"orientation"} and float(alone["orientation"]) == 0, "nothing is predicted, and z faces the camera"
     assert at(half_space(), weights()) == {}
-    rising = weights(density_normals=1e-4, bounded_density_normals=1e-3)
+    rising = weights(density_normals=1e-4, last_density_normals=1e-3)
     for progress, weight in ((0.4, 1e-4), (0.6, 5.5e-4), (0.8, 1e-3), (1.0, 1e-3)):
         np.testing.assert_allclose(at(half_space(), rising, progress)["predicted_normals"], 0.8 * weight * 3.6, rtol=1e-5)
 
@@ -159,22 +159,18 @@ def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
 @pytest.mark.parametrize(
     ("rule", "bounded", "goes_over"), [("auto", False, True), ("auto", True, False), ("median", False, False)]
 )
-def test_among_surroundings_the_second_pass_goes_over_to_solid_surfaces(
-    surface: Surface, rule: str, bounded: bool, goes_over: bool
-) -> None:
+def test_the_paper_s_rule_holds_among_surroundings_until_fog_is_gone(rule: str, bounded: bool, goes_over: bool) -> None:
     facts = replace(FACTS, normalisation=replace(FACTS.normalisation, bounded=bounded))
     wanted = objective.Objective.of(load_config(overrides=[*SMALL, f"surface.first={rule}"]), facts, Place(BOX))
-    behind = replace(surface, t=surface.t + 1)
-    depth = lambda progress: float(wanted.regularised(Surfaces(surface, behind), jnp.asarray(progress)).first.t[0])  # noqa: E731
-    assert [depth(progress) for progress in (0.0, 0.39, 0.4, 1.0)] == ([2, 2, 3, 3] if goes_over else [2, 2, 2, 2])
+    assert wanted.fog_at_first == goes_over and wanted.first_rule == ("median" if rule == "median" or not bounded else "share")
+    assert wanted.surface_rays == 4 * wanted.second_rays, "the losses of normals need one point of a ray, not a ball of them"
 
 
-def test_a_second_pass_takes_the_first_of_the_rays_that_the_losses_of_normals_look_at(surface: Surface) -> None:
-    changes = [*SMALL, "surface.rays=1", "surface.normal_factor=2"]
-    wanted = objective.Objective.of(load_config(overrides=changes), FACTS, Place(BOX))
-    assert wanted.surface_rays == 2 == surface.ray.shape[0]
-    taken = wanted.regularised(Surfaces(surface, surface), jnp.zeros(()))
-    assert taken.first.ray.tolist() == taken.solid.ray.tolist() == [0]
+def test_fog_of_two_rays() -> None:
+    """Weights 0.1, 0.6 and 0, 0.9 at 1.5 and 3, samples 1 and 0.5 long: 0.1 lies 1.5 > 2 * 0.5 before a surface."""
+    samples = RaySamples.in_rows(jnp.array([[1.5, 3.0]] * 2), jnp.array([[1.0, 0.5]] * 2), jnp.full(2, 2))
+    found = objective.fog_term(rendered([[0.1, 0.6], [0.0, 0.9]]), samples, 0.01)
+    np.testing.assert_allclose(found["fog"], 0.01 * 0.1 / 2, rtol=1e-5)
 
 
 WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)

@@ -56,7 +56,7 @@ def test_reflections_go_where_most_of_the_object_keeps_its_colour(matte: float |
     config, skips = planned(found)
     assert (config.field.appearance == "view_diffuse") == left_out and skips["reflection"].skipped == left_out
     assert (config.surface.bias == config.losses.density_normals == 0) == left_out
-    assert (config.losses.bounded_density_normals is None) == left_out
+    assert (config.losses.last_density_normals is None) == left_out
     assert config.surface.normal_factor == (1 if left_out else load_config().surface.normal_factor)
     assert config.surface.normal == (1 if left_out else load_config().surface.normal), "the shape is regularised still"
     assert config.surface.last_period == (config.surface.first_period if left_out else load_config().surface.last_period)
