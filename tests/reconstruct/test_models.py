@@ -166,7 +166,7 @@ def test_the_rows_of_the_paper_s_table() -> None:
         ("zipnerf", {"losses.hollowness"}),
         (
             "zip_refnerf",
-            {"losses.hollowness", "losses.predicted_normals", "losses.density_normals", "field.bottleneck"}
+            {"losses.fog", "losses.hollowness", "losses.predicted_normals", "losses.density_normals", "field.bottleneck"}
             | {"losses.last_density_normals", "surface.first", "surface.normal_factor"}
             | {"skip.reflection", "light.parallax_learned"},
         ),
