@@ -379,6 +379,16 @@ ROWS = [
         (1e-40 * DENSITIES, SHARES),
     ),
     Row(
+        "fog",
+        lambda m, w: losses.fog(w, m, jnp.ones_like(w) / 16, jnp.full(w.shape[0], 9)),
+        (HISTOGRAM[:, 1:], SHARES),
+        "rays of no weight, samples in one place",
+        0,
+        1e-6,
+        "a sum of order 1",
+        (1e6 * HISTOGRAM[:, 1:], SHARES),
+    ),
+    Row(
         "orientation",
         lambda n, d: losses.orientation(n.T, d.T),
         (DIRECTIONS, DIRECTIONS[::-1].copy()),

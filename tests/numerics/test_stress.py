@@ -79,6 +79,8 @@ def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Conf
             "orientation": varied(0.1),
             "predicted_normals": varied(0.03),
             "density_normals": varied(0.03),
+            "last_density_normals": varied(0.3),
+            "fog": varied(0.01),
             "distortion": varied(0.01),
             "hollowness": varied(0.1),
             "decay": varied(0.1),

@@ -66,6 +66,7 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "interlevel": lambda: losses.interlevel(some(2, 4), some(2, 4)),
     "distortion": lambda: losses.distortion(some(2, 4), some(2, 4), some(2, 4)),
     "hollowness": lambda: losses.hollowness(some(2, 4), some(2, 4)),
+    "fog": lambda: losses.fog(some(2, 4), some(2, 4), some(2, 4), jnp.array([1, 3])),
     "smoothness": lambda: regularisers.density_smoothness(some(2, 4), some(2, 4, 3), some(2, 3), some(2), "tangent"),
     "consistency": lambda: regularisers.normal_consistency(some(2, 4, 3), some(2, 3)),
     "bias": lambda: regularisers.lambertian_bias(some(2, 4, 3)),
@@ -109,7 +110,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         rendered, density = render(model.field, rays, samples, cloud)
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
         terms |= objective.distortion_term(rendered, samples, 0.01) | objective.decay_term(model, 0.1)
-        terms |= objective.hollowness_term(rendered, density, samples, 0.1)
+        terms |= objective.hollowness_term(rendered, density, samples, 0.1) | objective.fog_term(rendered, samples, 0.1)
         found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
         terms |= objective.surface_point_terms(model.field, rays, found, step.objective.weights, place, jnp.ones(()))
         terms |= regularisers.terms(model.field, rays, Surfaces(found, found), jax.random.key(1))
