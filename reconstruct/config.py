@@ -156,6 +156,10 @@ class SurfaceConfig(Schema):
         """The rule for first surfaces in a scene with surroundings, or without."""
         return self.first if self.first != "auto" else "share" if bounded else "median"
 
+    def turns_solid(self, *, bounded: bool) -> bool:
+        """Whether that rule gives way to "share" once the fog of the start is gone."""
+        return self.first == "auto" and not bounded
+
 
 class LossConfig(Schema):
     """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""

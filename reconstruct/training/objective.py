@@ -48,9 +48,9 @@ class Objective:
     second_rays: int
     """Rays of a second pass, the first of these."""
     first_rule: str = "median"
-    """How it is found, see `first_surface`."""
-    fog_at_first: bool = False
-    """Whether that is for the fog of the start, and the rule "share" takes its place from `SETTLED` on."""
+    """How a first surface is found, see `first_surface`."""
+    turns_solid: bool = False
+    """Whether the rule "share" takes over from `SETTLED` on."""
     precision: str = "float32"
     pose_sigma: tuple[float, ...] = (1.0,) * 6
     """Standard deviations of a pose's correction [scene unit, rad]."""
@@ -64,9 +64,9 @@ class Objective:
         sigma = config.poses.sigma(normalisation.scale)
         surface, precision = config.surface, config.train.precision
         first = surface.first_in_scene(bounded=normalisation.bounded)
-        fog = surface.first == "auto" and not normalisation.bounded
+        solid = surface.turns_solid(bounded=normalisation.bounded)
         rays = surface.normal_factor * surface.rays
-        return cls(weights, place, rays, surface.rays, first, fog, precision, sigma, config.poses.prior)
+        return cls(weights, place, rays, surface.rays, first, solid, precision, sigma, config.poses.prior)
 
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
@@ -89,7 +89,7 @@ class Objective:
         terms |= self.ray_terms(model, rendered, density, found, progress)
         by = lambda rule: find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, rule)  # noqa: E731
         surfaces = jax.lax.stop_gradient(Surfaces(by(self.first_rule), by("share")))
-        if self.fog_at_first:
+        if self.turns_solid:
             surfaces = surfaces.solid_where(progress >= SETTLED)
         terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, progress)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces.of_rays(self.second_rays))

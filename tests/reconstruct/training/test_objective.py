@@ -162,7 +162,7 @@ def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
 def test_the_paper_s_rule_holds_among_surroundings_until_fog_is_gone(rule: str, bounded: bool, goes_over: bool) -> None:
     facts = replace(FACTS, normalisation=replace(FACTS.normalisation, bounded=bounded))
     wanted = objective.Objective.of(load_config(overrides=[*SMALL, f"surface.first={rule}"]), facts, Place(BOX))
-    assert wanted.fog_at_first == goes_over and wanted.first_rule == ("median" if rule == "median" or not bounded else "share")
+    assert wanted.turns_solid == goes_over and wanted.first_rule == ("median" if rule == "median" or not bounded else "share")
     assert wanted.surface_rays == 4 * wanted.second_rays, "the losses of normals need one point of a ray, not a ball of them"
 
 
