@@ -16,7 +16,7 @@ from reconstruct.scene.rays import Rays
 from reconstruct.surface import regularisers
 from reconstruct.surface.ball import ball_samples
 from reconstruct.surface.first_surface import Surfaces
-from reconstruct.surface.parts import bias_for_two_kinds
+from reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart
 from reconstruct.surface.place import Place
 
 PerPoint = dict[str, Float[Array, " n"]]
@@ -29,8 +29,14 @@ class SecondPass:
     place: Place
     surface: SurfaceConfig
 
-    def terms(self, field: Field, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray) -> dict[str, Float[Array, ""]]:
-        """Mean of each regulariser over the surface points, each counted by its weight along its ray."""
+    def terms(
+        self, field: Field, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, formed: float | Float[Array, ""]
+    ) -> dict[str, Float[Array, ""]]:
+        """Mean of each regulariser over the surface points, each counted by its weight along its ray.
+
+        Args:
+            formed: from 0 to 1, how far an object among surroundings has found its reflections.
+        """
         surface, wanted = surfaces.first, self.surface
         directions, radii = ball_samples(key, surface.ray.shape[0], wanted)
         _, material, normal = field.with_normals(self.place.of(rays, surface))
@@ -47,7 +53,8 @@ class SecondPass:
         terms = {name: surface.mean(value) for name, value in per_point.items()}
         if wanted.bias and wanted.bias_form == "kinds" and field.appearance.has_diffuse:
             bias = bias_for_two_kinds(field, self.place, rays, surfaces.solid)
-            terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(bias)
+            told = kinds_told_apart(self.place.space, rays, surfaces.solid, formed)
+            terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(bias * told)
         return terms
 
     def _around(

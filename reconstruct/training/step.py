@@ -23,7 +23,7 @@ from reconstruct.surface.place import Place
 from reconstruct.surface.second_pass import SecondPass
 from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
 from reconstruct.training.faults import FAULTS, finite_parts, packed
-from reconstruct.training.objective import Objective, Terms, total
+from reconstruct.training.objective import SETTLED, Objective, Terms, total
 from reconstruct.training.optimiser import Optimiser
 from reconstruct.training.pace.schedules import encoding_blur, late
 from reconstruct.training.programs import Programs, traced
@@ -163,16 +163,17 @@ class Step:
         """The same batch with the gradient and the terms of the regularisers' second pass."""
         learned, held = self._blurred(model, progress).split()
         surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed, index)["sphere"]
-        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surfaces, key)
+        formed = late(progress, start=SETTLED).astype(jnp.float32)
+        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surfaces, key, formed)
         return replace(part, gradient=jax.tree.map(jnp.add, part.gradient, more), terms=part.terms | terms)
 
     def _weighted(
-        self, learned: Model, held: Model, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray
+        self, learned: Model, held: Model, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, formed: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
         """Sum and terms of the second pass."""
         assert self.second_pass is not None
         model = computed_in(self.config.train.precision, eqx.combine(learned, held))
-        terms = self.second_pass.terms(model.field, rays, surfaces, key)
+        terms = self.second_pass.terms(model.field, rays, surfaces, key, formed)
         return total(terms), terms
 
     def descended(

@@ -113,7 +113,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         terms |= objective.hollowness_term(rendered, density, samples, 0.1) | objective.fog_term(rendered, samples, 0.1)
         found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
         terms |= objective.surface_point_terms(model.field, rays, found, step.objective.weights, place, jnp.ones(()))
-        terms |= regularisers.terms(model.field, rays, Surfaces(found, found), jax.random.key(1))
+        terms |= regularisers.terms(model.field, rays, Surfaces(found, found), jax.random.key(1), 0.5)
         return objective.total(terms), terms
 
     def graded(model: Model, edges: jax.Array):

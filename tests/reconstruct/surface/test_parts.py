@@ -15,7 +15,7 @@ from reconstruct.scene.rays import Normalisation, Rays
 from reconstruct.scene.space import BALL, BOX
 from reconstruct.surface import regularisers
 from reconstruct.surface.first_surface import Surface
-from reconstruct.surface.parts import bias_for_two_kinds, towards_surface
+from reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart, towards_surface
 from reconstruct.surface.place import Place
 
 SMALL = ["encoding.levels=2", "encoding.log2_size=6", "field.spatial_width=8", "field.view_width=8", "field.view_depth=1"]
@@ -71,6 +71,14 @@ def test_directions_go_into_the_surface(field: Field, rays: Rays, surface: Surfa
     towards = towards_surface(rays, surface, normals)
     np.testing.assert_allclose(jnp.linalg.norm(towards, axis=-1), 1, rtol=1e-6)
     assert (jnp.einsum("ncx,xn->nc", towards, normals) <= 0).all()
+
+
+def test_an_object_among_surroundings_waits_for_its_reflections(rays: Rays) -> None:
+    """One point in the object's ball, one outside it; before a blank background, or in a common frustum, none waits."""
+    points = Surface(jnp.array([0, 1], jnp.int32), jnp.array([1.9, 0.5]), jnp.ones(2), jnp.full(2, 0.1))
+    np.testing.assert_array_equal(kinds_told_apart(BALL, rays, points, 0.25), [0.25, 1])
+    np.testing.assert_array_equal(kinds_told_apart(BALL, rays, points, 1.0), [1, 1])
+    assert kinds_told_apart(BOX, rays, points, 0.25) == 1
 
 
 @pytest.mark.parametrize("place", [PLACE, Place(BALL)])

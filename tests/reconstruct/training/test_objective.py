@@ -189,7 +189,7 @@ def fixed_directions(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_regularisers_of_one_surface_point(rays: Rays, surface: Surface, fixed_directions: None) -> None:
     """Samples at 0.2 above, 0.1 below, 0.2 and 0.1 beside; the radius of the ball is 2 * 0.1 = 0.2, the ray's weight 0.8."""
-    found = REGULARISERS.terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0))
+    found = REGULARISERS.terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0), 1.0)
     # alpha = 1 - exp(-10 * 0.2) = 0.864665 but above, where it is 0; |r . n| is 1 below, 0 beside: mean 0.216166
     np.testing.assert_allclose(found["density_smoothness"], 0.1 * 0.8 * 0.216166, rtol=1e-5)
     # (1 - cos 60) / 2 = 0.25 above and below, 0 beside, where the normal is z: mean 0.125
@@ -201,20 +201,22 @@ def test_regularisers_of_one_surface_point(rays: Rays, surface: Surface, fixed_d
 
 
 def test_without_a_diffuse_colour_the_colour_itself_varies(rays: Rays, surface: Surface, fixed_directions: None) -> None:
-    found = REGULARISERS.terms(half_space("view"), rays, Surfaces(surface, surface), jax.random.key(0))
+    found = REGULARISERS.terms(half_space("view"), rays, Surfaces(surface, surface), jax.random.key(0), 1.0)
     assert "lambertian_bias" not in found
     np.testing.assert_allclose(found["specular_variation"], 2 * 1e-3 * 0.8 * 1.5, rtol=1e-5)  # rgb is twice the specular colour
 
 
 def test_the_reach_scales_the_ball(rays: Rays, surface: Surface, fixed_directions: None) -> None:
     """Half the reach: alpha = 1 - exp(-10 * 0.1) = 0.632121."""
-    near = with_changes(reach=1.0).terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0))
+    near = with_changes(reach=1.0).terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0), 1.0)
     np.testing.assert_allclose(near["density_smoothness"], 0.1 * 0.8 * 0.632121 / 4, rtol=1e-5)
 
 
 def test_regularisers_without_a_weight_are_not_computed(rays: Rays, surface: Surface, fixed_directions: None) -> None:
-    spatial = with_changes(bias=0.0, variation=0.0).terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0))
-    directional = with_changes(density=0.0, normal=0.0).terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0))
+    spatial = with_changes(bias=0.0, variation=0.0).terms(half_space(), rays, Surfaces(surface, surface), jax.random.key(0), 1.0)
+    directional = with_changes(density=0.0, normal=0.0).terms(
+        half_space(), rays, Surfaces(surface, surface), jax.random.key(0), 1.0
+    )
     assert spatial.keys() == {"density_smoothness", "normal_consistency"}
     assert directional.keys() == {"lambertian_bias", "specular_variation"}
 
