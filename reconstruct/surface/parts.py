@@ -10,7 +10,6 @@ from reconstruct.field.lit import Lit
 from reconstruct.field.near import Near
 from reconstruct.numerics.safe import normalise
 from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
 from reconstruct.surface.first_surface import Surface
 from reconstruct.surface.place import Place
 from reconstruct.surface.regularisers import metal_or_not
@@ -44,7 +43,7 @@ def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface)
 
 
 def kinds_told_apart(
-    space: Space, rays: Rays, surface: Surface, formed: float | Float[Array, ""]
+    place: Place, rays: Rays, surface: Surface, formed: float | Float[Array, ""]
 ) -> Float[Array, " n"] | Float[Array, ""]:
     """Factor on each point's bias: at an object among surroundings `formed`, everywhere else one.
 
@@ -54,10 +53,10 @@ def kinds_told_apart(
     Args:
         formed: from 0 to 1, how far the object has found its reflections.
     """
-    if space.single_grid:
+    if place.space.single_grid:
         return jnp.ones(())
-    places = rays.origins[surface.ray] + rays.directions[surface.ray] * surface.t[:, None]
-    return jax.lax.stop_gradient(jnp.where(jnp.sum(places * places, -1) < 1, formed, 1.0))
+    points = place.of(rays, surface).points
+    return jax.lax.stop_gradient(jnp.where(jnp.sum(points * points, 0) < 1, formed, 1.0))
 
 
 def towards_surface(rays: Rays, surface: Surface, normals: Float[Array, "3 n"]) -> Float[Array, "n cameras 3"]:

@@ -53,7 +53,7 @@ class SecondPass:
         terms = {name: surface.mean(value) for name, value in per_point.items()}
         if wanted.bias and wanted.bias_form == "kinds" and field.appearance.has_diffuse:
             bias = bias_for_two_kinds(field, self.place, rays, surfaces.solid)
-            told = kinds_told_apart(self.place.space, rays, surfaces.solid, formed)
+            told = kinds_told_apart(self.place, rays, surfaces.solid, formed)
             terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(bias * told)
         return terms
 

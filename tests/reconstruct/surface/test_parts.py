@@ -76,9 +76,9 @@ def test_directions_go_into_the_surface(field: Field, rays: Rays, surface: Surfa
 def test_an_object_among_surroundings_waits_for_its_reflections(rays: Rays) -> None:
     """One point in the object's ball, one outside it; before a blank background, or in a common frustum, none waits."""
     points = Surface(jnp.array([0, 1], jnp.int32), jnp.array([1.9, 0.5]), jnp.ones(2), jnp.full(2, 0.1))
-    np.testing.assert_array_equal(kinds_told_apart(BALL, rays, points, 0.25), [0.25, 1])
-    np.testing.assert_array_equal(kinds_told_apart(BALL, rays, points, 1.0), [1, 1])
-    assert kinds_told_apart(BOX, rays, points, 0.25) == 1
+    np.testing.assert_array_equal(kinds_told_apart(Place(BALL), rays, points, 0.25), [0.25, 1])
+    np.testing.assert_array_equal(kinds_told_apart(Place(BALL), rays, points, 1.0), [1, 1])
+    assert kinds_told_apart(PLACE, rays, points, 0.25) == 1
 
 
 @pytest.mark.parametrize("place", [PLACE, Place(BALL)])
