@@ -20,6 +20,7 @@ from reconstruct import models
 from reconstruct.config import Config
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.surface.second_pass import SecondPass
 from reconstruct.training.batches import Division
 from reconstruct.training.optimiser import Optimiser
 from reconstruct.training.programs import Programs
@@ -95,6 +96,16 @@ def test_accumulated_batches_step_by_their_mean_gradient(monkeypatch: pytest.Mon
     assert len(changed) == 0, "densities that are known are kept as maxima: unknown cells stay unknown"
 
 
+def test_the_bias_at_an_object_waits_until_two_fifths_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SecondPass, "terms", lambda _, field, rays, surfaces, key, formed: {"lambertian_bias": formed})
+    step = Step.of(small("surfnerf"), FACTS)
+    model = step.initial(jax.random.key(0)).model
+    part = Part(jax.tree.map(jnp.zeros_like, model.split()[0]), {"mse": jnp.zeros(())}, None, None, None)
+    zero, times = jnp.asarray(0), jnp.array([0.0, 0.4, 0.45, 0.5, 1.0])
+    waited = [step.regularised(model, zero, part, zero, progress).terms["lambertian_bias"] for progress in times]
+    np.testing.assert_allclose(waited, [0, 0, 0.5, 1, 1], atol=1e-6)  # of float32
+
+
 def test_views_of_their_own_exposure_train(ball_scene: tuple[Scene, Path]) -> None:
     config = Config.model_validate(models.merged(small("zipnerf").model_dump(), {"train": {"per_image": "colour"}}))
     one_step = Step.of(config, SceneFacts(Normalisation.of(ball_scene[0])))
@@ -109,6 +120,7 @@ from reconstruct.config import Config
 from reconstruct.models import load_config, merged
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
+from reconstruct.surface.second_pass import SecondPass
 from reconstruct.training.batches import Division
 from reconstruct.training.step import Step
 from dataclasses import replace
