@@ -26,9 +26,10 @@ def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface)
     open is little more than one constant for the whole scene, so the gradient ends at the layer that both come from: the features
     before it are the density's too, and an object whose features are pushed about grows.
     """
-    _, material = field.held_but_for_heads()(place.of(rays, surface))
+    cloud = place.of(rays, surface)
+    _, material = field.held_but_for_heads()(cloud)
     held: Material = jax.lax.stop_gradient(material)
-    towards = towards_surface(rays, surface, held.normals_pred)
+    towards = towards_surface(cloud.points, rays.origins[:CAMERAS], held.normals_pred)
     count = towards.shape[1]
     live = Material(held.diffuse, material.tint, held.roughness, held.normals_pred, held.bottleneck)
     repeated = Material.unstacked(jnp.repeat(live.stacked(), count, axis=1))
@@ -59,13 +60,13 @@ def kinds_told_apart(
     return jax.lax.stop_gradient(jnp.where(jnp.sum(points * points, 0) < 1, formed, 1.0))
 
 
-def towards_surface(rays: Rays, surface: Surface, normals: Float[Array, "3 n"]) -> Float[Array, "n cameras 3"]:
-    """Unit directions from the cameras of the first rays to each surface point; turned round for cameras behind the surface.
+def towards_surface(
+    points: Float[Array, "3 n"], cameras: Float[Array, "cameras 3"], normals: Float[Array, "3 n"]
+) -> Float[Array, "n cameras 3"]:
+    """Unit directions from the cameras to each surface point; turned round for cameras behind the surface.
 
     As data: no gradient goes through them.
     """
-    origins = rays.origins[:CAMERAS]
-    places = rays.origins[surface.ray] + rays.directions[surface.ray] * surface.t[:, None]
-    towards = normalise(places[:, None] - origins[None], axis=-1)
+    towards = normalise(points.T[:, None] - cameras[None], axis=-1)
     facing = jnp.sum(towards * normals.T[:, None], -1, keepdims=True)
     return jax.lax.stop_gradient(jnp.where(facing > 0, -towards, towards))

@@ -66,9 +66,9 @@ def test_it_looks_from_every_camera_at_every_point(field: Field, rays: Rays, sur
     np.testing.assert_allclose(bias_for_two_kinds(field, PLACE, rays, surface), expected, rtol=1e-4)
 
 
-def test_directions_go_into_the_surface(field: Field, rays: Rays, surface: Surface) -> None:
+def test_directions_go_into_the_surface(rays: Rays, surface: Surface) -> None:
     normals = jnp.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
-    towards = towards_surface(rays, surface, normals)
+    towards = towards_surface(PLACE.of(rays, surface).points, rays.origins, normals)
     np.testing.assert_allclose(jnp.linalg.norm(towards, axis=-1), 1, rtol=1e-6)
     assert (jnp.einsum("ncx,xn->nc", towards, normals) <= 0).all()
 
