@@ -26,6 +26,7 @@ from reconstruct.field.near import Near
 from reconstruct.models import load_config
 from reconstruct.numerics import compiling
 from reconstruct.numerics.safe import srgb_from_linear
+from reconstruct.output import evaluate
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.rendering.model import Model
 from reconstruct.rendering.pictures import Renderer
@@ -188,6 +189,12 @@ def painted(ball: TrainedModel) -> TrainedModel:
 def renderer(ball_scene: tuple[Scene, Path]) -> Renderer:
     """One for all models of the ball, which is compiled once."""
     return Renderer(Normalisation.of(ball_scene[0]))
+
+
+@pytest.fixture
+def without_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluations measure no mesh, which takes most of their time."""
+    monkeypatch.setattr(evaluate, "compare_surface", lambda *_, **__: None)
 
 
 @pytest.fixture

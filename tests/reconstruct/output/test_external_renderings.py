@@ -20,10 +20,9 @@ def folder(ball: TrainedModel, tmp_path: Path) -> Path:
 
 
 def test_renderings_on_disk_score_as_the_model_itself(
-    ball: TrainedModel, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ball: TrainedModel, folder: Path, tmp_path: Path, without_mesh: None
 ) -> None:
     """EXR maps are exact; 8 bits of colour cost at most 1/510 per value, far below errors that give some 30 dB."""
-    monkeypatch.setattr(evaluate, "compare_surface", lambda *_, **__: None)
     ours = evaluate.evaluate(ball)["mean"]
     theirs = external_renderings.measure(folder, ball.scene, out=tmp_path / "their.json")
     assert theirs["views"] == 2 and theirs["size"] == [48, 40] and (tmp_path / "their.json").is_file()

@@ -134,9 +134,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         Lpips.load(tmp_path / "none.npz")
 
 
-def test_a_run_is_measured_with_it(ball: TrainedModel, weights_file: Path, lpips: Lpips, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_is_measured_with_it(ball: TrainedModel, weights_file: Path, lpips: Lpips, without_mesh: None) -> None:
     """Stored with its definition and the weights that it depends on, and shown in tables."""
-    monkeypatch.setattr(evaluate, "compare_surface", lambda *_, **__: None)
     result = evaluate.evaluate(ball, lpips=lpips)
     written = json.loads((ball.run.path / "metrics.json").read_text())
     view = ball.scene.split("test")[0]

@@ -120,7 +120,6 @@ from reconstruct.config import Config
 from reconstruct.models import load_config, merged
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.surface.second_pass import SecondPass
 from reconstruct.training.batches import Division
 from reconstruct.training.step import Step
 from dataclasses import replace
