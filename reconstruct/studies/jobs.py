@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from datasets.core import files
-from datasets.core.console import progress
-from datasets.core.errors import UsageError
+from datasets.core.console import hint, progress
+from datasets.core.errors import KoalaError, UsageError
 from datasets.formats import find, load_scene
 from reconstruct import checkpoint
 from reconstruct.config import Config
@@ -60,12 +60,22 @@ class Job:
         if self.done:
             return
         config = self.recipe.config(self.changes)
-        resume = (self.path / RUN).is_file() and bool(checkpoint.steps(self.path / CHECKPOINTS))
-        if self.path.exists() and not resume:
+        saved = checkpoint.steps(self.path / CHECKPOINTS) if (self.path / RUN).is_file() else []
+        if resume := bool(saved):
+            hint(f"{self.path}: goes on from step {int(saved[-1].name)}")
+        elif self.path.exists():
             shutil.rmtree(self.path)  # interrupted before the first checkpoint
         scene = load_scene(self.recipe.scene, measure=not resume)
         train(scene, find(self.recipe.scene), config, self.path, budget_s=self.recipe.budget_s, resume=resume)
         evaluate(TrainedModel.open(self.path))
+
+    def attempt(self) -> str:
+        """Run; the error, or "". An error of one job does not concern the others of a study."""
+        try:
+            self.run()
+        except (KoalaError, OSError) as error:
+            return str(error)
+        return ""
 
 
 def run_all(jobs: Sequence[Job], title: str) -> None:

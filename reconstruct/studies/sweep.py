@@ -2,6 +2,7 @@
 
 OUT/sweep.json               preset, common overrides, budget, and the scenes: name and path
 OUT/SCENE/MODEL/seed_N/      a run per scene, model and seed
+OUT/SCENE/MODEL/seed_N.log   what it wrote to its terminal, on a cluster
 OUT/table.md .csv .tex
 
 An interrupted sweep is resumed; further scenes, models and seeds can be added.
@@ -12,8 +13,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from datasets.core.console import progress
-from datasets.core.errors import UsageError
+from datasets.core.console import hint, progress
 from reconstruct.backend import cache_compilations
 from reconstruct.errors import ReconstructError
 from reconstruct.output.evaluate import METRICS
@@ -37,8 +37,11 @@ def plan(
 ) -> list[Job]:
     """Every model on every scene with every seed, or the model's own; seed by seed, so that the table is complete early.
 
+    All paths are absolute: a job may run in another working directory.
+
     Raises UsageError: an unknown scene, model or setting, a seed given twice, or two scenes of the same name.
     """
+    out = out.absolute()
     pairs = product(scenes_by_name(scenes).items(), models)
     recipes = {(name, model): Recipe(path, model, preset, tuple(overrides), budget_s) for (name, path), model in pairs}
     of_model = {recipe.model: chosen_seeds(recipe.config(), seeds) for recipe in recipes.values()}
@@ -54,23 +57,25 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
     """Run the jobs that are not finished, then write the table of all runs in `out`, including earlier ones.
 
     Args:
-        use_ray: run as Ray tasks, each with a GPU if the cluster has any; otherwise one after the other in this process.
-        ray_address: cluster to use; None starts Ray on this machine. Workers need the scenes and `out` under the same paths.
+        use_ray: run as Ray tasks, see `on_ray`; otherwise one after the other in this process.
+        ray_address: cluster to use; None starts Ray on this machine.
 
     Raises:
-        UsageError: `out` holds something else, or a sweep with other settings.
+        UsageError: `out` holds something else, or a sweep with other settings; or there is no such cluster.
         ReconstructError: jobs failed; the others are finished and in the table.
     """
+    out = out.absolute()
     settings = wanted[0].recipe.content("preset", "overrides", "budget_s")
     scenes = {Path(job.recipe.scene).name: job.recipe.scene for job in wanted}
     open_study(out / SWEEP, kind=FORMAT, version=VERSION, settings=settings, members={"scenes": scenes})
     todo = [job for job in wanted if not job.done]
     failed: dict[str, str] = {}
     with progress("sweeping", len(todo), "runs") as bar:
-        for job, problem in _in_turn(todo) if not use_ray else _on_ray(todo, ray_address):
+        for job, problem in _ended(todo, use_ray, ray_address):
             name = "/".join(job.path.parts[-3:])
             if problem:
                 failed[name] = problem
+                hint(f"{name}: {problem}")
             bar.note(name)
             bar.advance()
     earlier = sorted(path.parent for path in out.glob(f"*/*/*/{METRICS}"))
@@ -85,41 +90,12 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
     return {"out": str(out), "runs": len(done), "trained": len(todo), "table": str(out / "table.md")}
 
 
-def _execute(job: Job) -> None:
-    cache_compilations()
-    job.run()
+def _ended(todo: Sequence[Job], use_ray: bool, ray_address: str | None) -> Iterator[tuple[Job, str]]:
+    """Jobs as they end, each with its error or ""."""
+    if use_ray:
+        from reconstruct.studies import on_ray  # Ray is optional
 
-
-def _in_turn(todo: Sequence[Job]) -> Iterator[tuple[Job, str]]:
-    """Finished jobs, each with its error or ""."""
-    for job in todo:
-        try:
-            _execute(job)
-        except (ReconstructError, OSError) as error:  # the other jobs go on
-            yield job, str(error)
-        else:
-            yield job, ""
-
-
-def _on_ray(todo: Sequence[Job], address: str | None) -> Iterator[tuple[Job, str]]:
-    """The same as Ray tasks, in the order in which they end."""
-    try:
-        import ray  # pyright: ignore[reportMissingImports] (optional)
-    except ImportError:
-        raise UsageError("Ray is not installed", remedy="pip install 'koala-capture[sweep]', or sweep without --ray") from None
-    ray.init(address=address, log_to_driver=False)
-    try:
-        gpus = 1 if ray.cluster_resources().get("GPU") else 0
-        task = ray.remote(num_cpus=1, num_gpus=gpus)(_execute)
-        waiting = {task.remote(job): job for job in todo}
-        while waiting:
-            (ready, *_), _ = ray.wait(list(waiting), num_returns=1)
-            job = waiting.pop(ready)
-            try:
-                ray.get(ready)
-            except ray.exceptions.RayError as error:
-                yield job, str(error).strip().splitlines()[-1]
-            else:
-                yield job, ""
-    finally:
-        ray.shutdown()
+        yield from on_ray.run_all(todo, ray_address)
+    else:
+        cache_compilations()
+        yield from ((job, job.attempt()) for job in todo)

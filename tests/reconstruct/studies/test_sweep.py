@@ -1,31 +1,26 @@
 """The bookkeeping of sweeps; the trainings are stubs."""
 
-import importlib.util
-import json
+import os
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
 
 from datasets.core.errors import UsageError
+from datasets.core.extras import not_installed
 from datasets.scene import Scene
 from reconstruct.errors import ReconstructError
 from reconstruct.studies import sweep
 from reconstruct.studies.jobs import Job
+from tests.reconstruct.studies.odd_jobs import write_run
 
 
 def stub(job: Job) -> None:
     """Write a run as training and evaluation do; `zipnerf` fails while a file named `broken` exists beside the sweep."""
-    path, recipe, changes = job.path, job.recipe, job.changes
-    if recipe.model == "zipnerf" and (path.parents[3] / "broken").exists():
+    if job.recipe.model == "zipnerf" and (job.path.parents[3] / "broken").exists():
         raise ReconstructError("training does not stay finite")
-    path.mkdir(parents=True)
-    normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
-    run = {"format": "koala-run", "version": 1, "scene": recipe.scene, "scene_name": Path(recipe.scene).name,
-           "config": recipe.config(changes).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
-    (path / "run.json").write_text(json.dumps(run))
-    metrics = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 20.0}, "per_view": []}
-    (path / "metrics.json").write_text(json.dumps(metrics))
+    write_run(job)
 
 
 @pytest.fixture
@@ -92,6 +87,26 @@ def test_wrong_requests_are_named(ball_scene: tuple[Scene, Path], tmp_path: Path
         sweep.plan([scene], ["zipnrf"], "fast", [], None, tmp_path)
     with pytest.raises(UsageError, match="two scenes have the same name"):
         sweep.plan([scene, scene], ["zipnerf"], "fast", [], None, tmp_path)
-    if importlib.util.find_spec("ray") is None:
-        with pytest.raises(UsageError, match="Ray is not installed; pip install"):
-            sweep.run(sweep.plan([scene], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)
+
+
+def test_relative_paths_are_those_of_the_first_working_directory(
+    ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_cache: None
+) -> None:
+    monkeypatch.setattr(Job, "run", stub)
+    monkeypatch.chdir(tmp_path)
+    scene = os.path.relpath(ball_scene[1])
+    (job,) = wanted = sweep.plan([scene], ["surfnerf"], "fast", [], None, Path("sweep"))
+    assert job.path == tmp_path / "sweep/ball/surfnerf/seed_0" and job.recipe.scene == str(ball_scene[1])
+    result = sweep.run(wanted, Path("sweep"))
+    assert result == {"out": str(tmp_path / "sweep"), "runs": 1, "trained": 1, "table": str(tmp_path / "sweep/table.md")}
+    monkeypatch.chdir("/")
+    out = tmp_path / "sweep"
+    assert sweep.run(sweep.plan([str(ball_scene[1])], ["surfnerf"], "fast", [], None, out), out) == result | {"trained": 0}
+
+
+def test_without_ray_its_extra_is_named(ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "reconstruct.studies.on_ray", raising=False)
+    with pytest.raises(ModuleNotFoundError) as caught:
+        sweep.run(sweep.plan([str(ball_scene[1])], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)
+    assert str(not_installed(caught.value)) == "ray is not installed; pip install 'koala-capture[sweep]'"

@@ -1,0 +1,58 @@
+"""Jobs without a training, which end in various ways; workers of a cluster import them."""
+
+import json
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+from datasets.core.errors import UsageError
+from reconstruct.studies.jobs import Job
+
+
+class Written(Job):
+    """Writes a run as training and evaluation do."""
+
+    def run(self) -> None:
+        write_run(self)
+
+
+class Dying(Job):
+    """Takes its worker with it, with a last word past Python's own streams."""
+
+    def run(self) -> None:
+        os.write(2, b"this does not fit\n")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Astray(Job):
+    """Writes its run outside the sweep, as on a node with a disk of its own."""
+
+    def run(self) -> None:
+        write_run(replace(self, path=self.path.parents[3] / "another_disk"))
+
+
+class Refused(Job):
+    """Meets an error of ours."""
+
+    def run(self) -> None:
+        raise UsageError("holds no pictures", where=self.recipe.scene, remedy="choose another")
+
+
+class Faulty(Job):
+    """Meets an error that nobody expected, of two lines."""
+
+    def run(self) -> None:
+        raise ValueError("no such axis\nin this array")
+
+
+def write_run(job: Job) -> None:
+    """Write the files of a run that a table needs."""
+    path, recipe = job.path, job.recipe
+    path.mkdir(parents=True)
+    normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
+    run = {"format": "koala-run", "version": 1, "scene": recipe.scene, "scene_name": Path(recipe.scene).name,
+           "config": recipe.config(job.changes).model_dump(mode="json"), "normalisation": normalisation}  # fmt: skip
+    (path / "run.json").write_text(json.dumps(run))
+    metrics = {"format": "koala-metrics", "version": 1, "mean": {"psnr": 20.0}, "per_view": []}
+    (path / "metrics.json").write_text(json.dumps(metrics))
