@@ -12,8 +12,18 @@ from datasets.formats import colmap, detect, koala, llff, load_scene, save_scene
 from datasets.formats.colmap_files import read_model
 from datasets.formats.finding import models
 from datasets.scene import Scene
+from tests.foreign import colmap as foreign
+from tests.foreign import photographs
 
 pycolmap = pytest.importorskip("pycolmap")
+
+LENSES = {
+    "SIMPLE_PINHOLE": [110.0, 60.3, 39.2],
+    "SIMPLE_RADIAL": [110.0, 60.3, 39.2, 0.1],
+    "OPENCV": [110.0, 112.0, 60.3, 39.2, -0.1, 0.05, 1e-3, -2e-3],
+    "OPENCV_FISHEYE": [110.0, 112.0, 60.3, 39.2, -0.1, 0.05, 0.01, -0.02],
+}
+"""Of pictures of 120x80."""
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -58,6 +68,32 @@ def test_pycolmap_opens_what_is_written(make_scene: Callable[..., Scene], tmp_pa
         expected = view.camera.project((point - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3])
         assert np.abs(image.project_point(point) - expected).max() < 1e-9
         assert (tmp_path / "out" / "images" / image.name).is_file()
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_a_model_of_colmaps_own_writer_is_read_as_colmap_has_it(tmp_path: Path, text: bool) -> None:
+    """Several lenses in one model; where its images look, what they see where, and which pixels they are."""
+    made = foreign.model(LENSES, foreign.ring(2 * len(LENSES)))
+    foreign.write(made, tmp_path, text=text)
+    assert detect(tmp_path) == "colmap"
+    scene = load_scene(tmp_path, hold_out=0)
+    views = {view.image.name: view for view in scene.views}
+    assert len(views) == len(scene.views) == made.num_images() and scene.points is not None and scene.sightings is not None
+    rows = np.linalg.norm(scene.points[:, None] - foreign.POINTS, axis=-1).argmin(1)
+    assert np.array_equal(np.sort(rows), np.arange(len(foreign.POINTS))) and np.array_equal(scene.points, foreign.POINTS[rows])
+    assert scene.colours is not None and np.array_equal(scene.colours[:, 0], rows)
+    for image in made.images.values():
+        view = views[image.name]
+        towards = view.world_from_camera[:3, 2]
+        np.testing.assert_allclose(view.world_from_camera[:3, 3], image.projection_center(), atol=1e-12)
+        np.testing.assert_allclose(towards, image.viewing_direction(), atol=1e-12)
+        local = (scene.points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
+        np.testing.assert_allclose(view.camera.project(local), [image.project_point(p) for p in scene.points], atol=1e-9)
+        seen = scene.sightings.index[:, 1] == scene.sightings.names.index(view.name)
+        theirs = [image.project_point(scene.points[point]) for point in scene.sightings.index[seen, 0]]
+        assert seen.sum() == len(foreign.POINTS)
+        np.testing.assert_allclose(scene.sightings.pixels[seen], theirs, atol=1e-9)
+        assert np.abs(255 * view.read() - photographs.shown(view.image)).max() < 2.01  # steps by which decoders may differ
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -7,15 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datasets import pose
 from datasets.camera_model import Camera
 from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
 from datasets.core.errors import DatasetError, KoalaError, UsageError
-from datasets.formats import colmap, detect, llff, load_scene
-from datasets.imaging import images
+from datasets.formats import llff, load_scene
+from tests.foreign import photographs
 
 SIZE = (30, 40, 3)
+
+
+def noise(seed: int) -> NDArray[np.uint8]:
+    """A picture."""
+    return np.random.default_rng(seed).integers(0, 256, SIZE, np.uint8)
 
 
 @pytest.fixture
@@ -26,7 +32,7 @@ def transforms(tmp_path: Path) -> Callable[..., Path]:
         frames = []
         for index in range(10):
             image = f"images/{index:02d}.png"
-            images.write(tmp_path / image, np.random.default_rng(index).random(SIZE))
+            photographs.write(tmp_path / image, noise(index), Make="Koala", FocalLengthIn35mmFilm=26)
             matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0)) @ OPENCV_FROM_OPENGL
             frames.append({"file_path": image, "transform_matrix": matrix.tolist(), **(frame or {})})
         known = {"fl_x": 50.0, "fl_y": 51.0, "cx": 20.5, "cy": 14.5, "w": 40, "h": 30, "frames": frames, **content}
@@ -70,7 +76,7 @@ def test_splits_of_the_file_are_kept(transforms: Callable[..., Path]) -> None:
 
 
 def test_masks_of_all_frames_make_a_white_background(transforms: Callable[..., Path], tmp_path: Path) -> None:
-    images.write(tmp_path / "mask.png", np.uint8(255 * (np.arange(40) > 3) * np.ones((30, 1))))
+    photographs.write(tmp_path / "mask.png", np.uint8(255 * (np.arange(40) > 3) * np.ones((30, 1))))
     scene = load_scene(transforms(frame={"mask_path": "mask.png"}))
     assert scene.background == "white" and scene.views[0].read().shape == (30, 40, 4)
 
@@ -79,10 +85,8 @@ def test_an_opaque_alpha_is_no_mask(transforms: Callable[..., Path]) -> None:
     """Many programs write RGBA whatever the picture: the surroundings are seen, and nothing is carved."""
     folder = transforms()
     for index in range(10):
-        images.write(
-            folder / f"images/{index:02d}.png",
-            np.concatenate([np.random.default_rng(index).random(SIZE), np.ones((30, 40, 1))], -1),
-        )
+        opaque = np.full((30, 40, 1), 255, np.uint8)
+        photographs.write(folder / f"images/{index:02d}.png", np.concatenate([noise(index), opaque], -1))
     scene = load_scene(folder)
     assert scene.background == "scene" and scene.views[0].read().shape == (30, 40, 4)
 
@@ -135,7 +139,7 @@ def test_each_frame_may_have_its_own_lens(transforms: Callable[..., Path]) -> No
 
 
 def test_masks_of_a_blender_file_are_read(transforms: Callable[..., Path], tmp_path: Path) -> None:
-    images.write(tmp_path / "mask.png", np.uint8(255 * (np.arange(40) > 30) * np.ones((30, 1))))
+    photographs.write(tmp_path / "mask.png", np.uint8(255 * (np.arange(40) > 30) * np.ones((30, 1))))
     folder = transforms(frame={"mask_path": ".\\mask.png"})
     (folder / "transforms.json").rename(folder / "transforms_train.json")
     scene = load_scene(folder)
@@ -182,7 +186,7 @@ def rows(tmp_path: Path) -> Callable[..., Path]:
     def write(change: Callable[[np.ndarray], None] = lambda rows: None) -> Path:
         made = []
         for index in range(8):
-            images.write(tmp_path / "images" / f"{index}.png", np.random.default_rng(index).random(SIZE))
+            photographs.write(tmp_path / "images" / f"{index}.png", noise(index))
             matrix = pose.look_at((0.1 * index, 0, -1), (0, 0, 2)) @ OPENCV_FROM_LLFF
             made.append(np.concatenate([np.c_[matrix[:3], [60, 80, 100]].ravel(), [1.0, 5.0]]))
         made = np.stack(made)
@@ -196,7 +200,7 @@ def rows(tmp_path: Path) -> Callable[..., Path]:
 def test_llff_columns_by_hand(tmp_path: Path) -> None:
     """Axes down, right, back of a camera with our axes in the world: (0 1 0), (1 0 0), (0 0 -1)."""
     row = np.concatenate([np.c_[[[0, 1, 0], [1, 0, 0], [0, 0, -1]], [7, 8, 9], [60, 80, 100]].ravel(), [1.0, 5.0]])
-    images.write(tmp_path / "images" / "a.png", np.zeros(SIZE))
+    photographs.write(tmp_path / "images" / "a.png", np.zeros(SIZE, np.uint8))
     np.save(tmp_path / "poses_bounds.npy", row[None])
     view = load_scene(tmp_path, hold_out=0).views[0]
     assert np.array_equal(view.world_from_camera, pose.rigid(np.eye(3), (7, 8, 9)))
@@ -236,39 +240,21 @@ def test_pickles_are_never_opened(rows: Callable[..., Path]) -> None:
 def test_the_largest_images_are_used_by_default(rows: Callable[..., Path]) -> None:
     folder = rows()
     for index in range(8):
-        images.write(folder / "images_2" / f"{index}.png", np.zeros((15, 20, 3)))
+        photographs.write(folder / "images_2" / f"{index}.png", np.zeros((15, 20, 3), np.uint8))
     assert load_scene(folder).views[0].camera.width == 40
     assert load_scene(folder, images="images_2").views[0].camera == Camera(20, 15, 25.0, 25.0, 10.0, 7.5)
     with pytest.raises(UsageError, match="no folder of images"):
         load_scene(folder, images="images_4")
 
 
-def test_colmap_text_model(tmp_path: Path) -> None:
-    """One camera at (1, 2, 3) turned by 180 degrees about x: camera_from_world has t = -R c = (-1, 2, 3)."""
-    model = tmp_path / "sparse" / "0"
-    model.mkdir(parents=True)
-    (model / "cameras.txt").write_text("1 SIMPLE_RADIAL 40 30 50 20.5 14.5 0.1\n")
-    (model / "images.txt").write_text("7 0 1 0 0 -1 2 3 1 a.png\n\n")
-    (model / "points3D.txt").write_text("")
-    images.write(tmp_path / "images" / "a.png", np.zeros(SIZE))
-    assert detect(tmp_path) == "colmap"
-    view = load_scene(tmp_path, hold_out=0).views[0]
-    assert view.camera == Camera(40, 30, 50.0, 50.0, 20.5, 14.5, k1=0.1)
-    assert np.abs(view.world_from_camera - pose.rigid(np.diag([1.0, -1, -1]), (1, 2, 3))).max() < 1e-12
-    (model / "cameras.txt").write_text("1 OPENCV_FISHEYE 40 30 50 51 20.5 14.5 0.1 0.2 0.3 0.4\n")
-    camera = load_scene(tmp_path, hold_out=0).views[0].camera
-    assert camera == Camera(40, 30, 50.0, 51.0, 20.5, 14.5, 0.1, 0.2, k3=0.3, k4=0.4, fisheye=True)
-    (model / "cameras.txt").write_text("1 FOV 40 30 50 50 20.5 14.5 0.1\n")
-    with pytest.raises(DatasetError, match="FOV is not supported"):
-        colmap.load(tmp_path)
-
-
 def test_blender_without_test_file_holds_out(tmp_path: Path) -> None:
     frames = []
     for index in range(9):
-        images.write(tmp_path / "train" / f"{index}.png", np.arange(40)[:, None] / 39 * np.ones((30, 1, 4)))
+        photographs.write(tmp_path / "train" / f"{index}.png", np.uint8(np.arange(40)[:, None] / 39 * np.full((30, 1, 4), 255)))
         matrix = pose.look_at((np.cos(index), np.sin(index), 0.5), (0, 0, 0)) @ OPENCV_FROM_OPENGL
         frames.append({"file_path": f"./train/{index}", "transform_matrix": matrix.tolist()})
     (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
     scene = load_scene(tmp_path)
     assert len(scene.split("test")) == 2 and scene.background == "white"
+    view = scene.views[0]
+    assert np.array_equal(np.rint(255 * view.read()), photographs.shown(view.image)), "colours and a straight alpha"

@@ -14,6 +14,7 @@ from datasets.cli import app
 from datasets.core.errors import DatasetError
 from datasets.formats import colmap_library, load_scene, save_scene
 from datasets.scene import Scene
+from tests.foreign import colmap as foreign
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -49,19 +50,26 @@ def with_lens(make_scene: Callable[..., Scene], tmp_path: Path) -> Callable[...,
         folder = tmp_path / "scene"
         save_scene(make_scene(Camera(*SIZE, 90.0, 90.0, 48.0, 36.0), truth=False, mask=True), folder, "colmap-text")
         (folder / "koala.json").unlink()
-        stated = " ".join(map(str, [1, model, *SIZE, *parameters]))
-        (folder / "sparse" / "0" / "cameras.txt").write_text(stated + "\n")
+        stored = pycolmap.Reconstruction(folder / "sparse" / "0")
+        stored.camera(1).model = pycolmap.CameraModelId.__members__[model]
+        stored.camera(1).params = parameters
+        stored.write_text(folder / "sparse" / "0")
         return folder
 
     return make
 
 
-@pytest.mark.parametrize("model", HELD)
-def test_our_camera_projects_as_colmap_does(with_lens: Callable[..., Path], model: str) -> None:
-    camera = load_scene(with_lens(model, HELD[model])).views[0].camera
-    theirs = pycolmap.Camera(camera_id=1, model=model, width=SIZE[0], height=SIZE[1], params=HELD[model])
-    rays = camera.directions(camera.pixel_centres()[::7, ::7].reshape(-1, 2))
-    assert np.abs(theirs.img_from_cam(rays) - camera.project(rays)).max() < 1e-9
+@pytest.mark.parametrize("text", [False, True])
+def test_our_camera_projects_as_colmap_does(tmp_path: Path, text: bool) -> None:
+    """In a model with one camera of each lens; at the corners of the pictures too."""
+    made = foreign.model(HELD, foreign.ring(len(HELD)), SIZE)
+    foreign.write(made, tmp_path, text=text)
+    views = {view.image.name: view for view in load_scene(tmp_path, hold_out=0).views}
+    assert len(views) == len(HELD)
+    for image in made.images.values():
+        camera = views[image.name].camera
+        rays = camera.directions(camera.pixel_centres()[::7, ::7].reshape(-1, 2))
+        assert np.abs(image.camera.img_from_cam(rays) - camera.project(rays)).max() < 1e-9, image.camera.model
 
 
 @pytest.mark.parametrize("model", FOREIGN)
@@ -108,8 +116,11 @@ def test_a_panorama_is_refused(with_lens: Callable[..., Path]) -> None:
 
 
 def test_an_unknown_lens_is_refused(with_lens: Callable[..., Path]) -> None:
+    folder = with_lens("PINHOLE", [90.0, 90.0, 48.0, 36.0])
+    cameras = folder / "sparse" / "0" / "cameras.txt"
+    cameras.write_text(cameras.read_text().replace(" PINHOLE ", " PLENOPTIC "))
     with pytest.raises(DatasetError, match="lens model PLENOPTIC with 4 parameters is unknown"):
-        load_scene(with_lens("PLENOPTIC", [90.0, 48.0, 36.0, 1.0]))
+        load_scene(folder)
 
 
 def k4_scene(folder: Path, scene: Scene, **content: object) -> Path:

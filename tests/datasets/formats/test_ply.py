@@ -2,9 +2,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from datasets.core.errors import DatasetError
 from datasets.formats.ply import read_cloud, read_points, write_points
+from tests.foreign import meshes
 
 POINTS = np.random.default_rng(0).normal(size=(7, 3))
 
@@ -19,28 +21,40 @@ def test_colours_are_read_back_and_no_others_are_invented(tmp_path: Path) -> Non
     write_points(tmp_path / "a.ply", POINTS, colours)
     points, found = read_cloud(tmp_path / "a.ply")
     assert np.array_equal(points, POINTS) and np.array_equal(found, colours)
+    theirs = trimesh.load(tmp_path / "a.ply")
+    assert np.array_equal(theirs.vertices, POINTS) and np.array_equal(theirs.colors[:, :3], colours)
     write_points(tmp_path / "b.ply", POINTS)
     assert read_cloud(tmp_path / "b.ply")[1] is None
 
 
-def test_another_programs_vertices_with_colours(tmp_path: Path) -> None:
-    """Properties in any order, colours between, faces after: in text and in binary."""
-    head = (
-        "element vertex 2\nproperty float z\nproperty uchar red\nproperty float x\nproperty float y\nelement face 0\nend_header\n"
-    )
-    (tmp_path / "t.ply").write_text("ply\nformat ascii 1.0\ncomment made by hand\n" + head + "3 255 1 2\n6 0 4 5\n")
-    assert np.array_equal(read_points(tmp_path / "t.ply"), [[1, 2, 3], [4, 5, 6]])
-    rows = np.array([(3, 255, 1, 2), (6, 0, 4, 5)], "<f4, u1, <f4, <f4")
-    (tmp_path / "b.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n" + head.encode() + rows.tobytes())
-    assert np.array_equal(read_points(tmp_path / "b.ply"), [[1, 2, 3], [4, 5, 6]])
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("coloured", [False, True])
+def test_another_programs_points_are_read(tmp_path: Path, text: bool, coloured: bool) -> None:
+    colours = np.random.default_rng(1).integers(0, 256, (len(POINTS), 3), np.uint8) if coloured else None
+    meshes.write_points(tmp_path / "a.ply", POINTS, colours, text=text)
+    points, found = read_cloud(tmp_path / "a.ply")
+    np.testing.assert_allclose(points, POINTS, rtol=1e-6, atol=1e-8)  # single precision; eight digits as text
+    assert (found is None and colours is None) or np.array_equal(found, colours)
 
 
-def test_big_endian_and_windows_line_ends(tmp_path: Path) -> None:
-    """As other programs write them."""
-    head = b"element vertex 2\r\nproperty float x\r\nproperty float y\r\nproperty double z\r\nend_header\r\n"
-    rows = np.array([(1, 2, 3), (4, 5, 6)], ">f4, >f4, >f8")
-    (tmp_path / "b.ply").write_bytes(b"ply\r\nformat binary_big_endian 1.0\r\n" + head + rows.tobytes())
-    (tmp_path / "t.ply").write_bytes(b"ply\r\nformat ascii 1.0\r\n" + head + b"1 2 3\r\n4 5 6\r\n")
+def test_vertices_of_a_mesh_are_read(tmp_path: Path) -> None:
+    """Normals stand between places and colours, and faces follow."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual.vertex_colors = np.random.default_rng(0).integers(0, 256, (len(ball.vertices), 4), np.uint8)
+    ball.export(tmp_path / "a.ply", vertex_normal=True)
+    points, colours = read_cloud(tmp_path / "a.ply")
+    np.testing.assert_allclose(points, ball.vertices, atol=1e-7)  # single precision
+    assert np.array_equal(colours, ball.visual.vertex_colors[:, :3])
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+def test_other_orders_of_bytes_and_properties_and_line_ends(tmp_path: Path, end: bytes) -> None:
+    """As older programs write them, and none that can be installed."""
+    head = b"element vertex 2\nproperty double z\nproperty uchar red\nproperty float x\nproperty float y\nend_header\n"
+    rows = np.array([(3, 255, 1, 2), (6, 0, 4, 5)], ">f8, u1, >f4, >f4")
+    (tmp_path / "b.ply").write_bytes((b"ply\nformat binary_big_endian 1.0\n" + head).replace(b"\n", end) + rows.tobytes())
+    text = b"ply\nformat ascii 1.0\ncomment made by hand\n" + head + b"3 255 1 2\n6 0 4 5\n"
+    (tmp_path / "t.ply").write_bytes(text.replace(b"\n", end))
     for name in ("b.ply", "t.ply"):
         assert np.array_equal(read_points(tmp_path / name), [[1, 2, 3], [4, 5, 6]])
 

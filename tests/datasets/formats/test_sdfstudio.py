@@ -12,7 +12,7 @@ from datasets import pose
 from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
 from datasets.formats import detect, load_scene
-from datasets.imaging import images
+from tests.foreign import photographs
 
 INTRINSICS = [[50.0, 1e-4, 20.5, 0.0], [0.0, 51.0, 14.5, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 BOX = {"aabb": [[-1, -1, -1], [1, 1, 1]], "near": 0.5, "far": 4.5, "radius": 1.0, "collider_type": "near_far"}
@@ -25,13 +25,14 @@ def folder(tmp_path: Path) -> Callable[..., Path]:
     def write(*, frame: dict[str, Any] | None = None, mask: bool = False, **content: Any) -> Path:
         frames = []
         for index in range(10):
-            images.write(tmp_path / f"{index:06d}_rgb.png", np.random.default_rng(index).random((30, 40, 3)))
+            picture = np.random.default_rng(index).integers(0, 256, (30, 40, 3), np.uint8)
+            photographs.write(tmp_path / f"{index:06d}_rgb.png", picture)
             matrix = pose.look_at((2 * np.cos(index), 2 * np.sin(index), 0.5), (0, 0, 0))
             made = {"rgb_path": f"{index:06d}_rgb.png", "camtoworld": matrix.tolist(), "intrinsics": INTRINSICS, **(frame or {})}
             if mask:
                 made["foreground_mask"] = f"{index:06d}_foreground_mask.png"
                 disc = np.hypot(*(np.mgrid[:30, :40] - np.array([14.5, 20.0])[:, None, None])) < 8
-                images.write(tmp_path / made["foreground_mask"], np.uint8(255 * disc))
+                photographs.write(tmp_path / made["foreground_mask"], np.uint8(255 * disc))
             frames.append(made)
         known = {"camera_model": "OPENCV", "height": 30, "width": 40, "has_mono_prior": True, "scene_box": BOX, "frames": frames}
         (tmp_path / "meta_data.json").write_text(json.dumps({**known, **content}))

@@ -14,6 +14,8 @@ from datasets.core.errors import DatasetError
 from datasets.formats import colmap, load_scene, save_scene
 from datasets.imaging import images
 from datasets.scene import Scene
+from tests.foreign import colmap as foreign_colmap
+from tests.foreign import photographs
 
 LENS = Camera(96, 72, 90.0, 90.0, 48.0, 36.0)
 HOME = {"koala": "images", "nerfstudio": "images", "llff": "images", "dtu": "image", "colmap": "images"}
@@ -47,8 +49,7 @@ def renamed(folder: Path, home: str, change: Callable[[Path], str]) -> None:
 
 def as_jpeg(folder: Path, home: str, suffix: str) -> None:
     for path in sorted((folder / home).iterdir()):
-        images.write(path.with_suffix(".jpg"), images.read(path))
-        path.with_suffix(".jpg").rename(path.with_suffix(suffix))
+        photographs.write(path.with_suffix(suffix), photographs.shown(path))
         path.unlink()
 
 
@@ -229,15 +230,16 @@ def test_images_of_a_model_under_their_order(foreign: Callable[..., Path]) -> No
         assert view.camera == old.camera and view.image.name == f"image{old.name}.png"
 
 
-def test_a_models_names_may_begin_with_the_folder(foreign: Callable[..., Path]) -> None:
-    folder = foreign("colmap")
-    before = load_scene(folder)
-    text = folder / "text"
-    save_scene(before, text, "colmap-text")
-    lines = (text / "sparse" / "0" / "images.txt").read_text().splitlines()
-    lines = [line[:-7] + f"images/{line[-7:]}" if line.endswith(".png") else line for line in lines]
-    (text / "sparse" / "0" / "images.txt").write_text("\n".join(lines) + "\n")
-    (text / "koala.json").unlink()
-    found = load_scene(text)
+@pytest.mark.parametrize("text", [False, True])
+def test_a_models_names_may_begin_with_the_folder(tmp_path: Path, text: bool) -> None:
+    made = foreign_colmap.model({"PINHOLE": [110.0, 110.0, 60.0, 40.0]}, foreign_colmap.ring(9))
+    foreign_colmap.write(made, tmp_path, text=text)
+    before = load_scene(tmp_path)
+    for image in made.images.values():
+        image.name = f"images/{image.name}"
+    (made.write_text if text else made.write_binary)(tmp_path / "sparse" / "0")
+    found = load_scene(tmp_path)
     assert [view.image.parent.name for view in found.views] == ["images"] * 9
-    assert found.views[0].name == "images/000" and np.array_equal(found.views[0].read(), before.views[0].read())
+    assert [view.name for view in found.views] == [f"images/{view.name}" for view in before.views]
+    for view, old in zip(found.views, before.views, strict=True):
+        assert np.array_equal(view.read(), old.read()) and np.array_equal(view.world_from_camera, old.world_from_camera)

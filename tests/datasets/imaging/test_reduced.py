@@ -12,6 +12,7 @@ from datasets.camera_model import Camera
 from datasets.core.errors import DatasetError
 from datasets.imaging import images, reduced
 from datasets.scene import View
+from tests.foreign import photographs
 
 RANDOM = np.random.default_rng(0)
 WIDTH, HEIGHT = 96, 64
@@ -123,18 +124,14 @@ def test_grey_jpegs_and_masks_are_reduced_alike(tmp_path: Path) -> None:
     assert np.abs(found - expected)[found[..., 3] == 1].max() < 1.5 / 255
 
 
-@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+@pytest.mark.parametrize("orientation", photographs.ORIENTATIONS)
 def test_orientation_is_applied_to_what_is_reduced(tmp_path: Path, orientation: int) -> None:
-    data = jpeg(tmp_path / "a.jpg", smooth(256, 320)).read_bytes()
-    tag = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0" + bytes([orientation]) + b"\0\0\0\0\0\0"
-    segment = b"\xff\xe1" + (len(tag) + 2).to_bytes(2, "big") + tag
-    (tmp_path / "a.jpg").write_bytes(data[:2] + segment + data[2:])
-    width, height = images.size(tmp_path / "a.jpg")
-    assert ((width, height) == (256, 320)) == (orientation >= 5), "the tag is understood"
-    small = reduced.read_stored(tmp_path / "a.jpg", width // 8, height // 8)
-    assert small.shape[:2] == (height // 2, width // 2)
-    whole = images.resize(images.read(tmp_path / "a.jpg"), width // 2, height // 2)
-    assert np.abs(images.as_float(small) - whole).max() < 3 / 255
+    path = tmp_path / "a.jpg"
+    photographs.write(path, photographs.corners(320, 256), orientation=orientation)
+    small = reduced.read_stored(path, 40, 32)
+    assert small.shape == (128, 160, 3), "the premise: half of its pixels are decoded along each axis"
+    shown = images.resize(images.as_float(photographs.shown(path)), 160, 128)
+    assert np.abs(images.as_float(small) - shown).max() < 3 / 255  # turned the wrong way, corners are off by a hundred
 
 
 def test_sizes_that_do_not_divide_are_decoded_whole(tmp_path: Path) -> None:
