@@ -116,9 +116,10 @@ class MaskPage:
         size = self.depth * camera.width / camera.fx, self.depth * camera.height / camera.fy
         rotation, position = shapes.placed(view.world_from_camera)
         place = view.world_from_camera[:3, :3] @ middle + position
-        self.page.scene.add_image("/picture", self.picture(), *size, wxyz=rotation, position=place)
+        self.page.scene.add_image("/picture", self.picture(), *size, format="png", wxyz=rotation, position=place)
         share = self.found.agreement[self.chosen]
-        self._words.content = f"agrees by {share:.0%} with the other views; {len(self.strokes)} dots of the brush"
+        count = len(self.strokes)
+        self._words.content = f"agrees by {share:.0%} with the other views; {count} dot{'' if count == 1 else 's'} of the brush"
 
     def _enter(self, client: viser.ClientHandle) -> None:
         view = self.grower.views[self.chosen]

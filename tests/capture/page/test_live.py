@@ -1,7 +1,6 @@
 """A recording on its page while it is being made."""
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from datasets.core.errors import UsageError
 from datasets.imaging import images
 from datasets.page import open_page
 from datasets.recording import Frame, Recording
+from tests.browser import PATIENCE_S, Browse
 
 MOUNT = RigDescription().flange_from_camera.matrix()
 
@@ -110,12 +110,14 @@ def test_the_histogram_counts_what_the_picture_has() -> None:
 
 
 @pytest.mark.timeout(600)
-def test_the_button_stops_the_arm(tmp_path: Path, session: Any, browse: Callable[[str], Any]) -> None:
+def test_a_browser_sees_frames_arrive_and_stops_the_arm(tmp_path: Path, session: Any, browse: Browse) -> None:
     trajectory, planned = session
     stopped = threading.Event()
     with open_page("stop", 0) as page:
         watch(page, tmp_path / "r", trajectory, MOUNT, planned, stop=stopped.set)
-        window = browse(page.url)
-        window.page.get_by_text("stop the arm").click(timeout=1e3 * window.PATIENCE_S)
-        assert stopped.wait(window.PATIENCE_S)
-        assert window.errors == []
+        with browse(page) as window:
+            window.page.get_by_text("none yet").wait_for()
+            take(begin(tmp_path / "r", trajectory), planned, 0, 100)
+            window.page.get_by_text("1 of 4 taken").wait_for()
+            window.page.get_by_text("stop the arm").click()
+            assert stopped.wait(PATIENCE_S)

@@ -1,15 +1,19 @@
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from capture.arms.model import load_arm
 from capture.look.analysis import Part
+from capture.look.jog import Jog
 from capture.page.look import AROUND, LookPage, framed
 from capture.page.overlay import FRAME, PEAK, peaks, shown
+from capture.rig.description import RigDescription
 from capture.rig.opening import open_camera
+from capture.sim.kinematic_arm import KinematicArm
 from capture.trajectory import load_trajectory
 from datasets.page import open_page
+from tests.browser import Browse
 
 PART = Part(8, 8, 56, 40)
 
@@ -39,20 +43,29 @@ def test_a_window_shows_the_picture_undistorted(aspect):
     assert (whole == 200).all(-1).sum() == 40 * 60 and set(np.unique(whole)) == {AROUND, 200}
 
 
-def test_the_page_shows_the_emulated_camera(browse: Any, tmp_path: Path):
+@pytest.mark.timeout(600)
+def test_the_page_shows_the_emulated_camera_and_moves_the_arm(browse: Browse, tmp_path: Path):
     session = load_trajectory("koala_demo", overrides=["camera.width=96", "camera.height=64", "camera.exposure_us=30000"])
+    mount = RigDescription().carrier()
     with open_camera("sim", session, scene="grey_card") as camera, open_page("live", 0) as page:
-        live = LookPage(page, camera, PART, burst=8, balance=tmp_path / "balance.npz", stored="")
-        window = browse(page.url)
-        window.page.get_by_text("clipped 100.00 % of the pixels").wait_for(timeout=1e3 * window.PATIENCE_S)
-        window.page.get_by_text("use the suggested exposure").click()
-        window.page.get_by_text("clipped 0.00 % of the pixels").wait_for(timeout=1e3 * window.PATIENCE_S)
-        window.page.get_by_text("measure flicker").click()
-        window.page.get_by_text("flicker none seen").wait_for(timeout=1e3 * window.PATIENCE_S)
-        window.page.get_by_text("store the region's white balance").click()
-        window.page.get_by_text("stored in").wait_for(timeout=1e3 * window.PATIENCE_S)
-        assert (tmp_path / "balance.npz").is_file()
-        green = lambda picture: picture[..., 1].astype(int) - picture[..., 0] > 40  # noqa: E731
-        window.until(lambda picture: green(picture).sum() > 100, "the frame of the region")
-        assert window.errors == [] and window.outside() == []
-        live.end()
+        with KinematicArm(load_arm("ur5e"), time_scale=100.0) as arm:
+            jog = Jog(arm, session, mount)
+            live = LookPage(page, camera, PART, burst=8, balance=tmp_path / "balance.npz", stored="", jog=jog)
+            with browse(page) as window:
+                seen = lambda words: window.page.get_by_text(words).wait_for()  # noqa: E731
+                press = lambda words: window.page.get_by_text(words).click()  # noqa: E731
+                seen("clipped 100.00 % of the pixels")
+                press("use the suggested exposure")
+                seen("clipped 0.00 % of the pixels")
+                press("measure flicker")
+                seen("flicker none seen")
+                press("store the region's white balance")
+                seen("stored in")
+                press("go there")
+                seen("at 000")
+                green = lambda picture: picture[..., 1].astype(int) - picture[..., 0] > 40  # noqa: E731
+                window.until(lambda picture: green(picture).sum() > 100, "the frame of the region")
+            live.end()
+            reached = mount.base_from_camera(arm.state().joints)[:3, 3]
+    assert (tmp_path / "balance.npz").is_file()
+    assert np.allclose(reached, jog.views["000"].camera_pose(mount)[:3, 3], atol=2e-4)  # the arm repeats to a tenth of that

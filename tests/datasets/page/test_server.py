@@ -2,14 +2,16 @@
 
 import signal
 import socket
+import sys
 import threading
-import time
+import traceback
 import urllib.request
 
 import pytest
 
 from datasets.core.errors import UsageError
-from datasets.page import open_page
+from datasets.page import Page, open_page
+from tests.moments import as_soon_as, until
 
 
 def test_a_page_is_one_file_at_the_loopback_address_only(capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,27 +61,28 @@ def test_background_work_is_asked_to_stop_and_abandoned_otherwise() -> None:
 
 def test_ctrl_c_closes_a_page_whichever_thread_receives_the_signal() -> None:
     """Python handles signals in its main thread, which keeps sleeping if the system delivers the signal to another one."""
-    asleep, ended = threading.Event(), threading.Event()
-    other = threading.Thread(target=lambda: (asleep.set(), ended.wait(60)), daemon=True)
-    other.start()
-    assert other.ident is not None
-    thread = other.ident
-    asleep.wait(20)
+    closed = threading.Event()
+
+    def receive() -> None:
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        if not closed.wait(20):
+            page.stopping.set()  # the main thread would sleep for ever
+
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with open_page("waiting", 0) as page:
-            timers = [
-                threading.Timer(0.5, lambda: signal.pthread_kill(thread, signal.SIGINT)),
-                threading.Timer(20, page.stopping.set),
-            ]
-            for timer in timers:
-                timer.start()
+        with open_page("waiting", 0) as page, as_soon_as(sleeps_in_wait, receive, "a main thread that sleeps"):
             page.wait()
-            assert not page.stopping.is_set(), "it was closed by the signal, not by the timer"
-            timers[1].cancel()
+            assert not page.stopping.is_set(), "it was closed by the signal, not by the limit"
+            closed.set()
     finally:
         signal.signal(signal.SIGINT, before)
-        ended.set()
+
+
+def sleeps_in_wait() -> bool:
+    """Whether the main thread waits for an event in `Page.wait`."""
+    main = sys._current_frames()[threading.main_thread().ident or 0]
+    codes = [frame.f_code for frame, _ in traceback.walk_stack(main)]
+    return codes[:3] == [function.__code__ for function in (threading.Condition.wait, threading.Event.wait, Page.wait)]
 
 
 def test_an_error_in_the_background_is_logged_and_does_not_close_the_page(caplog: pytest.LogCaptureFixture) -> None:
@@ -88,8 +91,6 @@ def test_an_error_in_the_background_is_logged_and_does_not_close_the_page(caplog
 
     with open_page("failing", 0) as page:
         page.in_background(fails)
-        deadline = time.monotonic() + 20
-        while not caplog.records and time.monotonic() < deadline:
-            time.sleep(0.05)
+        until(lambda: caplog.records, "the error in the log")
         assert urllib.request.urlopen(page.url, timeout=30).status == 200
     assert "here: cannot be done" in caplog.text

@@ -52,10 +52,23 @@ class Painter:
         (self.given_up if cancelled() else self.shown).append((client.client_id, rays))
 
 
+class Resting(threading.Condition):
+    """Notes that the loop waits, which it does when nothing is left to render."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun = threading.Event()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.begun.set()
+        return super().wait(timeout)
+
+
 @pytest.fixture
 def made() -> Any:
     page, painter = MadeUp(), Painter()
     loop = RenderLoop(page, painter)
+    loop._changed = Resting()
     thread = threading.Thread(target=loop.run, daemon=True)
     yield page, painter, loop, thread
     page.stopping.set()
@@ -76,8 +89,7 @@ def test_pictures_get_finer_up_to_the_level_that_is_wanted(made: Any) -> None:
     loop.levels = 3
     page.browser(7)
     thread.start()
-    wait_for(lambda: len(painter.shown) == 3)
-    time.sleep(0.3)
+    assert loop._changed.begun.wait(20)
     assert painter.shown == [(7, rays) for rays in LEVELS[:3]]
 
 
@@ -148,7 +160,7 @@ def test_no_level_no_pictures(made: Any) -> None:
     loop.levels = 0
     page.browser(1)
     thread.start()
-    time.sleep(0.4)
+    assert loop._changed.begun.wait(20)
     assert painter.shown == []
 
 

@@ -5,21 +5,23 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
 import trimesh
-import viser
 
-from datasets.page import Page, open_page
+from datasets.imaging import images
+from datasets.page import open_page
 from reconstruct import checkpoint
 from reconstruct.output.trained_model import TrainedModel
 from reconstruct.page.compose import CHANNELS, Viewpoint
 from reconstruct.page.run_page import NOTHING, RunPage, rounded_up
 from reconstruct.page.status import QUIET_S, is_training
 from reconstruct.run import CHECKPOINTS, LOG, Run
+from tests.browser import Browse
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -154,64 +156,50 @@ def middle(picture: np.ndarray) -> np.ndarray:
     return np.median(picture[height // 2 - 12 : height // 2 + 12, width // 2 - 12 : width // 2 + 12], axis=(0, 1))
 
 
-def start_rendering(page: Page, view: RunPage) -> None:
-    view.sharpest.value = 2
-    view.cameras.value = False
-    page.in_background(view.loop.run)
-
-
-def test_browsers_see_the_ball_and_what_they_choose_of_it(ball: TrainedModel, browse: Callable[[str], Any]) -> None:
-    """The ball's colour in the middle, white beside it; another channel shows another picture.
-
-    A browser that closes meanwhile changes nothing for the other.
-    """
-    from datasets.imaging import images
-
+def test_a_browser_sees_the_ball_and_what_it_chooses_of_it(ball: TrainedModel, browse: Browse) -> None:
+    """The ball's colour in the middle, white beside it; another channel is another picture. The log is a curve; a path begins."""
     colour = 255 * images.srgb_from_linear(np.array([0.3, 0.3, 0.35]))
     with open_page("ball", 0) as page:
         view = RunPage(page, ball.run, None)
-        view.trained = ball
-        start_rendering(page, view)
-        window, leaving = browse(page.url), browse(page.url)
-        seen = lambda picture: np.abs(middle(picture) - colour).max() < 12  # noqa: E731
-        first = window.until(seen, "the ball")
-        assert (first[-30:, 10:40] > 230).mean() > 0.9  # nothing stands in the corner
-        view.sharpest.value = 5  # pictures take long enough now to leave in the midst of one
-        leaving.page.close()
-        window.page.locator('input[value="rgb"]').first.click()
-        window.page.get_by_role("option", name="normals", exact=True).click()
-        window.until(lambda picture: np.abs(middle(picture) - colour).max() > 40, "another channel")
-        view.channel.value = NOTHING
-        window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
-        assert window.errors == [] and window.outside() == []
-        assert set(page.server.get_clients()) and len(page.server.get_clients()) == 1
+        view.trained, view.sharpest.value, view.cameras.value = ball, 1, False
+        view._update_status()
+        page.in_background(view.loop.run)
+        with browse(page) as window:
+            first = window.until(lambda picture: np.abs(middle(picture) - colour).max() < 12, "the ball")
+            assert (first[-30:, 10:40] > 230).mean() > 0.9  # nothing stands in the corner
+            window.choose("channel", "normals")
+            window.until(lambda picture: np.abs(middle(picture) - colour).max() > 40, "another channel")
+            window.choose("channel", NOTHING)
+            window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
+            window.page.locator(".uplot canvas").wait_for()
+            window.page.get_by_text("Path", exact=True).click()
+            window.page.get_by_text("add this view").click()
+            window.page.get_by_text("1 stop", exact=True).wait_for()
 
 
-def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(
-    ball: TrainedModel, browse: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The channel is left while a picture is encoded: the page is empty afterwards, and stays so."""
-    send, sending = viser.SceneApi.set_background_image, threading.Event()
+def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A picture is being sent when its channel is left: the page is emptied after it, not before."""
+    page, view = shown
+    sending, go_on, sent = threading.Event(), threading.Event(), []
 
-    def slowly(scene: viser.SceneApi, image: np.ndarray | None, *args: Any, **options: Any) -> None:
-        if image is not None:
+    def send(picture: np.ndarray | None, **_: Any) -> None:
+        if picture is not None:
             sending.set()
-            time.sleep(1.0)
-        send(scene, image, *args, **options)
+            assert go_on.wait(60)
+        sent.append(picture)
 
-    monkeypatch.setattr(viser.SceneApi, "set_background_image", slowly)
-    with open_page("ball", 0) as page:
-        view = RunPage(page, ball.run, None)
-        view.trained = ball
-        start_rendering(page, view)
-        window = browse(page.url)
-        window.until(lambda picture: (middle(picture) < 200).all(), "the ball")
-        view.sharpest.value = 5
-        sending.clear()
-        assert sending.wait(60), "a sharper picture"
-        view.channel.value = NOTHING
-        window.page.wait_for_timeout(2000)  # what was being sent has arrived
-        window.until(lambda picture: (middle(picture) > 240).all(), "the page without a picture")
+    browser = SimpleNamespace(scene=SimpleNamespace(set_background_image=send), flush=lambda: None)
+    monkeypatch.setattr(page.server, "get_clients", lambda: {0: browser})
+    painting = threading.Thread(target=view._paint, args=(browser, viewpoint_at(view.trained), 2048, lambda: False))
+    painting.start()
+    assert sending.wait(60)
+    leaving = threading.Thread(target=setattr, args=(view.channel, "value", NOTHING))
+    leaving.start()
+    leaving.join(0.2)  # time for a page that does not wait for the picture
+    go_on.set()
+    for thread in (painting, leaving):
+        thread.join()
+    assert len(sent) == 2 and sent[1] is None
 
 
 def test_every_channel_can_be_chosen(shown: Any, ball: TrainedModel) -> None:

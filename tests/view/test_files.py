@@ -1,0 +1,133 @@
+"""Every page that a command writes as a file, opened from there: it is sound, and a click, a key or the pointer changes it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from capture.page import report as recording_report
+from capture.planning import Obstacles, draw, plan
+from capture.rig.description import RigDescription
+from capture.trajectory import load_trajectory
+from datasets.calibration import Calibration
+from datasets.formats import koala
+from datasets.reports import scene as scene_report
+from tests.browser import Browse
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("capture", "calib", "datasets", "reconstruct")
+Fixture = Callable[[str], Any]
+"""A fixture of the test by its name."""
+
+
+def of_recording(fixture: Fixture, out: Path) -> Path:
+    recording_report.write(fixture("recorded")(), out / "page.html")
+    return out / "page.html"
+
+
+def of_calibration(fixture: Fixture, out: Path) -> Path:
+    from calib.page import report
+    from calib.study.simulate import KOALA
+    from tests.calib.page.test_report import evidence_of
+
+    report.page(evidence_of(Calibration(KOALA.camera, {}))).write(out / "page.html")
+    return out / "page.html"
+
+
+def of_scene(fixture: Fixture, out: Path) -> Path:
+    koala.save(fixture("make_scene")(), out / "scene")
+    scene_report.write(out / "scene", out / "page.html", matches=False)
+    return out / "page.html"
+
+
+def of_run(fixture: Fixture, out: Path) -> Path:
+    from reconstruct.output import report
+
+    fixture("without_mesh")
+    return Path(report.write(fixture("ball"), out / "page")["report"])
+
+
+def of_diagnosis(fixture: Fixture, out: Path) -> Path:
+    from reconstruct.diagnosis.diagnose import diagnose, write
+
+    return write(diagnose(fixture("ball"), pictures=False), fixture("ball"), out / "page")
+
+
+def of_study(fixture: Fixture, out: Path) -> Path:
+    from reconstruct.studies import ablate
+    from reconstruct.studies.results import Row
+
+    study = ablate.plan(str(fixture("ball_scene")[1]), "surfnerf", "fast", [], None, ["k = 1"])
+    rows = [Row("ball", name, {"psnr": psnr}) for name, psnr in zip(study.cells, (20.0, 21.0), strict=True)]
+    ablate.page(rows, ["psnr"], study, study.cells, out).write(out / "page.html")
+    return out / "page.html"
+
+
+def of_benchmark(fixture: Fixture, out: Path) -> Path:
+    from reconstruct.bench import report
+    from reconstruct.bench.records import Records
+    from reconstruct.bench.runner import RECORDS
+
+    records = Records(out / RECORDS)
+    for scene in ("chrome_ball", "gold_head"):
+        records.append(fixture("make_row")(scene=scene))
+    return report.write(out)
+
+
+REPORTS = {
+    "capture/page/report.py": of_recording,
+    "calib/page/report.py": of_calibration,
+    "datasets/reports/scene.py": of_scene,
+    "reconstruct/output/report.py": of_run,
+    "reconstruct/diagnosis/diagnose.py": of_diagnosis,
+    "reconstruct/studies/ablate.py": of_study,
+    "reconstruct/bench/report.py": of_benchmark,
+}
+"""How the report of each module is made."""
+
+
+@pytest.mark.parametrize("module", REPORTS)
+def test_a_report_is_sound_and_sorts_its_tables(
+    module: str, request: pytest.FixtureRequest, tmp_path: Path, browse: Browse
+) -> None:
+    written = REPORTS[module](request.getfixturevalue, tmp_path)
+    with browse(written.as_uri()) as window:
+        table = window.page.locator("table.sortable").filter(has=window.page.locator("tbody tr + tr")).first
+        head, names = table.locator("th").first, table.locator("td:first-child")
+        head.click()
+        rising = names.all_text_contents()
+        head.click()
+        assert head.get_attribute("aria-sort") == "descending" and names.all_text_contents() == rising[::-1] != rising
+
+
+def test_a_plan_turns_steps_and_plays(tmp_path: Path, browse: Browse) -> None:
+    views = (
+        "views=[{kind: orbit, target: [0.4, 0.0, 0.14], distance: 0.4, elevation_deg: 50, count: 2, roll_deg: [0, 90, 180, 270]}]"
+    )
+    session, mount = load_trajectory("koala_demo", overrides=[views, "split=null"]), RigDescription().flange_from_camera.matrix()
+    draw.page(plan(session, mount), Obstacles.of(session, mount), tmp_path / "plan.html", title="two views")
+    with browse((tmp_path / "plan.html").as_uri()) as window:
+        page = window.page
+        drawn = lambda: page.evaluate("canvas.toDataURL()")  # noqa: E731
+        page.get_by_text("two views\nview 000").wait_for()
+        page.keyboard.press("ArrowRight")
+        page.get_by_text("view 001").wait_for()
+        before = drawn()
+        page.mouse.move(200, 200)
+        page.mouse.down()
+        page.mouse.move(300, 220)
+        page.mouse.up()
+        assert drawn() != before, "it turns"
+        page.get_by_text("play").click()
+        page.wait_for_function("document.getElementById('time').value < 1")  # from the end to the beginning
+        page.get_by_text("pause").click()
+
+
+def test_no_page_is_left_out() -> None:
+    """Whatever writes a page is opened above; the only templates are those of the reports and of the plan."""
+    sources = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    writing = {str(path.relative_to(ROOT)) for path in sources if "= ReportPage(" in path.read_text(encoding="utf-8")}
+    assert writing == {*REPORTS, "datasets/reports/html.py"}
+    templates = {path.name for package in PACKAGES for path in (ROOT / package).rglob("*.html")}
+    assert templates == {"report.html", "blocks.html", "plan.html"}
