@@ -1,5 +1,6 @@
 # make demo    the whole way on a simulated rig: capture, calibration, training, figures (about 4 minutes on 2 fast cores; BUDGET=300 trains for longer)
-# make test    the test suite; of the arm's two clients one for each fault, both where they differ (`both_clients`)
+# make tools   what tests need beyond Python: a browser, strace and the like; by apt as root, elsewhere it says what to type
+# make test    the test suite; of the arm's two clients the one that a test names (`client`), both where they differ (`both_clients`)
 # make test-all  the slow tests as well: every fault three times with each client, 20 kills in a row
 # make docs    the pages of docs/ as HTML in build/docs
 # make lock    refresh constraints/, the versions that make installs
@@ -19,7 +20,7 @@ define step
 @printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
 endef
 
-.PHONY: demo test test-all check fuzz types format docs figures lock install-check clean
+.PHONY: demo tools test test-all check fuzz types format docs figures lock install-check clean
 .DEFAULT_GOAL := test
 
 $(READY): pyproject.toml $(wildcard constraints/*.txt)
@@ -42,6 +43,9 @@ demo: $(READY)
 	$(call step,write the report,$(BIN)/reconstruct report demo/run --calibration demo/calibration.json --out demo/report)
 	$(call step,take the surface out of it,$(BIN)/reconstruct mesh demo/run --stands-on -z --out demo/mesh.ply)
 	@printf '\n%d s in all; open demo/report/index.html\n' $$(($$(date +%s) - $$(cat demo/started)))
+
+tools:
+	tests/install/tools.sh
 
 # small matrices gain nothing from threads, which would keep both workers' cores busy waiting
 test test-all: export OPENBLAS_NUM_THREADS = 1
