@@ -1,4 +1,4 @@
-"""One training step, a pure function of its state: draw a batch, find the gradient, descend, note what was met."""
+"""The stages of a training step, as pure functions: a batch and its gradient, the second pass, the descent."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from reconstruct.config import Config
@@ -56,7 +56,7 @@ class Part(eqx.Module):
 
 @dataclass(frozen=True)
 class Step:
-    """The step for one configuration and one scene. Static choices are made here, before compilation."""
+    """The step for one configuration and one scene, in stages that `Programs` compiles. Static choices are made here."""
 
     config: Config
     facts: SceneFacts
@@ -96,23 +96,6 @@ class Step:
         """`kept_up`, compiled for such a state, which it uses up."""
         stage = traced(self.kept_up, (state, jax.ShapeDtypeStruct((), jnp.int32)), self.division, uses_up=(0,))
         return stage.lower().compile(compiler_options={**compiler_options(), **options})
-
-    def __call__(
-        self, state: TrainState, pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""], second: Bool[Array, ""]
-    ) -> tuple[TrainState, Terms]:
-        """One step as one function, with the regularisers' second pass where `second` is true; `Programs` has it in parts."""
-        parts: list[Part] = []
-        for index in range(self.config.train.accumulate):
-            part = self.begun(state.model, state.step, pixels, seed, progress, index)
-            if self.second_pass is not None:
-                regularised = lambda part, index=index: self.regularised(  # noqa: E731
-                    state.model, state.step, part, seed, progress, index
-                )
-                terms = {name: jnp.zeros(()) for name in jax.eval_shape(regularised, part).terms}
-                plain = replace(part, terms=terms | part.terms)
-                part = jax.lax.cond(second, regularised, lambda part: part, plain)
-            parts.append(part)
-        return self.descended(state, parts, pixels.origins, progress, jnp.zeros((), jnp.int32))
 
     def _keys(self, step: Int[Array, ""], seed: Int[Array, ""], index: int | Int[Array, ""]) -> dict[str, PRNGKeyArray]:
         """Random keys of one of the batches of a step."""

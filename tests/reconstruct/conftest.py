@@ -1,5 +1,6 @@
 """A ball whose field, pictures, surface and truth are known exactly, and a run on disk that nobody has trained."""
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import trimesh
 
 from datasets import pose
 from datasets.camera_model import Camera
-from datasets.formats import koala
+from datasets.formats import koala, load_scene
 from datasets.imaging import images
 from datasets.scene import Scene, View
 from reconstruct import checkpoint
@@ -23,8 +24,8 @@ from reconstruct.field.cloud import Cloud
 from reconstruct.field.field import Field
 from reconstruct.field.lit import Lit
 from reconstruct.field.near import Near
+from reconstruct.kernels import native
 from reconstruct.models import load_config
-from reconstruct.numerics import compiling
 from reconstruct.numerics.safe import srgb_from_linear
 from reconstruct.output import evaluate
 from reconstruct.output.trained_model import TrainedModel
@@ -36,15 +37,24 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
+from tests.reconstruct import glossy_ball
+from tests.small import Trainable, small
+from tests.unoptimised import unoptimised as unoptimised
 
-compiling.KEEP_BARRIERS["xla_backend_optimization_level"] = 0
-"""Pictures and steps of tests run for milliseconds and take seconds to compile: they are not optimised. Other programs are: a
-gradient of `bench.scenes` comes out as NaN without (jaxlib 0.10.2 on a CPU)."""
+SHIPPED = ("training", "kernels", "bench")
+"""Folders whose programs are compiled as they ship, with optimisation."""
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
 """Of the ball [m]."""
 DIFFUSE, SPECULAR = np.array([0.1, 0.2, 0.3]), np.array([0.2, 0.1, 0.05])
 """Linear light that the ball sends everywhere."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quickly_compiled(request: pytest.FixtureRequest) -> None:
+    """All folders but `SHIPPED` compile without optimisation."""
+    if request.path.relative_to(Path(__file__).parent).parts[0] not in SHIPPED:
+        request.getfixturevalue("unoptimised")
 
 
 class Ball(Field):
@@ -124,16 +134,21 @@ def ball_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
 @pytest.fixture(scope="session")
 def small_config() -> Config:
     """The fast preset with everything made small."""
-    return load_config(
-        overrides=[
-            "encoding.levels=2",
-            "encoding.log2_size=8",
-            "field.spatial_width=8",
-            "field.view_width=8",
-            "sampler.grid=32",
-            "field.density_bias=0.5",
-        ]
-    )
+    return small()
+
+
+@pytest.fixture(scope="session")
+def glossy_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
+    """The glossy ball, and the folder that holds it as a Koala scene."""
+    folder = glossy_ball.save(tmp_path_factory.mktemp("glossy"))
+    return load_scene(folder), folder
+
+
+@pytest.fixture(scope="session")
+def trainable(glossy_scene: tuple[Scene, Path], tmp_path_factory: pytest.TempPathFactory) -> Trainable:
+    """The default model on the glossy ball, prepared and compiled as for a training."""
+    config = load_config(overrides=glossy_ball.SETTINGS)
+    return Trainable.prepared(*glossy_scene, config, tmp_path_factory.mktemp("trainable") / "run")
 
 
 class Painted(Ball):
@@ -216,8 +231,7 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer:
 
 @pytest.fixture
 def kernels_run() -> None:
-    """For tests of compiled kernels: elsewhere, on a GPU or without Numba, there is nothing to test."""
-    from reconstruct.kernels import native
-
-    if (reason := native.why_not()) is not None:
-        pytest.skip(reason)
+    """For tests of compiled kernels: nothing to test if they are switched off or on a GPU; else they have to run."""
+    if os.environ.get(native.SWITCH) == "off" or jax.default_backend() != "cpu":
+        pytest.skip(f"no compiled kernels: {native.why_not()}")
+    assert native.why_not() is None

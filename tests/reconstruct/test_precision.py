@@ -7,58 +7,33 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.console import progress
 from datasets.scene import Scene
-from reconstruct.config import Config
 from reconstruct.field.cloud import points_on_rays
 from reconstruct.field.mlp import computed_in
-from reconstruct.models import load_config, merged_config
+from reconstruct.models import merged_config
 from reconstruct.rendering.model import render
 from reconstruct.sampling.samples import RaySamples
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels, Rays
+from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import BOX
-from reconstruct.training.step import Step, TrainState
+from reconstruct.training.step import TrainState
+from tests.small import Trainable, small
 
 STEPS = 80
-SMALL = [
-    "encoding.levels=3",
-    "encoding.log2_size=10",
-    "encoding.finest=32",
-    "field.spatial_width=16",
-    "field.view_width=16",
-    "sampler.grid=16",
-    "sampler.rays=256",
-    "sampler.samples=4096",
-    "sampler.steps=32",
-    "surface.rays=32",
-    "surface.samples=8",
-    "train.rate=0.03",
-]
+CHANGES = {"encoding": {"finest": 32.0}, "sampler": {"rays": 256, "samples": 4096}, "train": {"rate": 0.03}}
 
 
-def trained(config: Config, scene: Scene) -> tuple[TrainState, np.ndarray]:
+def trained(precision: str, scene: Scene) -> tuple[TrainState, np.ndarray]:
     """State after a short training, every eighth step with the second pass, and the mean squared error of each quarter [dB]."""
-    normalisation, views = Normalisation.of(scene), scene.split("train")
-    with progress("reading", len(views)) as shown:
-        pixels = Pixels.load(views, normalisation, 1.0, shown)
-    one_step = Step.of(config, SceneFacts(normalisation))
-    state, seed, errors = one_step.initial(jax.random.key(0)), jnp.asarray(0, jnp.int32), []
-    call = lambda i: (pixels, seed, jnp.asarray(0.1 + i / STEPS, jnp.float32), jnp.asarray(i % 8 == 7))  # noqa: E731
-    step = jax.jit(one_step).lower(state, *call(0)).compile(compiler_options={"xla_backend_optimization_level": 0})
-    for i in range(STEPS):
-        state, terms = step(state, *call(i))
-        errors.append(float(terms["mse"]))
-    return state, -10 * np.log10(np.reshape(errors, (4, -1)).mean(-1))
+    config = merged_config(small(changes=CHANGES), {"train": {"precision": precision}})
+    trainable = Trainable.on(config, scene)
+    state, lines = trainable.trained(STEPS, second=lambda i: i % 8 == 7, done=lambda i: 0.1 + i / STEPS)
+    return state, -10 * np.log10(np.reshape([line["mse"] for line in lines], (4, -1)).mean(-1))
 
 
 @pytest.fixture(scope="module")
 def both(ball_scene: tuple[Scene, Path]) -> dict[str, tuple[TrainState, np.ndarray]]:
     """The same training in both precisions."""
-    config = load_config(overrides=SMALL)
-    return {
-        name: trained(merged_config(config, {"train": {"precision": name}}), ball_scene[0]) for name in ("float32", "bfloat16")
-    }
+    return {name: trained(name, ball_scene[0]) for name in ("float32", "bfloat16")}
 
 
 @pytest.mark.slow

@@ -3,8 +3,12 @@
 What an address and a thread sanitizer would look for, on the same Python source compiled with bounds checks: an access outside
 an array or a write into the guard zones around the results, a byte that two chunks write, a chunk that reads what another
 writes, and a result that depends on the order of the chunks.
+
+To compile all kernels a second time takes a minute. `make test` does so only after their source has changed; note that it
+passed by: python tests/reconstruct/kernels/test_sanitized.py --passed
 """
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -12,7 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from reconstruct.kernels import native
+
 PROGRAM = Path(__file__).with_name("cases.py")
+PASSED = Path(__file__).with_name("sanitized.txt")
+"""Digest of the sources that passed."""
 BROKEN = """
 import sys
 sys.path.insert(0, {folder!r})
@@ -48,6 +56,15 @@ except AssertionError as error:
 """
 
 
+def digest() -> str:
+    """Of the kernels' sources and their cases."""
+    sources = [PROGRAM, *sorted(Path(native.__file__).parent.rglob("*.py"))]
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+
+
+pytestmark = [pytest.mark.slow] if PASSED.read_text(encoding="utf-8").strip() == digest() else []
+
+
 def checked(*command: str) -> list[str]:
     environment = {**os.environ, "NUMBA_BOUNDSCHECK": "1"}
     done = subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True, timeout=1800, check=False)
@@ -64,3 +81,7 @@ def test_what_is_wrong_is_found() -> None:
     outside, twice, read, missing = checked("-c", BROKEN.format(folder=str(PROGRAM.parent)))
     assert "out of bounds" in outside and twice == "two chunks write the same byte"
     assert read == "a chunk reads a result" and missing == "every kernel has its cases here"
+
+
+if __name__ == "__main__" and sys.argv[1:] == ["--passed"]:
+    PASSED.write_text(digest() + "\n", encoding="utf-8")

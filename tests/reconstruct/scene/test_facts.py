@@ -1,9 +1,11 @@
 """What is measured on a scene, and what a configuration says instead."""
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -21,8 +23,13 @@ def facts_of(scene: Scene) -> SceneFacts:
     return SceneFacts.of(scene, scene.views, Normalisation.of(scene))
 
 
-def created(facts: SceneFacts, *overrides: str) -> Model:
+def fresh(facts: SceneFacts, *overrides: str) -> Model:
     return Model.create(jax.random.key(0), load_config("surfnerf", "fast", [*SMALL, *overrides]), facts)
+
+
+def created(facts: SceneFacts, *overrides: str) -> Model:
+    """With shapes in place of its arrays."""
+    return eqx.filter_eval_shape(lambda: fresh(facts, *overrides))
 
 
 def test_the_box_among_surroundings_is_measured(ball_scene: tuple[Scene, Path]) -> None:
@@ -80,7 +87,14 @@ def test_gains_begin_as_they_were_measured(ball_scene: tuple[Scene, Path]) -> No
     measured = np.array([[0.1, 0.2, 0.3], [0.4, 0.4, 0.4]])
     facts = facts_of(ball_scene[0]).with_gains(measured)
     assert created(facts).per_image is None, "the configuration wants none"
-    np.testing.assert_allclose(created(facts, "train.per_image=colour").per_image, measured, rtol=1e-6)
-    one = created(facts, "train.per_image=exposure")
-    np.testing.assert_allclose(one.per_image, [[0.2], [0.4]], rtol=1e-6)
-    np.testing.assert_allclose(one.log_gains, [[-0.1], [0.1]], atol=1e-6)  # counted from their mean
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def gains(kind: str) -> tuple[jax.Array, jax.Array]:
+        model = fresh(facts, f"train.per_image={kind}")
+        assert model.per_image is not None
+        return model.per_image, model.log_gains
+
+    np.testing.assert_allclose(gains("colour")[0], measured, rtol=1e-6)
+    one, log_gains = gains("exposure")
+    np.testing.assert_allclose(one, [[0.2], [0.4]], rtol=1e-6)
+    np.testing.assert_allclose(log_gains, [[-0.1], [0.1]], atol=1e-6)  # counted from their mean

@@ -14,6 +14,7 @@ from reconstruct.sampling.steps import Steps
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.frustum import Frustum, frustum_of
 from reconstruct.scene.rays import Normalisation, Rays
+from tests import drawn
 
 NEAR, FAR = 0.5, 6.0
 
@@ -52,7 +53,7 @@ def points(count: int = 200) -> np.ndarray:
 
 
 def test_it_equals_the_formula_and_its_inverse() -> None:
-    mapped = SPACE.mapped(jnp.asarray(points(), jnp.float32))
+    mapped = jax.jit(SPACE.mapped)(np.float32(points()))
     np.testing.assert_allclose(mapped, reference(points()), atol=1e-5)  # float32 of disparities up to 2
     np.testing.assert_allclose(SPACE.scene_points(reference(points())), points(), atol=1e-9)
 
@@ -69,26 +70,31 @@ def test_all_that_the_cameras_see_lies_in_the_cube_and_fills_it() -> None:
 
 
 def test_pull_back_applies_the_transposed_jacobian() -> None:
-    gradients = jnp.asarray(np.random.default_rng(1).normal(size=(200, 3)), jnp.float32)
-    there = jnp.asarray(points(), jnp.float32)
-    own = jax.vjp(SPACE.mapped, there)[1](gradients)[0]
-    np.testing.assert_allclose(SPACE.pull_back(there, gradients), own, rtol=1e-4, atol=1e-5)  # float32, other order of products
+    gradients = np.random.default_rng(1).normal(size=(200, 3))
+    both = jax.jit(lambda p, g: (SPACE.pull_back(p, g), jax.vjp(SPACE.mapped, p)[1](g)[0]))
+    pulled, own = both(np.float32(points()), np.float32(gradients))
+    np.testing.assert_allclose(pulled, own, rtol=1e-4, atol=1e-5)  # float32, other order of products
 
 
 def test_scale_is_the_slope_across_the_axis() -> None:
     there, step = points(), 1e-6
     moved = reference(there + step * np.asarray(SPACE.rotation[0]))
     slope = np.linalg.norm(moved - reference(there), axis=-1) / step
-    np.testing.assert_allclose(SPACE.scale(jnp.asarray(there, jnp.float32)), slope, rtol=1e-4)
+    np.testing.assert_allclose(jax.jit(SPACE.scale)(np.float32(there)), slope, rtol=1e-4)
 
 
 def test_steps_are_even_along_the_map() -> None:
     view = views_towards((-4, 1, 3))[1]
     position, direction = view.world_from_camera[:3, 3], view.world_from_camera[:3, 2]
-    rays = Rays(jnp.asarray(position, jnp.float32)[None], jnp.asarray(direction, jnp.float32)[None], jnp.ones(1))
-    steps = Steps.of(rays, steps=32, space=SPACE, near=NEAR, far=FAR)
-    assert steps.count == 32
-    t = np.asarray(steps.at(jnp.arange(33.0)[None]))[0]
+    rays = Rays(drawn.array(position[None]), drawn.array(direction[None]), drawn.array([1.0]))
+
+    @jax.jit
+    def at(rays: Rays) -> jax.Array:
+        steps = Steps.of(rays, steps=32, space=SPACE, near=NEAR, far=FAR)
+        assert steps.count == 32
+        return steps.at(jnp.arange(33.0)[None])[0]
+
+    t = np.asarray(at(rays))
     assert (t[0], t[-1]) == pytest.approx((NEAR, FAR), rel=1e-6)
     np.testing.assert_allclose(np.diff(1 / t), (1 / FAR - 1 / NEAR) / 32, rtol=1e-4)
 
@@ -99,9 +105,9 @@ def test_cameras_that_look_different_ways_have_none(angles: tuple[float, ...]) -
 
 
 def test_behind_the_cameras_everything_is_finite() -> None:
-    behind = jnp.asarray([[0.0, 0, -1], [0, 0, 0], [0, 0, -1e6], [1e6, 0, 0.1]], jnp.float32)
-    for values in (SPACE.mapped(behind), SPACE.pull_back(behind, jnp.ones_like(behind)), SPACE.scale(behind)):
-        assert bool(jnp.isfinite(values).all())
+    behind = np.float32([[0.0, 0, -1], [0, 0, 0], [0, 0, -1e6], [1e6, 0, 0.1]])
+    every = jax.jit(lambda p: (SPACE.mapped(p), SPACE.pull_back(p, jnp.ones_like(p)), SPACE.scale(p)))
+    assert all(np.isfinite(values).all() for values in every(behind))
 
 
 def test_a_run_keeps_it() -> None:

@@ -23,6 +23,8 @@ from reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
 from reconstruct.scene.twists import moved
 from reconstruct.training import batches, objective, optimiser
 from reconstruct.training.step import Step
+from tests import drawn
+from tests.small import Trainable
 
 SIGMA_M, SIGMA_RAD, STEPS = 2e-3, 4e-3, 100
 REFINED = {"poses": {"enabled": True, "sigma_m": SIGMA_M, "sigma_rad": SIGMA_RAD, "start": 0.0, "rate": 0.05, "final_rate": 0.05}}
@@ -55,8 +57,8 @@ def test_a_corrected_pose_sees_the_moved_rays(ball_scene: tuple[Scene, Path]) ->
     view, normalisation = scene.views[1], Normalisation.of(scene)
     twist = np.array([0.03, -0.02, 0.05, 0.1, -0.2, 0.15])
     origins, directions, radii = view_rays(view, normalisation)
-    rays = Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), jnp.zeros(len(radii), jnp.int32))
-    found = moved(rays, jnp.asarray(twist[None], jnp.float32))
+    rays = Rays(*map(drawn.array, (origins, directions, radii)), drawn.array(np.zeros(len(radii)), np.int32))
+    found = jax.jit(moved)(rays, np.float32(twist[None]))
     after = replace(view, world_from_camera=poses.corrected(view.world_from_camera, twist, normalisation.scale))
     expected = view_rays(after, normalisation)
     np.testing.assert_allclose(found.origins, expected[0], atol=1e-6)
@@ -95,11 +97,9 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
     state = replace(fresh, model=model, optimiser=one_step.optimiser.begin(model.split()[0]))
     # white is behind the pictures, which carry no alpha here
     monkeypatch.setattr(objective.jax.random, "uniform", _white(jax.random.uniform))
-    arguments = lambda i: (pixels, jnp.asarray(0), jnp.asarray(i / STEPS), jnp.asarray(False))  # noqa: E731
-    one = jax.jit(one_step).lower(state, *arguments(0.0)).compile(compiler_options={"xla_backend_optimization_level": 0})
-    for i in range(STEPS):
-        state, terms = one(state, *arguments(i))
-    assert int(state.skipped) == 0 and float(terms["mse"]) < 1e-3
+    trainable = Trainable(one_step, pixels, state, one_step.compiled(state, pixels))
+    state, lines = trainable.trained(STEPS, second=lambda _: False, done=lambda i: i / STEPS)
+    assert int(state.skipped) == 0 and lines[-1]["mse"] < 1e-3
     found = [
         poses.corrected(v.world_from_camera, t, normalisation.scale)
         for v, t in zip(views, np.asarray(state.model.poses), strict=True)
@@ -129,18 +129,23 @@ def test_a_disabled_refinement_costs_nothing(
     assert state.model.poses is None
     with progress("reading", 4) as shown:
         pixels = Pixels.load(ball_scene[0].split("train"), facts.normalisation, 1.0, shown)
-    arguments = (state, pixels, jnp.asarray(0), jnp.asarray(0.5), jnp.asarray(True))
-    program = lambda: str(jax.make_jaxpr(one_step)(*arguments))  # noqa: E731
-    complete = program()
+    counts = (jnp.asarray(0), jnp.asarray(0.5))
+
+    def stages() -> list[str]:
+        begun, part = jax.make_jaxpr(one_step.begun, return_shape=True)(state.model, state.step, pixels, *counts)
+        descended = jax.make_jaxpr(one_step.descended)(state, [part], pixels.origins, counts[1], counts[0])
+        return [str(begun), str(descended)]
+
+    complete = stages()
     monkeypatch.setattr(batches, "moved", lambda rays, twists: rays)
     monkeypatch.setattr(objective, "followed", lambda rays, twists: rays)
     monkeypatch.setattr(optimiser, "without_gauge", None)
-    assert program() == complete
+    assert stages() == complete
 
 
 def test_refined_poses_are_written_down(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
     scene, normalisation = ball_scene[0], Normalisation.of(ball_scene[0])
-    twists = jnp.asarray(np.random.default_rng(0).normal(size=(4, 6)) * 0.01, jnp.float32)
+    twists = drawn.array(np.random.default_rng(0).normal(size=(4, 6)) * 0.01)
     poses.write(tmp_path, scene, normalisation, twists)
     content, given, better = (
         poses.read(tmp_path),

@@ -6,9 +6,12 @@ from scipy.linalg import expm
 
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.twists import followed, gauge, moved, without_gauge
+from tests import drawn
 
 VIEWS, RAYS = 7, 60
-SIGMA = jnp.array([5e-3] * 3 + [9e-4] * 3)
+SIGMA = np.float32([5e-3] * 3 + [9e-4] * 3)
+MOVED = jax.jit(moved)
+WITHOUT_GAUGE = jax.jit(without_gauge)
 
 
 def some_rays(seed: int = 0) -> Rays:
@@ -16,8 +19,8 @@ def some_rays(seed: int = 0) -> Rays:
     rng = np.random.default_rng(seed)
     centres = rng.normal(size=(VIEWS, 3))
     view = np.arange(RAYS) % VIEWS
-    f = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
-    return Rays(f(centres[view]), f(rng.normal(size=(RAYS, 3))), f(np.full(RAYS, 1e-3)), jnp.asarray(view, jnp.int32))
+    f = drawn.array
+    return Rays(f(centres[view]), f(rng.normal(size=(RAYS, 3))), f(np.full(RAYS, 1e-3)), f(view, np.int32))
 
 
 def generator(twist: np.ndarray) -> np.ndarray:
@@ -43,7 +46,7 @@ def test_rays_move_as_the_matrix_exponential_says(angle: float) -> None:
     turn = rng.normal(size=(VIEWS, 3))
     twists = np.concatenate([rng.normal(size=(VIEWS, 3)), angle * turn / np.linalg.norm(turn, axis=-1, keepdims=True)], -1)
     twists = np.asarray(twists, np.float32)
-    found = jax.jit(moved)(some_rays(), jnp.asarray(twists))
+    found = MOVED(some_rays(), twists)
     origins, directions = reference(some_rays(), twists.astype(np.float64))
     np.testing.assert_allclose(found.origins, origins, atol=2e-6)
     np.testing.assert_allclose(found.directions, directions, atol=2e-6)
@@ -51,7 +54,7 @@ def test_rays_move_as_the_matrix_exponential_says(angle: float) -> None:
 
 def test_no_twist_moves_nothing_and_none_costs_nothing() -> None:
     rays = some_rays()
-    still = jax.jit(moved)(rays, jnp.zeros((VIEWS, 6)))
+    still = MOVED(rays, np.zeros((VIEWS, 6), np.float32))
     np.testing.assert_array_equal(still.origins, rays.origins)
     np.testing.assert_array_equal(still.directions, rays.directions)
     assert moved(rays, None) is rays and followed(rays, None) is rays
@@ -66,7 +69,7 @@ def test_the_derivative_is_that_of_the_exponential() -> None:
     for angle in (0.0, 1e-9, 0.02, 0.499, 0.7):
         turn = rng.normal(size=(VIEWS, 3))
         twists = np.concatenate([rng.normal(size=(VIEWS, 3)), angle * turn / np.linalg.norm(turn, axis=-1, keepdims=True)], -1)
-        slopes, twists = slopes_at(jnp.asarray(twists, jnp.float32)), np.asarray(twists, np.float32).astype(np.float64)
+        slopes, twists = np.asarray(slopes_at(np.float32(twists))), np.float32(twists).astype(np.float64)
         for view, component in ((0, 0), (1, 2), (2, 3), (3, 4), (4, 5)):
             step = np.zeros((VIEWS, 6))
             step[view, component] = 1e-5
@@ -76,16 +79,19 @@ def test_the_derivative_is_that_of_the_exponential() -> None:
 
 def test_rays_are_followed_with_the_gradient_of_a_further_twist() -> None:
     """Along t the identity, along w the cross product with the direction; the rays themselves keep their bits."""
-    rays, twists = some_rays(), 0.01 * jax.random.normal(jax.random.key(0), (VIEWS, 6))
-    here = moved(rays, twists)
-    np.testing.assert_array_equal(followed(here, twists).origins, here.origins)
-    np.testing.assert_array_equal(followed(here, twists).directions, here.directions)
-    weights = jax.random.normal(jax.random.key(1), (2, RAYS, 3))
+    rays, twists, weights = some_rays(), 0.01 * np.asarray(drawn.normal(VIEWS, 6)), np.asarray(drawn.normal(2, RAYS, 3, seed=1))
 
-    def sums(x):
-        return jnp.sum(weights[0] * followed(here, x).origins) + jnp.sum(weights[1] * followed(here, x).directions)
+    @jax.jit
+    def evaluated(rays: Rays, twists: jax.Array) -> tuple[Rays, Rays, jax.Array]:
+        """Rays that were moved, the same followed, and the slopes of what is measured of those."""
+        here = moved(rays, twists)
+        back = lambda x: followed(here, x)  # noqa: E731
+        sums = lambda x: jnp.sum(weights[0] * back(x).origins) + jnp.sum(weights[1] * back(x).directions)  # noqa: E731
+        return here, back(twists), jax.grad(sums)(twists)
 
-    slopes = jax.jit(jax.grad(sums))(twists)
+    here, again, slopes = jax.tree.map(np.asarray, evaluated(rays, twists))
+    np.testing.assert_array_equal(again.origins, here.origins)
+    np.testing.assert_array_equal(again.directions, here.directions)
     per_ray = np.concatenate([weights[0], np.cross(here.directions, weights[1])], -1)
     expected = np.zeros((VIEWS, 6))
     np.add.at(expected, np.asarray(rays.view), per_ray)
@@ -98,8 +104,7 @@ def test_what_moves_turns_or_scales_all_cameras_alike_is_left_out() -> None:
     origins, sigma = rng.normal(size=(VIEWS, 3)) + np.array([3.0, 0, 1]), np.asarray(SIGMA, np.float64)
     shift, turn, growth = rng.normal(size=3), rng.normal(size=3), rng.normal()
     as_one = np.concatenate([shift + np.cross(turn, origins) + growth * origins, np.tile(turn, (VIEWS, 1))], -1) / sigma
-    f = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
-    left = jax.jit(without_gauge)(f(as_one / 1000), f(origins), SIGMA)
+    left = WITHOUT_GAUGE(np.float32(as_one / 1000), np.float32(origins), SIGMA)
     assert np.abs(left).max() < 1e-5 * np.abs(as_one / 1000).max()
 
     basis = []
@@ -109,15 +114,13 @@ def test_what_moves_turns_or_scales_all_cameras_alike_is_left_out() -> None:
     basis = np.stack([*basis, np.concatenate([origins, 0 * origins], -1)]).reshape(7, -1) / np.tile(sigma, VIEWS)
     values = rng.normal(size=(VIEWS, 6))
     best = np.linalg.lstsq(basis.T, values.reshape(-1), rcond=None)[0]
-    np.testing.assert_allclose(
-        jax.jit(without_gauge)(f(values), f(origins), SIGMA), values - (best @ basis).reshape(VIEWS, 6), atol=1e-5
-    )
+    found = WITHOUT_GAUGE(np.float32(values), np.float32(origins), SIGMA)
+    np.testing.assert_allclose(found, values - (best @ basis).reshape(VIEWS, 6), atol=1e-5)
 
 
 def test_one_camera_or_several_in_one_place_have_a_gauge_too() -> None:
-    values = jax.random.normal(jax.random.key(0), (1, 6))
-    np.testing.assert_allclose(without_gauge(values, jnp.ones((1, 3)), SIGMA), 0, atol=1e-5)
-    together = gauge(jnp.ones((4, 3)), SIGMA)
-    lengths = [float(jnp.sum(one * one)) for one in together]
-    np.testing.assert_allclose(lengths, [1, 1, 1, 1, 1, 1, 0], atol=1e-5)
-    assert np.isfinite(without_gauge(jnp.ones((4, 6)), jnp.ones((4, 3)), SIGMA)).all()
+    ones = np.ones((VIEWS, 3), np.float32)
+    np.testing.assert_allclose(WITHOUT_GAUGE(drawn.normal(1, 6), ones[:1], SIGMA), 0, atol=1e-5)
+    together = np.stack(jax.jit(gauge)(ones, SIGMA))
+    np.testing.assert_allclose((together**2).sum((1, 2)), [1, 1, 1, 1, 1, 1, 0], atol=1e-5)
+    assert np.isfinite(WITHOUT_GAUGE(np.ones((VIEWS, 6), np.float32), ones, SIGMA)).all()

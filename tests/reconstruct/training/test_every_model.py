@@ -1,10 +1,11 @@
 """Every model trains for a hundred small steps, and loses what it lost when stored_losses.json was written.
 
-After a change that is meant to alter them: python tests/reconstruct/training/test_every_model.py --update
+After a change that is meant to alter them: python -m tests.reconstruct.training.test_every_model --update [CASE...]
 """
 
 import json
 import sys
+import tempfile
 from pathlib import Path
 
 import jax
@@ -12,12 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from datasets.formats import load_scene
 from reconstruct import models
-from reconstruct.config import Config
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.training.faults import FAULTS
-from reconstruct.training.step import Step, TrainState
+from reconstruct.training.step import TrainState
+from tests.reconstruct import glossy_ball
+from tests.small import Trainable, small
 
 STORED = Path(__file__).parent / "stored_losses.json"
 STEPS, BLOCK, SECOND = 100, 10, 5
@@ -28,30 +31,20 @@ another order: 1e-7 of a value, of which Adam makes a step wherever a gradient i
 that choose among neighbours differ most: 0.35 % of the Lambertian bias in the first ten. A wrong loss is further away."""
 ATOL = 1e-7
 """Of terms that are next to nothing, such as the decay of tables that begin within 1e-4."""
-SMALL = {
-    "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
-    "field": {"spatial_width": 16, "view_width": 16, "bottleneck": 4, "ide_degree": 2, "view_depth": 3, "density_bias": 2.0},
-    "sampler": {
-        "rays": 64,
-        "samples": 512,
-        "grid": 16,
-        "steps": 32,
-        "max_per_ray": 8,
-        "proposals": (8, 8),
-        "final": 8,
-        "proposal_finest": (8.0, 16.0),
-    },
-    "surface": {"rays": 16, "samples": 8},
-    "train": {"rate": 0.003, "final_rate": 0.001, "warmup": 0.02},
+CHANGES = {
+    "field": {"view_depth": 3},
+    "train": {"rate": 0.003, "final_rate": 0.001, "warmup": 0.02, "per_image": "colour"},
 }
-PROPOSAL = {"surfnerf", "mipnerf", "zip_refnerf", "refnerf"}
-"""Tested with their paper preset, which together has every kind of frustum; the others with the fast one."""
+DEFAULT = "surfnerf, fast"
+"""The case of the default model, on the glossy ball."""
+CASES = [
+    DEFAULT,
+    *(f"{name}, {'paper' if name in ('surfnerf', 'mipnerf', 'zip_refnerf', 'refnerf') else 'fast'}" for name in models.names()),
+]
+"""Models and presets. The paper presets together have every kind of frustum."""
+ALWAYS = (DEFAULT, "mipnerf, paper")
+"""Between them they use both samplers and the regularisers; the others run with `make test-all`."""
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.5, 4.5), towards=(0.0, 0.0, 0.3))
-
-
-def small(model: str) -> Config:
-    config = models.load_config(model, "paper" if model in PROPOSAL else "fast")
-    return Config.model_validate(models.merged(config.model_dump(), SMALL))
 
 
 def shaded_ball() -> Pixels:
@@ -77,43 +70,36 @@ def shaded_ball() -> Pixels:
     return Pixels(colour, single(np.concatenate(directions)), view, single(origins), jnp.full(4, 0.01))
 
 
-def trained(model: str, level: int = 0) -> tuple[TrainState, TrainState, dict[str, list[float]]]:
+def trained(case: str, root: Path) -> tuple[TrainState, TrainState, dict[str, list[float]]]:
     """State before and after, and the means of each term over ten steps, without a second pass in most of them."""
-    step = Step.of(small(model), FACTS)
-    state = start = step.initial(jax.random.key(0), None, 4)
-    call = lambda i: (jnp.asarray(0), jnp.asarray(i / STEPS, jnp.float32), jnp.asarray(i % SECOND == SECOND - 1))  # noqa: E731
-    pixels = shaded_ball()
-    one = jax.jit(step).lower(state, pixels, *call(0)).compile(compiler_options={"xla_backend_optimization_level": level})
-    lines = []
-    for i in range(STEPS):
-        state, terms = one(state, pixels, *call(i))
-        lines.append(terms)
-    assert not any(int(line.pop(FAULTS)) for line in lines)
-    table = {name: np.array([float(line[name]) for line in lines]).reshape(-1, BLOCK).mean(-1).tolist() for name in lines[0]}
-    return start, state, table
+    if case == DEFAULT:
+        folder = glossy_ball.save(root)
+        trainable = Trainable.prepared(
+            load_scene(folder), folder, models.load_config(overrides=glossy_ball.SETTINGS), root / "run"
+        )
+    else:
+        trainable = Trainable.of(small(*case.split(", "), CHANGES), FACTS, shaded_ball())
+    state, lines = trainable.trained(STEPS, second=lambda index: index % SECOND == SECOND - 1, done=lambda index: index / STEPS)
+    assert not any(line.pop(FAULTS) for line in lines)
+    table = {name: np.array([line[name] for line in lines]).reshape(-1, BLOCK).mean(-1).tolist() for name in lines[0]}
+    return trainable.start, state, table
 
 
 def stored(table: dict[str, list[float]]) -> dict[str, dict[str, float]]:
     return {name: {str(block): values[block] for block in RTOL} for name, values in table.items()}
 
 
-ALWAYS = ("surfnerf", "surfnerf_voxels", "mipnerf")
-"""Models that between them use every encoding, appearance and pass; the others are other combinations of these."""
-
-
-@pytest.mark.parametrize(
-    "model", [name if name in ALWAYS else pytest.param(name, marks=pytest.mark.slow) for name in models.names()]
-)
-def test_every_model_loses_what_it_lost(model: str) -> None:
-    before, after, table = trained(model)
+@pytest.mark.parametrize("case", [case if case in ALWAYS else pytest.param(case, marks=pytest.mark.slow) for case in CASES])
+def test_every_model_loses_what_it_lost(case: str, tmp_path: Path) -> None:
+    before, after, table = trained(case, tmp_path)
     assert int(after.step) == STEPS and int(after.skipped) == 0
     old, new = before.model.split()[0], after.model.split()[0]
     pairs = zip(jax.tree.leaves_with_path(old), jax.tree.leaves(new), strict=True)
     still = [jax.tree_util.keystr(path) for (path, a), b in pairs if np.array_equal(a, b)]
     assert not still, "every parameter takes part"
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(new))
-    assert "normal_consistency" not in table or table["normal_consistency"][0] > 0, "there are surfaces from the start"
-    expected = json.loads(STORED.read_text())[model]
+    assert "normal_consistency" not in table or table["normal_consistency"][-1] > 0, "surfaces are found"
+    expected = json.loads(STORED.read_text())[case]
     assert table.keys() == expected.keys()
     for name, values in table.items():
         for block, rtol in RTOL.items():
@@ -121,6 +107,8 @@ def test_every_model_loses_what_it_lost(model: str) -> None:
             np.testing.assert_allclose(values[block], known, rtol=rtol, atol=ATOL, err_msg=f"{name}, steps {BLOCK * block} on")
 
 
-if __name__ == "__main__" and sys.argv[1:] == ["--update"]:
-    losses = {name: stored(trained(name)[2]) for name in models.names()}
+if __name__ == "__main__" and sys.argv[1:2] == ["--update"]:
+    losses = json.loads(STORED.read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as folder:
+        losses |= {case: stored(trained(case, Path(folder) / case)[2]) for case in sys.argv[2:] or CASES}
     STORED.write_text(json.dumps(losses, indent=1) + "\n", encoding="utf-8")

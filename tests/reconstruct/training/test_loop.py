@@ -21,16 +21,14 @@ from reconstruct.training.faults import FAULTS as FAULT_BITS
 from reconstruct.training.loop import start, train
 from reconstruct.training.skipping import record
 from reconstruct.training.step import Step
+from tests.reconstruct import glossy_ball
+from tests.small import small
 
 
 @pytest.fixture
-def config(small_config: Config) -> Config:
+def config() -> Config:
     """A training of 40 steps, the second pass in its last ones."""
-    tree = small_config.model_dump()
-    tree["train"]["steps"] = 40
-    tree["sampler"] |= {"rays": 128, "samples": 2048}
-    tree["surface"] |= {"rays": 16, "first_period": 16, "last_period": 4}
-    return Config.model_validate(tree)
+    return small(changes={"train": {"steps": 40}, "surface": {"first_period": 16, "last_period": 4}})
 
 
 @pytest.mark.parametrize("enabled", [True, False])
@@ -85,10 +83,10 @@ def test_a_resumed_training_ends_at_the_same_bits(
 
 
 def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_recur(
-    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    glossy_scene: tuple[Scene, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scene, folder = ball_scene
-    training = start(scene, folder, merged_config(config, {"surface": {"enabled": False}}), tmp_path / "run")
+    config = load_config(overrides=[*glossy_ball.SETTINGS, "surface.first_period=16"])
+    training = start(*glossy_scene, config, tmp_path / "run")
     once = eqx.tree_at(lambda s: s.skipped, training.state, jnp.asarray(1, jnp.int32))
     before, training.state = training.state, once
     training._report_faults(1, {"photometric": jnp.ones(())})
@@ -121,7 +119,7 @@ def test_a_fine_tuning_begins_with_what_the_run_has_learned(
     ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], tmp_path: Path
 ) -> None:
     scene, folder = ball_scene
-    run = make_run(merged_config(make_run_config(), {"surface": {"enabled": False}}))
+    run = make_run(small(changes={"surface": {"enabled": False}}))
     before = checkpoint.load(run.path / CHECKPOINTS, Step.of(run.config, run.facts).initial(jax.random.key(0)))[0]
     tuned = finetuned(run.config, ["train.steps=3"])
     training = start(scene, folder, tuned, tmp_path / "tuned", None, run)
@@ -136,11 +134,6 @@ def test_a_fine_tuning_begins_with_what_the_run_has_learned(
     with pytest.raises(ReconstructError, match="does not fit"):
         start(scene, folder, merged_config(tuned, {"encoding": {"levels": 5}}), tmp_path / "other", None, run)
     assert not (tmp_path / "other").exists()
-
-
-def make_run_config() -> Config:
-    """The fast preset with everything made small."""
-    return load_config(overrides=["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "sampler.grid=16"])
 
 
 def test_a_training_stops_when_held_out_pixels_stop_improving(

@@ -1,53 +1,58 @@
 """A training that gives way while somebody moves, and for no longer."""
 
+import json
 import os
-import threading
-import time
 from pathlib import Path
 
 import pytest
 
 from reconstruct.training.pace import pause
-from reconstruct.training.pace.pause import MOVING, PauseRequests, give_way, wanted_share
+from reconstruct.training.pace.pause import AGAIN_S, HOLD_S, MOVING, NAP_S, PauseRequests, give_way, wanted_share
+from tests.moments import Clock
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Of the page and of the training."""
+    clock = Clock()
+    monkeypatch.setattr(pause, "time", clock)
+    return clock
 
 
 def test_nobody_moves(tmp_path: Path) -> None:
-    assert wanted_share(tmp_path) == 1.0 and give_way(tmp_path, 10.0) < 0.05
+    assert wanted_share(tmp_path) == 1.0 and give_way(tmp_path, 10.0) == 0.0
 
 
-def test_while_somebody_moves_the_training_has_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.1 s of work at a quarter of the time: 0.3 s of rest, up to a nap more; the hold is long enough for a busy computer."""
-    monkeypatch.setattr(pause, "HOLD_S", 60.0)
+def test_while_somebody_moves_the_training_has_its_share(tmp_path: Path) -> None:
+    """0.1 s of work at a quarter of the time: 0.3 s of rest, up to a nap more."""
     PauseRequests(tmp_path).request(0.25)
     assert wanted_share(tmp_path) == 0.25
-    rest = give_way(tmp_path, 0.1)
-    assert rest >= 0.3 and rest < 0.3 + 5.0
+    assert 0.3 <= give_way(tmp_path, 0.1) <= 0.3 + NAP_S
 
 
-def test_a_pause_ends_after_the_last_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pause, "HOLD_S", 0.5)
+def test_a_pause_ends_after_the_last_move(tmp_path: Path) -> None:
     PauseRequests(tmp_path).request(0.0)
-    begun = time.monotonic()
-    assert give_way(tmp_path, 0.1) > 0.2  # the file is written 0.5 s ahead; some of it may be over already
-    assert time.monotonic() - begun < 10 and wanted_share(tmp_path) == 1.0
+    assert HOLD_S <= give_way(tmp_path, 0.1) <= HOLD_S + NAP_S
+    assert wanted_share(tmp_path) == 1.0
 
 
-def test_ctrl_c_ends_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pause, "HOLD_S", 600.0)
+def test_ctrl_c_ends_a_pause(tmp_path: Path, clock: Clock) -> None:
     PauseRequests(tmp_path).request(0.0)
-    came = threading.Event()
-    threading.Timer(0.3, came.set).start()
-    assert give_way(tmp_path, 0.1, until=came.is_set) < 60
+    assert 0.3 <= give_way(tmp_path, 0.1, until=lambda: clock.now >= 0.3) <= 0.3 + NAP_S < HOLD_S
 
 
-def test_a_page_says_it_now_and_then_and_only_where_it_matters(tmp_path: Path) -> None:
+def test_a_page_says_it_now_and_then_and_only_where_it_matters(tmp_path: Path, clock: Clock) -> None:
     requests = PauseRequests(tmp_path)
     requests.request(1.0)
     assert not (tmp_path / MOVING).exists(), "nothing is asked for"
     requests.request(0.5)
     written = os.stat(tmp_path / MOVING).st_mtime_ns
+    clock.sleep(0.9 * AGAIN_S)
     requests.request(0.5)
     assert os.stat(tmp_path / MOVING).st_mtime_ns == written
+    clock.sleep(0.1 * AGAIN_S)
+    requests.request(0.5)
+    assert json.loads((tmp_path / MOVING).read_text())["until"] == pytest.approx(AGAIN_S + HOLD_S)
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,14 @@ def test_monomials_span_the_harmonics() -> None:
     assert both.shape[1] == 16
 
 
+@pytest.fixture(params=["without steps", pytest.param("with steps", marks=pytest.mark.slow)])
+def perhaps_without_steps(request: pytest.FixtureRequest) -> None:
+    """Steps take half a minute to compile."""
+    if request.param == "without steps":
+        request.getfixturevalue("two_steps_at_once")
+
+
+@pytest.mark.usefixtures("perhaps_without_steps")
 def test_training_keeps_the_frame_and_pictures_use_it(turntable: Scene, small_config: Config, tmp_path: Path) -> None:
     """Two cameras whose rotation takes the room along are lit alike: their rays carry the azimuth, which is all that differs."""
     config = merged_config(small_config, {"train": {"steps": 2}, "surface": {"first_period": 1, "last_period": 1}})
