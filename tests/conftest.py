@@ -1,21 +1,15 @@
-"""Shared by the tests of every package: real data where it exists, small synthetic scenes, and browser windows."""
+"""Shared by the tests of every package: real data where it exists, small synthetic scenes, and the browser of `tests.browser`."""
 
-import importlib.util
 import io
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import time
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -27,6 +21,12 @@ from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
 from datasets.scene import Scene, View
+from tests.browser import browse as browse
+from tests.browser import chromium as chromium
+from tests.clients import client as client
+from tests.clients import pytest_pycollect_makeitem as pytest_pycollect_makeitem
+from tests.cost import Cost
+from tests.required import ALL_REQUIRED, Required
 
 ROOT = Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared" / "data"
@@ -60,43 +60,36 @@ settings.register_profile("thorough", max_examples=60, deadline=None)
 settings.load_profile("quick")  # `make test-all` takes the other
 
 LONG = (
-    "tests/test_pipeline.py",
     "tests/reconstruct/training/test_every_model.py",
+    "tests/test_pipeline.py",
+    "tests/reconstruct/studies/test_sweep_on_ray.py",
+    "tests/reconstruct/training/test_quality.py",
     "tests/faults/test_faults.py",
+    "tests/reconstruct/training/test_distributed.py",
     "tests/reconstruct/training/test_step.py",
     "tests/view/test_pages.py",
+    "tests/reconstruct/kernels/test_speed.py",
     "tests/docs/test_references.py",
-    "tests/calib/test_stress.py",
-    "tests/reconstruct/training/test_loop.py",
 )
-"""The slowest files run first, so that no worker is left with one at the end."""
+"""The slowest files run first, so that no worker is left with one at the end. The first compiles what others find again."""
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
 """A real-looking lens: barrel distortion, off-centre, pixels not quite square."""
 PINHOLE = Camera(96, 72, 90.0, 90.0, 48.0, 36.0)
 
 
-CLIENTS = ["ur_rtde", "koala"] if importlib.util.find_spec("rtde_control") else ["koala"]
-"""The clients of the arm's controller that are installed: the vendor's has no wheel for some Pythons and platforms."""
-
-
-@pytest.fixture(params=CLIENTS)
-def client(request: pytest.FixtureRequest) -> str:
-    """Each client in turn; without the mark `both_clients`, all but one of them are left to `make test-all`."""
-    return request.param
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure what the suite costs, and with KOALA_REQUIRE=all count skips as failures."""
+    config.pluginmanager.register(Cost())
+    if ALL_REQUIRED:
+        config.pluginmanager.register(Required())
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order tests by file, `LONG` first. Of a test that runs with any client, one is chosen by its name, the other is slow."""
+    """Order tests by file, `LONG` first."""
     ranks = {ROOT / name: rank for rank, name in enumerate(LONG)}
     items.sort(key=lambda item: ranks.get(item.path, len(LONG)))
-    for item in items:
-        parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
-        if "client" in parameters and not item.get_closest_marker("both_clients"):
-            name = item.nodeid.replace(parameters["client"], "")
-            if parameters["client"] != CLIENTS[zlib.crc32(name.encode()) % len(CLIENTS)]:
-                item.add_marker("slow")
 
 
 @pytest.fixture(scope="session")
@@ -213,64 +206,3 @@ def simulated_session() -> Callable[..., Path]:
         return path
 
     return make
-
-
-class Browsed:
-    """One browser window on a page, with its requests and errors."""
-
-    WIDTH, HEIGHT, PANEL = 1000, 560, 400
-    PATIENCE_S = 120.0
-    """Pages are drawn without a graphics card, on a computer that may be busy."""
-
-    def __init__(self, page: Any, url: str) -> None:
-        self.page, self.url = page, url
-        self.errors: list[str] = []
-        self.requests: list[str] = []
-        page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("console", lambda message: self._log(message))
-        page.on("request", lambda request: self.requests.append(request.url))
-        page.goto(url)
-        page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # a warning about the missing graphics card
-
-    def _log(self, message: Any) -> None:
-        # a page may replace its own pictures (blob:) while the browser still loads them
-        if message.type == "error" and not message.location.get("url", "").startswith("blob:"):
-            self.errors.append(message.text)
-
-    def outside(self) -> list[str]:
-        """Requests to other hosts than the page."""
-        own = (self.url, f"blob:{self.url}", "data:")
-        return [url for url in self.requests if not url.startswith(own)]
-
-    def picture(self) -> np.ndarray:
-        """(height, width, 3) sRGB bytes of the window without the panel."""
-        clip = {"x": 0, "y": 0, "width": self.WIDTH - self.PANEL, "height": self.HEIGHT}
-        png = self.page.screenshot(clip=clip, timeout=1e3 * self.PATIENCE_S)
-        pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-        assert pixels is not None
-        return pixels[..., ::-1]
-
-    def until(self, holds: Callable[[np.ndarray], Any], what: str) -> np.ndarray:
-        """The first picture that satisfies `holds`; an AssertionError that names `what` if none does in time."""
-        deadline = time.monotonic() + self.PATIENCE_S
-        while time.monotonic() < deadline:
-            picture = self.picture()
-            if holds(picture):
-                return picture
-            self.page.wait_for_timeout(300)
-        raise AssertionError(f"did not appear: {what}; errors of the page: {self.errors}")
-
-
-@pytest.fixture
-def browse() -> Iterator[Callable[[str], Browsed]]:
-    """Factory of windows of an installed headless Chromium; skips the test where there is none."""
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install '.[test]'")
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if path is None:
-        pytest.skip("there is no Chromium on this computer: apt install chromium")
-    software = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-    with api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=software, timeout=1e3 * Browsed.PATIENCE_S)
-        size = {"width": Browsed.WIDTH, "height": Browsed.HEIGHT}
-        yield lambda url: Browsed(chromium.new_page(viewport=size), url)
-        chromium.close()

@@ -15,13 +15,14 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("capture", "calib", "datasets", "reconstruct")
 ALLOWED = {package: {package, "datasets", "configs"} for package in PACKAGES} | {"datasets": {"datasets"}}
 VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 3, "rtde_control": 1, "pycolmap": 4}
-VENDORS |= {"harvesters": 1, "genicam": 1, "pyrealsense2": 2, "gphoto2": 1}
+VENDORS |= {"harvesters": 1, "genicam": 1, "pyrealsense2": 2, "gphoto2": 1, "ray": 1}
 """Vendor's library: in how many modules it may be imported. mitsuba: laboratory, scenes of the
 benchmark, proof of assets. pycolmap: writes files, adjusts bundles, matches features, maps.
 pyrealsense2: driver, software device. genicam: settings and errors."""
 NUMERICS = {"jax", "equinox", "optax", "mitsuba", "pypylon", "rtde_control", "harvesters", "pyrealsense2", "gphoto2"}
 
 
+@cache
 def modules() -> list[Path]:
     return [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
@@ -31,9 +32,16 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Everything in a file, in any order."""
+    return list(ast.walk(tree(path)))
+
+
+@cache
 def imported(path: Path) -> set[str]:
     """Top-level names of all imports of a file, those inside functions included."""
-    return {name.split(".")[0] for node in ast.walk(tree(path)) for name in imported_names(node)}
+    return {name.split(".")[0] for node in nodes(path) for name in imported_names(node)}
 
 
 def imported_names(node: ast.AST) -> set[str]:
@@ -48,7 +56,7 @@ def imported_names(node: ast.AST) -> set[str]:
 def running(node: ast.AST, *, functions: bool = True) -> Iterator[ast.AST]:
     """All statements that run: not those for type checkers and, on request, not those inside functions."""
     for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+        if isinstance(child, ast.If) and isinstance(child.test, ast.Name) and child.test.id == "TYPE_CHECKING":
             continue
         if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) and not functions:
             continue
@@ -70,6 +78,7 @@ def part_of(name: str, package: str) -> str | None:
     return words[1] if place.is_dir() or place.with_suffix(".py").is_file() else None
 
 
+@cache
 def uses(package: str) -> dict[str, set[str]]:
     """For each subfolder and top-level module of a package, the others that it imports."""
     found: dict[str, set[str]] = {}
@@ -173,7 +182,7 @@ def test_no_file_has_more_than_350_lines() -> None:
 def test_no_function_has_more_than_60_lines() -> None:
     wrong = {}
     for path in modules():
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (node.end_lineno or 0) - node.lineno >= 60:
                 wrong[f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"] = (node.end_lineno or 0) - node.lineno + 1
     assert not wrong
@@ -199,7 +208,7 @@ def test_no_print_outside_the_console() -> None:
     """Libraries return or log; only the console module writes to the terminal."""
     wrong = set()
     for path in modules():
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print":
                 wrong.add(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not {place for place in wrong if not place.startswith("datasets/core/console.py")}
@@ -208,7 +217,7 @@ def test_no_print_outside_the_console() -> None:
 def test_nothing_is_executed_or_unpickled() -> None:
     forbidden = {"eval", "exec"}
     for path in modules():
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Call):
                 assert not (isinstance(node.func, ast.Name) and node.func.id in forbidden), f"{path}:{node.lineno}"
                 for keyword in node.keywords:

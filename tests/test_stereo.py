@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import calib.cli
+import capture.cli
 from datasets import pose
 from datasets.calibration import Calibration, UncertainPose
 from datasets.core import files
@@ -21,21 +23,24 @@ from datasets.recording import Recording
 NAMES = ("left", "right")
 VIEWS = 12
 SMALL = [f"views.0.count={VIEWS}", "camera.binning=4", "camera.width=480", "camera.height=270"]
+MAIN = {"capture": capture.cli.main, "calib": calib.cli.main}
 RUN = ["run", "calibration_demo", "--rig", "sim:ur5e_stereo", "--resume", "--json"]
 
 
-def command(package: str, *arguments: object) -> list[str]:
-    return [sys.executable, "-m", f"{package}.cli", *map(str, arguments)]
+@pytest.fixture(scope="module")
+def koala(run_inside):
+    """Runs a command inside this process; returns what it printed."""
+
+    def run(package: str, *arguments: object) -> str:
+        done = run_inside(MAIN[package], package, *arguments)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
 
 
-def koala(package: str, *arguments: object) -> str:
-    done = subprocess.run(command(package, *arguments), capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def run(out: Path) -> list[str]:
-    return command("capture", *RUN, "--out", out, *(word for change in SMALL for word in ("--set", change)))
+def words_for(out: Path) -> list[str]:
+    return [*RUN, "--out", str(out), *(word for change in SMALL for word in ("--set", change))]
 
 
 def lines(path: Path) -> list[str]:
@@ -44,7 +49,8 @@ def lines(path: Path) -> list[str]:
 
 def killed(out: Path, frames: int) -> None:
     """Start the session and kill it once the second camera has taken so many views."""
-    with subprocess.Popen(run(out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-m", "capture.cli", *words_for(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 240
         while len(lines(out / "right" / "frames.jsonl")) < frames and process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -53,21 +59,20 @@ def killed(out: Path, frames: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[str]]]:
+def recorded(koala, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[str]]]:
     """The session, and the frames of the left camera that the kill left."""
     out = tmp_path_factory.mktemp("stereo") / "rec"
     killed(out, 4)
     lacking = out / "right" / "frames.jsonl"
     lacking.write_text("".join(f"{line}\n" for line in lines(lacking)[:3]))  # as if killed between the cameras
     before = lines(out / "left" / "frames.jsonl")
-    answer = subprocess.run(run(out), capture_output=True, text=True, timeout=300, check=False)
-    assert answer.returncode == 0, answer.stderr
-    assert json.loads(answer.stdout)["cameras"] == list(NAMES) and json.loads(answer.stdout)["frames"] == VIEWS
+    answer = json.loads(koala("capture", *words_for(out)))
+    assert answer["cameras"] == list(NAMES) and answer["frames"] == VIEWS
     yield out, before
 
 
 @pytest.mark.timeout(600)
-def test_every_stop_has_a_frame_of_each_camera(recorded: tuple[Path, list[str]]) -> None:
+def test_every_stop_has_a_frame_of_each_camera(koala, recorded: tuple[Path, list[str]]) -> None:
     out, before = recorded
     left, right = (Recording.open(out / name) for name in NAMES)
     client = "ur_rtde" if find_spec("rtde_control") else "koala"
@@ -86,7 +91,7 @@ def test_every_stop_has_a_frame_of_each_camera(recorded: tuple[Path, list[str]])
 
 
 @pytest.mark.timeout(600)
-def test_the_cameras_are_where_they_truly_are(recorded: tuple[Path, list[str]], tmp_path: Path) -> None:
+def test_the_cameras_are_where_they_truly_are(koala, recorded: tuple[Path, list[str]], tmp_path: Path) -> None:
     """Errors within four deviations of what is stated. One session; `docs/calibration.md` has the statistics."""
     out, _ = recorded
     words = koala("calib", "cameras", out / "left", out / "right", "--same-stops", "--out", tmp_path / "pair")

@@ -7,6 +7,7 @@ the camera on the flange they are flange and base.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +54,11 @@ def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park
         CalibrationError: fewer than 3 views, an unknown method, or OpenCV found no answer.
         DatasetError: its answer is no rigid transform.
     """
+    return assess(stand_from_mount, camera_from_board, _mount(stand_from_mount, camera_from_board, method), method)
+
+
+def _mount(stand_from_mount: Array, camera_from_board: Array, method: str) -> Array:
+    """(4, 4) mount_from_camera by one method. Arguments and errors are those of `solve`."""
     if method not in METHODS:
         raise CalibrationError(f"no hand-eye method {method!r}", remedy=nearest(method, METHODS))
     if len(stand_from_mount) < 3:
@@ -70,8 +76,7 @@ def solve(stand_from_mount: Array, camera_from_board: Array, method: str = "park
             mount_from_camera = pose.inverse(pose.rigid(rotation, translation.ravel()))
     except cv2.error as error:
         raise CalibrationError(f"hand-eye method {method} failed", why=str(error.err)) from None
-    mount_from_camera = pose.checked(mount_from_camera, where=f"hand-eye method {method}", tolerance=0.1)
-    return assess(stand_from_mount, camera_from_board, mount_from_camera, method)
+    return pose.checked(mount_from_camera, where=f"hand-eye method {method}", tolerance=0.1)
 
 
 def _parts(poses: Array) -> tuple[list[Array], list[Array]]:
@@ -81,24 +86,41 @@ def _parts(poses: Array) -> tuple[list[Array], list[Array]]:
 
 def assess(stand_from_mount: Array, camera_from_board: Array, mount_from_camera: Array, method: str) -> HandEye:
     """The answer completed by the median place of the board and what each view disagrees with it by."""
-    boards = stand_from_mount @ mount_from_camera @ camera_from_board
-    rotations = Rotation.from_matrix(boards[:, :3, :3])
-    keep = _near_the_middle(rotations.as_quat())
-    mean = Rotation.identity()
+    return _assessed(stand_from_mount, camera_from_board, [(method, mount_from_camera)])[0]
+
+
+def _assessed(stand_from_mount: Array, camera_from_board: Array, answers: Sequence[tuple[str, Array]]) -> list[HandEye]:
+    """Each answer, a method and its mount_from_camera, completed as by `assess`."""
+    boards = stand_from_mount @ np.stack([mount for _, mount in answers])[:, None] @ camera_from_board
+    quaternions = Rotation.from_matrix(boards[..., :3, :3].reshape(-1, 3, 3)).as_quat().reshape(*boards.shape[:2], 4)
+    places, angles, mean = boards[..., :3, 3], np.zeros(boards.shape[:2]), np.zeros((len(boards), 4))
+    keep = _near_the_middle(quaternions)
     for _ in range(3):  # the mean rotation of the views near the last mean: a median of rotations
-        mean = Rotation.from_matrix(boards[keep, :3, :3]).mean()
-        angles = (mean.inv() * rotations).magnitude()
-        keep = angles <= 3 * np.median(angles) + 1e-9
-    stand_from_board = pose.rigid(mean.as_matrix(), np.median(boards[:, :3, 3], axis=0))
-    distances, angles = pose.difference(boards, stand_from_board)
-    return HandEye(method, mount_from_camera, stand_from_board, distances, angles)
+        chosen = quaternions * keep[..., None]
+        mean = np.linalg.eigh(np.swapaxes(chosen, 1, 2) @ chosen)[1][..., -1]  # Markley et al. 2007, eq. 13
+        angles = _angles(quaternions, mean[:, None])
+        keep = angles <= 3 * np.median(angles, axis=1, keepdims=True) + 1e-9
+    place = np.median(places, axis=1)
+    distances = np.linalg.norm(places - place[:, None], axis=-1)
+    stand_from_board = pose.rigid(Rotation.from_quat(mean).as_matrix(), place)
+    return [HandEye(*answer, *rest) for answer, *rest in zip(answers, stand_from_board, distances, angles, strict=True)]
+
+
+def _angles(quaternions: Array, others: Array) -> Array:
+    """(...) angles [rad, 0..pi] between rotations given by (..., 4) unit quaternions; accurate near 0."""
+    apart = np.minimum(np.linalg.norm(quaternions - others, axis=-1), np.linalg.norm(quaternions + others, axis=-1))
+    return 4 * np.arcsin(apart / 2)
 
 
 def _near_the_middle(quaternions: Array) -> Mask:
-    """(views,) the half of the rotations nearest to their medoid, which outliers cannot spoil as they spoil a mean."""
-    likeness = np.abs(quaternions @ quaternions.T)
-    middle = np.median(likeness, axis=1).argmax()
-    return likeness[middle] >= np.median(likeness[middle])
+    """(k, views) the half of k times (views, 4) rotations nearest to their medoid.
+
+    Outliers cannot spoil a medoid as they spoil a mean.
+    """
+    likeness = np.abs(quaternions @ np.swapaxes(quaternions, 1, 2))
+    middle = np.median(likeness, axis=2).argmax(1)
+    nearness = likeness[np.arange(len(middle)), middle]
+    return nearness >= np.median(nearness, axis=1, keepdims=True)
 
 
 def solve_robustly(stand_from_mount: Array, camera_from_board: Array) -> tuple[HandEye, Mask]:
@@ -128,14 +150,11 @@ def _answers(
     answers = []
     for group in groups:
         for method in methods:
-            try:
-                answer = solve(stand_from_mount[group], camera_from_board[group], method)
-            except KoalaError:
-                continue
-            answers.append(assess(stand_from_mount, camera_from_board, answer.mount_from_camera, method))
+            with suppress(KoalaError):
+                answers.append((method, _mount(stand_from_mount[group], camera_from_board[group], method)))
     if not answers:
         raise CalibrationError("no closed-form hand-eye method found an answer", remedy="record views from more directions")
-    return answers
+    return _assessed(stand_from_mount, camera_from_board, answers)
 
 
 def _consensus(stand_from_mount: Array, camera_from_board: Array) -> HandEye:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from calib.arrays import Array
@@ -101,7 +102,7 @@ class _Views:
         """Logarithm of the restricted likelihood, with what is stated of the arm."""
         lower = np.linalg.cholesky(self.noise(stop))
         rows = np.concatenate([self.by_global, -scale * self.repeating, self.asked[..., None]], -1)
-        rows = np.linalg.solve(lower, rows).reshape(-1, rows.shape[-1])
+        rows = (np.linalg.inv(lower) @ rows).reshape(-1, rows.shape[-1])
         unknowns, known = rows.shape[1] - 1, len(self.side)
         system = rows.T @ rows
         system[:known, :known] += self.root.T @ self.root
@@ -109,7 +110,7 @@ class _Views:
         system[range(known, unknowns), range(known, unknowns)] += 1.0
         size = np.sqrt(np.diag(system)[:unknowns])
         triangle = np.linalg.cholesky(system[:unknowns, :unknowns] / np.outer(size, size))
-        explained = np.linalg.solve(triangle, system[:unknowns, -1] / size)
+        explained = solve_triangular(triangle, system[:unknowns, -1] / size, lower=True, check_finite=False)
         left = system[-1, -1] + self.side @ self.side - explained @ explained
         volume = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum() + np.log(np.diag(triangle)).sum() + np.log(size).sum()
         stated = np.array([self.stated.translation_m, self.stated.rotation_rad])
@@ -163,7 +164,15 @@ def _views(session: Posed[S], refined: Refined[S]) -> _Views:
     asked = refined.state.corrections + (inverse @ system.own_side[..., None])[..., 0]
     stated = Sigmas(refined.sigmas.pixel, session.accuracy.translation_m, session.accuracy.rotation_rad)
     spread = inverse @ np.swapaxes(inverse, 1, 2)
-    return _Views(asked, inverse @ system.coupling, spread, motions(session), system.root, system.side, stated)
+    return _Views(asked, inverse @ system.coupling, spread, _in_few(motions(session)), system.root, system.side, stated)
+
+
+def _in_few(motions: Array) -> Array:
+    """`motions` (views, 6, k) with the same covariance, made of at most as many errors as there are numbers."""
+    views, axes, count = motions.shape
+    if count <= views * axes:
+        return motions
+    return np.asarray(np.linalg.qr(motions.reshape(-1, count).T, mode="r")).T.reshape(views, axes, -1)
 
 
 def motions(session: Posed[Any]) -> Array:

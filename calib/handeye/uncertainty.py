@@ -5,8 +5,6 @@ inverse of the information that corners, the arm's accuracy and known intrinsics
 from view to view. `calib.handeye.repeating` adds what repeats.
 """
 
-from itertools import combinations
-
 import numpy as np
 
 from calib.arrays import Array
@@ -36,8 +34,10 @@ def check_motion(base_from_flange: Array) -> None:
     if len(base_from_flange) < 3:
         why = f"{len(base_from_flange)} views"
         raise Unobservable("hand-eye pose is not observable", why=why, remedy="record at least 10 views")
-    turns = [pose.rotation_vector(a[:3, :3] @ b[:3, :3].T) for a, b in combinations(base_from_flange, 2)]
-    _, spread, axes = np.linalg.svd(np.array(turns) / np.sqrt(len(turns)))
+    first, second = np.triu_indices(len(base_from_flange), 1)  # all pairs of views
+    rotations = base_from_flange[:, :3, :3]
+    turns = pose.rotation_vector(rotations[first] @ np.swapaxes(rotations[second], 1, 2))
+    _, spread, axes = np.linalg.svd(turns / np.sqrt(len(turns)), full_matrices=False)
     if spread[0] < MIN_TURN_RAD:
         why = f"the flange turned by {np.rad2deg(spread[0]):.2g} deg only"
         remedy = "tilt the camera by 20 degrees and more about two different axes between views"

@@ -23,6 +23,7 @@ MAX_RADIUS_PX = 9  # pixels further from the corner are left out: there the lens
 MIN_PIXELS = 24  # a corner with fewer pixels in its disc keeps its place
 MAX_SHIFT_PX = 1.5  # a fit that ends further from its start is wrong
 _STEPS = 15
+_SETTLED = 1e-5  # steps of all corners below this are the last ones [px, and the units of the other parameters]
 
 
 def fit(
@@ -55,6 +56,8 @@ def fit(
         step[:, 2:5] = np.clip(step[:, 2:5], -0.2, 0.2)
         parameters = parameters + step
         moved = np.abs(step[:, :2]).max(1) > 1e-3
+        if np.abs(step).max() < _SETTLED:
+            break
     shift, blur = parameters[:, :2], _blur(parameters)
     good = (weight.sum(1) >= MIN_PIXELS) & ~moved & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
     good &= np.isfinite(parameters).all(1) & (blur < 4) & (np.abs(parameters[:, 5]) > 0.02)
@@ -74,7 +77,9 @@ def _local_scale(start: Array, points: Array) -> Array:
 def _patches(grey: NDArray[np.float32], start: Array, scale: Array, clear_m: float) -> tuple[Array, Array, Array]:
     """(n, m, 2) offsets of pixel centres from the start, (n, m) brightness there, (n, m) 1 inside the disc, else 0."""
     height, width = grey.shape
-    reach = np.arange(-MAX_RADIUS_PX, MAX_RADIUS_PX + 1)
+    largest = clear_m * np.linalg.norm(scale, 2, axis=(1, 2)).max()  # radius of a disc in the picture [px]
+    most = int(min(MAX_RADIUS_PX, largest + 0.5))
+    reach = np.arange(-most, most + 1)
     window = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
     pixels = np.rint(start).astype(int)[:, None] + window
     offsets = pixels - start[:, None]

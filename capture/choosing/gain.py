@@ -5,6 +5,7 @@ sees it for the second or third time, since what no picture shows cannot be reco
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +32,12 @@ class Seen:
     eyes: Array
     """(views, 3) where the cameras are [m]."""
 
-    @property
+    @cached_property
     def well(self) -> NDArray[np.bool_]:
         """(views, n) which views see which places at 60° or less."""
         return self.facing >= GOOD
 
-    @property
+    @cached_property
     def counts(self) -> NDArray[np.intp]:
         """(n,) number of views that see each place well."""
         return self.well.sum(0)
@@ -76,19 +77,22 @@ def angle_gains(places: Places, changing: Array, taken: Seen, within_reach: Seen
     return np.where(within_reach.well, new, 0) @ np.where(taken.counts > 0, places.shares * changing, 0)
 
 
-def nearest_directions(places: Places, taken: Seen, within_reach: Seen) -> NDArray[np.float32]:
+def nearest_directions(taken: Facing, well: NDArray[np.bool_], within_reach: Facing) -> Facing:
     """(candidates, n) how near the direction from each place to a view within reach is to one from which it was seen well.
 
     The cosine of the smallest angle between them; -1 where no view has seen the place.
+
+    Args:
+        taken, within_reach: (views, n, 3) and (candidates, n, 3), see `directions`.
+        well: (views, n) see `Seen.well`.
     """
-    ways = _ways(places.points, within_reach.eyes)
-    nearest = np.full(ways.shape[:2], -1.0, np.float32)
-    for way, seen in zip(_ways(places.points, taken.eyes), taken.well, strict=True):
-        np.maximum(nearest, np.where(seen, np.einsum("cnd,nd->cn", ways, way), np.float32(-1.0)), out=nearest)
+    nearest = np.full(within_reach.shape[:2], -1.0, np.float32)
+    for way, seen in zip(taken, well, strict=True):
+        np.maximum(nearest, np.where(seen, np.einsum("cnd,nd->cn", within_reach, way), np.float32(-1.0)), out=nearest)
     return nearest
 
 
-def _ways(points: Array, eyes: Array) -> NDArray[np.float32]:
+def directions(points: Array, eyes: Array) -> Facing:
     """(views, n, 3) unit vectors from places to cameras."""
     ways = (eyes[:, None] - points[None]).astype(np.float32)
     return np.asarray(ways / np.linalg.norm(ways, axis=-1, keepdims=True), np.float32)

@@ -126,6 +126,7 @@ def greedy(places: Places, seen: Seen, until: float, views: int) -> list[int]:
     left = np.ones(len(seen.eyes), bool)
     nearest = np.full(seen.facing.shape, -1.0, np.float32)
     changing = np.full(len(places.points), UNKNOWN)
+    ways = gain.directions(places.points, seen.eyes)
     while len(chosen) < views:
         taken = Seen(seen.facing[chosen], seen.eyes[chosen])
         if gain.coverage(places, taken, seen).covered >= until:
@@ -137,8 +138,7 @@ def greedy(places: Places, seen: Seen, until: float, views: int) -> list[int]:
         best = int((surface + ANGLES * angles).argmax())
         chosen.append(best)
         left[best] = False
-        latest = Seen(seen.facing[[best]], seen.eyes[[best]])
-        np.maximum(nearest, gain.nearest_directions(places, latest, seen), out=nearest)
+        np.maximum(nearest, gain.nearest_directions(ways[[best]], seen.well[[best]], ways), out=nearest)
     return chosen
 
 

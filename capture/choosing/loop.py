@@ -160,7 +160,8 @@ def run(
         if goal.minutes is not None and arm.seconds >= 60 * goal.minutes:
             return Outcome(TIME, coverage, known)
         surface = gain.surface_gains(known.places, taken, seen)
-        nearest = gain.nearest_directions(known.places, taken, seen)
+        flown, ahead = (gain.directions(known.places.points, views.eyes) for views in (taken, seen))
+        nearest = gain.nearest_directions(flown, taken.well, ahead)
         angles = ANGLES * gain.angle_gains(known.places, known.changing, taken, seen, nearest)
         if (surface + angles).max(initial=0.0) < LEAST:
             return Outcome(NOTHING, coverage, known)

@@ -10,12 +10,13 @@ Array = NDArray[np.float64]
 
 def box_distance(ends: Array, corners: Array) -> Array:
     """(...) distance [m] of (..., 2, 3) segments from the boxes between (2, ..., 3) corners; 0 inside."""
+    start, along = ends[..., 0, :], ends[..., 1, :] - ends[..., 0, :]
 
     def distance(t: Array) -> Array:
-        point = ends[..., 0, :] + t[..., None] * (ends[..., 1, :] - ends[..., 0, :])
+        point = start + t[..., None] * along
         return np.linalg.norm(np.maximum(np.maximum(corners[0] - point, point - corners[1]), 0.0), axis=-1)
 
-    return least(distance, ends.shape[:-2])
+    return least(distance, np.broadcast_shapes(ends.shape[:-2], corners.shape[1:-1]))
 
 
 def sight_distance(ends: Array, eye: Array, corners: Array) -> Array:
@@ -24,17 +25,24 @@ def sight_distance(ends: Array, eye: Array, corners: Array) -> Array:
     That region is the union of the copies of the box that are scaled towards the eye by a share from 0 to 1. The distance
     is convex in that share.
     """
-    reach = np.stack([corner - eye for corner in corners])
-    return least(lambda share: box_distance(ends, eye + share[..., None] * reach), ends.shape[:-2])
+
+    def distance(share: Array) -> Array:
+        return box_distance(ends, np.stack([eye + share[..., None] * (corner - eye) for corner in corners]))
+
+    return least(distance, ends.shape[:-2])
 
 
 def least(distance: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
-    """Minima of convex functions over 0 to 1: 14 steps of a ternary search leave 0.4 % of the interval."""
+    """Minima of convex functions over 0 to 1: 14 steps of a ternary search leave 0.4 % of the interval.
+
+    `distance` is asked at (2, *shape) places, the two of a step at once, and in the end at (*shape).
+    """
     low, high = np.zeros(shape), np.ones(shape)
     for _ in range(14):
         third = (high - low) / 3
-        nearer = distance(low + third) <= distance(high - third)
-        low, high = np.where(nearer, low, low + third), np.where(nearer, high - third, high)
+        places = np.stack([low + third, high - third])
+        nearer = np.less_equal(*distance(places))
+        low, high = np.where(nearer, low, places[0]), np.where(nearer, places[1], high)
     return distance((low + high) / 2)
 
 

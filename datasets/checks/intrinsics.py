@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from datasets.checks.evidence import Evidence
 from datasets.core.findings import Finding
-from datasets.structure.epipolar import CLOSE, WIDTHS, Correction, Pairs, corrected
+from datasets.structure.epipolar import CLOSE, WIDTHS, Correction, Pairs, corrected, off_plane
 
 LEAST_PX = 1.0
 """Shift at the middle of the picture's edge from which an error is reported [px of the image that was searched]."""
@@ -72,13 +72,12 @@ def best(evidence: Evidence) -> tuple[str, NDArray[np.float64], Correction]:
 def _fitted(evidence: Evidence, name: str, pairs: Pairs) -> Correction:
     """The best change of one of `NAMES` for some of the matches."""
     half, pixel, rows = edge(evidence), float(np.median(evidence.pairs.pixel)), ROWS[name]
-    steps = np.array([pixel / half, pixel / half**3, 1.0, 1.0])[rows]
+    steps, essential = np.array([pixel / half, pixel / half**3, 1.0, 1.0])[rows], pairs.essential(evidence.matrices)
 
     def distances(values: NDArray[np.float64]) -> NDArray[np.float64]:
         change = _at(rows, values)
         a, b = (bent(rays, change, pairs.pixel[:, None]) for rays in (pairs.a, pairs.b))
-        size = pairs.pixel * np.exp(-change[0])  # with a longer lens a pixel is a smaller angle
-        return Pairs(pairs.first, pairs.second, a, b, size).distances(evidence.matrices)
+        return off_plane(essential, a, b) / (pairs.pixel * np.exp(-change[0]))  # with a longer lens a pixel is a smaller angle
 
     return corrected(distances, steps.tolist(), widths=(*WIDTHS, *CLOSE))
 

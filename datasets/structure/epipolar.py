@@ -8,6 +8,7 @@ among wrong matches.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,19 +58,31 @@ class Pairs:
         """Some of the matches."""
         return Pairs(self.first[rows], self.second[rows], self.a[rows], self.b[rows], self.pixel[rows])
 
+    @cached_property
+    def _of_two(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(2, p) the pairs of views, and (m,) which of them each match is of."""
+        count = 1 + self.second.max(initial=0)
+        codes, which = np.unique(self.first * count + self.second, return_inverse=True)
+        return np.stack(np.divmod(codes, count)), which
+
+    def essential(self, world_from_camera: Vector) -> Vector:
+        """(3, 3, m) essential matrix E of each match, b . E a = 0 where its rays meet; (views, 4, 4) poses."""
+        pairs, which = self._of_two
+        one, other = world_from_camera[pairs]
+        normals = np.cross(other[:, :3, 3, None] - one[:, :3, 3, None], one[:, :3, :3], axis=1)
+        return np.moveaxis(np.swapaxes(other[:, :3, :3], 1, 2) @ normals, 0, -1)[..., which]
+
     def distances(self, world_from_camera: Vector) -> Vector:
         """(m,) signed distance from the epipolar plane [px]; (views, 4, 4) poses."""
-        one, other = world_from_camera[self.first], world_from_camera[self.second]
-        a = np.einsum("nij,nj->ni", one[:, :3, :3], self.a)
-        b = np.einsum("nij,nj->ni", other[:, :3, :3], self.b)
-        baseline = other[:, :3, 3] - one[:, :3, 3]
-        normal = np.cross(baseline, a)
-        lines = (
-            np.einsum("nji,nj->ni", other[:, :3, :2], normal),  # epipolar line in the second picture, as its normal
-            np.einsum("nji,nj->ni", one[:, :3, :2], np.cross(b, baseline)),
-        )
-        slope = np.sqrt(sum((line**2).sum(1) for line in lines) / 2)
-        return (normal * b).sum(1) / np.maximum(slope, 1e-300) / self.pixel
+        return off_plane(self.essential(world_from_camera), self.a, self.b) / self.pixel
+
+
+def off_plane(essential: Vector, a: Vector, b: Vector) -> Vector:
+    """(m,) signed distance of (m, 3) rays a, b with z = 1 from the plane of their (3, 3, m) essential matrix, as a tangent."""
+    a, b = np.ascontiguousarray(a.T), np.ascontiguousarray(b.T)
+    in_second, in_first = np.einsum("ijn,jn->in", essential, a), np.einsum("ijn,in->jn", essential, b)  # epipolar lines
+    slope = np.sqrt(((in_second[:2] ** 2).sum(0) + (in_first[:2] ** 2).sum(0)) / 2)
+    return (in_second * b).sum(0) / np.maximum(slope, 1e-300)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.calibrate import calibrate_handeye
 from calib.handeye import model
 from calib.intrinsics import projection
+from calib.sessions.session import observe_recording
 from calib.targets.detection import Observation
 from datasets import pose
 from datasets.camera_model import Camera
@@ -89,9 +91,10 @@ def _simulate(seed=0, views=20, noise_px=0.1, translation_m=5e-5, rotation_deg=0
 
 @lru_cache
 def _rays(camera, samples):
-    """samples^2 pictures (height, width, 3) of ray directions, spread over each pixel, but not along lines as edges are."""
+    """samples^2 sets (3, height * width) of ray directions, spread over each pixel, but not along lines as edges are."""
     places = np.arange(samples**2)[:, None] * [0.7548776662, 0.5698402910] % 1 - 0.5  # Roberts' R2 sequence
-    return [camera.directions(camera.pixel_centres() + place - places.mean(0)) for place in places]
+    centres = camera.pixel_centres().reshape(-1, 2)
+    return [camera.directions(centres + place - places.mean(0)).T.astype(np.float32) for place in places]
 
 
 def _board_picture(board, per_square):
@@ -115,17 +118,16 @@ def _board_picture(board, per_square):
 def _photograph(board, camera, camera_from_board, *, rng, noise=0.01, samples=4):
     """Picture of a board on grey ground: every pixel is the mean of samples^2 rays through the true lens."""
     per_square = 90
-    print_ = _board_picture(board, per_square)
-    image = np.zeros((camera.height, camera.width))
+    print_ = 0.1 + 0.75 * _board_picture(board, per_square)
     board_from_camera = pose.inverse(camera_from_board)
+    turn, place = board_from_camera[:3, :3], board_from_camera[:3, 3]
+    on_board = np.stack([*(place[:2, None] * turn[2] - place[2] * turn[:2]), turn[2]])  # ray to homogeneous place
+    on_print = (np.diag([*2 * [per_square / board.square_length_m], 1]) @ on_board).astype(np.float32)  # 1e-3 of its squares
+    image = np.zeros((camera.height, camera.width), np.float32)
     for rays in _rays(camera, samples):
-        directions = rays @ board_from_camera[:3, :3].T
-        reach = -board_from_camera[2, 3] / directions[..., 2]
-        hit = board_from_camera[:3, 3] + reach[..., None] * directions
-        at = np.floor(hit[..., :2] / board.square_length_m * per_square).astype(int)
-        on = ((at >= 0) & (at < [print_.shape[1], print_.shape[0]])).all(-1)
-        at = np.where(on[..., None], at, 0)
-        image += np.where(on, 0.1 + 0.75 * print_[at[..., 1], at[..., 0]], 0.85)
+        x, y, scale = on_print @ rays
+        columns, rows = ((axis / scale - 0.5).reshape(image.shape) for axis in (x, y))  # OpenCV counts from a pixel's centre
+        image += cv2.remap(print_, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0.85)
     image = cv2.GaussianBlur(image / samples**2, (0, 0), 0.5) + rng.normal(0, noise, image.shape)  # no lens is sharper
     return np.clip(image, 0, 1).astype(np.float32)
 
@@ -196,3 +198,22 @@ def recorded(tmp_path_factory, make_recording):
     """(path, truth) of a recorded target session of 12 views, the last of which shows no target."""
     path = tmp_path_factory.mktemp("calib") / "recording"
     return path, make_recording(path, blank=(11,))
+
+
+@pytest.fixture(scope="session")
+def observed(recorded):
+    """What was seen in the pictures of `recorded`."""
+    return observe_recording(recorded[0])
+
+
+@pytest.fixture(scope="session")
+def calibrated(observed):
+    """The calibration that `recorded` gives."""
+    return calibrate_handeye(observed)
+
+
+@pytest.fixture(scope="session")
+def recorded_again(tmp_path_factory, make_recording):
+    """(path, truth) of a recording of 8 views with the same camera of the same target."""
+    path = tmp_path_factory.mktemp("calib") / "again"
+    return path, make_recording(path, seed=1, views=8)

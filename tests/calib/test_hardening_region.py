@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,20 +16,29 @@ from datasets.recording import Recording
 REGION = {"width": 480, "height": 300, "offset_x": 40, "offset_y": 20, "binning": 1}
 
 
-@pytest.fixture
-def session(recorded, tmp_path: Path) -> Path:
-    """A recorded target session whose camera read out a part of its sensor."""
-    path = tmp_path / "session"
+@pytest.fixture(scope="module")
+def made(recorded, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recorded target session, whose camera read out a part of its sensor, and its calibration."""
+    folder = tmp_path_factory.mktemp("region")
+    path = folder / "session"
     shutil.copytree(recorded[0], path)
     manifest = json.loads((path / "manifest.json").read_text())
     (path / "manifest.json").write_text(json.dumps({**manifest, "camera": {"region": REGION}}))
-    return path
+    calibrate_handeye(observe_recording(path)).save(folder / "calibration.json")
+    return folder
 
 
 @pytest.fixture
-def calibration(session: Path, tmp_path: Path) -> Path:
-    calibrate_handeye(observe_recording(session)).save(tmp_path / "calibration.json")
-    return tmp_path / "calibration.json"
+def session(made: Path) -> Iterator[Path]:
+    """The recording. Where a test has moved it, it is put back."""
+    yield made / "session"
+    if (made / "moved").exists():
+        (made / "moved").rename(made / "session")
+
+
+@pytest.fixture
+def calibration(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(made / "calibration.json", tmp_path))
 
 
 @pytest.fixture

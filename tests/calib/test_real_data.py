@@ -27,7 +27,7 @@ def imported(name, description):
     """(session, published camera) as `calib handeye FOLDER --import` reads them."""
     folder = DATA / name
     if not folder.is_dir():
-        pytest.skip(f"the real session {folder} is not there")
+        pytest.skip(f"real data set {name} is absent: {folder} does not exist")
     said = importer.load_description(ROOT / "configs" / "imports" / f"{description}.yaml")
     return importer.import_session(folder, said), said.camera.camera()
 

@@ -12,7 +12,7 @@ from datasets.camera_model import Camera
 from datasets.imaging import images
 from datasets.scene import Scene, View
 
-CAMERA = Camera(320, 240, 300.0, 301.0, 161.0, 119.0, -0.05, 0.02)
+CAMERA = Camera(200, 150, 187.5, 188.1, 100.6, 74.4, -0.05, 0.02)
 WALLS = ((2, 0.0), (0, -0.25), (1, 0.25))
 """Axis and place of planes behind the middle of the scene."""
 
@@ -108,7 +108,7 @@ def test_reprojection_is_exact_for_perfect_tracks():
 def test_pictures_without_texture_are_refused(walls, tmp_path):
     scene, _ = walls
     for index in range(4):
-        images.write(tmp_path / f"{index}.png", np.full((240, 320, 3), 128, np.uint8))
+        images.write(tmp_path / f"{index}.png", np.full((150, 200, 3), 128, np.uint8))
     blank = scene.with_views(
         tuple(View(f"{i}", CAMERA, scene.views[i].world_from_camera, "train", tmp_path / f"{i}.png") for i in range(4))
     )
@@ -118,6 +118,6 @@ def test_pictures_without_texture_are_refused(walls, tmp_path):
 
 def test_several_cameras_are_refused(walls):
     scene, _ = walls
-    other = View("x", CAMERA.scaled(160, 120), scene.views[0].world_from_camera, "train", scene.views[0].image)
+    other = View("x", CAMERA.scaled(100, 75), scene.views[0].world_from_camera, "train", scene.views[0].image)
     with pytest.raises(CalibrationError, match="different cameras"):
         sfm.refine_scene(scene.with_views((*scene.views, other)), prior=Accuracy(1e-3, 5e-3))

@@ -18,7 +18,7 @@ from datasets.calibration import Calibration, UncertainPose
 from datasets.core.errors import DatasetError, KoalaError, UsageError
 from datasets.core.schema import Schema, load_yaml
 from datasets.edit import edit
-from datasets.formats import load_scene, ply, save_scene
+from datasets.formats import load_scene, save_scene
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
 from datasets.scene import Scene
@@ -218,22 +218,6 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path, way: str)
     except subprocess.TimeoutExpired:
         pytest.fail("it was waited for")
     assert done.stdout.startswith("refused:"), done.stderr[-200:]
-
-
-def big_endian(points: np.ndarray) -> bytes:
-    header = f"ply\nformat binary_big_endian 1.0\nelement vertex {len(points)}\n" + "".join(
-        f"property float {a}\n" for a in "xyz"
-    )
-    return (header + "end_header\n").encode() + points.astype(">f4").tobytes()
-
-
-@pytest.mark.parametrize("way", ["big endian", "CRLF"])
-def test_points_of_other_programs_are_read(tmp_path: Path, way: str) -> None:
-    points = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
-    rows = "".join(f"{x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points)
-    text = "ply\nformat ascii 1.0\nelement vertex 5\n" + "".join(f"property float {a}\n" for a in "xyz") + "end_header\n" + rows
-    (tmp_path / "a.ply").write_bytes(big_endian(points) if way == "big endian" else text.replace("\n", "\r\n").encode())
-    np.testing.assert_allclose(ply.read_points(tmp_path / "a.ply"), points, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["", "..", "a\nb", "a\0b", "\ud800", "x" * 300])

@@ -2,13 +2,11 @@
 
 import json
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from capture import cli
@@ -16,8 +14,10 @@ from capture.robots.dashboard import Dashboard
 from capture.sim.controller.process import SimulatedController
 from datasets.core import files
 from datasets.recording import Recording
+from tests.capture.moving import moves
+from tests.moments import as_soon_as
 
-COUNT = 8
+COUNT = 6
 TRAJECTORY = """\
 format: koala-trajectory
 version: 1
@@ -61,33 +61,13 @@ class Session:
 
     def capture_until(self, fault: Callable[["Session"], None], *, after: int, resume: bool) -> tuple[int, str]:
         """`capture`, and `fault` in the middle of the first motion after the given number of frames."""
-        done = threading.Event()
 
-        def wait() -> None:
-            while not done.wait(0.005):
-                truth = self.controller.ask("truth")
-                if self.frames() >= after and truth["moving"] and truth["phase_s"] > 0.2 * truth["motion_s"] > 0.1:
-                    fault(self)
-                    self.happened = time.monotonic()
-                    return
+        def strike() -> None:
+            fault(self)
+            self.happened = time.monotonic()
 
-        watcher = threading.Thread(target=wait)
-        watcher.start()
-        try:
+        with as_soon_as(lambda: self.frames() >= after and moves(self.controller), strike, f"a motion after {after} frames"):
             return self.capture(resume=resume)
-        finally:
-            done.set()
-            watcher.join()
-
-    def at_rest(self, *, within_s: float = 4.0) -> bool:
-        """Whether the arm stands still at once, or at the latest once the controller's watchdog has ended the program."""
-        deadline = time.monotonic() + within_s
-        while time.monotonic() < deadline:
-            truth = self.controller.ask("truth")
-            if not truth["moving"] and np.abs(truth["speeds"]).max() < 1e-3:
-                return True
-            time.sleep(0.02)
-        return False
 
     def check_whole(self) -> None:
         """Every frame is there once, in order, with its own image, and nothing else."""

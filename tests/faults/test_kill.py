@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from capture.cli import main
 from datasets.core import files
 from datasets.recording import Recording
+
+pytestmark = pytest.mark.client("koala")
 
 
 @pytest.fixture(autouse=True)
@@ -23,11 +26,27 @@ def chosen_client(client: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         missing = tmp_path / "missing"
         missing.mkdir()
         (missing / "rtde_control.py").write_text("raise ImportError('not installed')\n")
+        monkeypatch.setitem(sys.modules, "rtde_control", None)
         monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(missing), os.environ.get("PYTHONPATH")))))
 
 
+@pytest.fixture
+def finish(run_inside) -> Callable[[Path, Path], None]:
+    """Runs a session to its end, inside this process."""
+
+    def finish(trajectory: Path, out: Path) -> None:
+        done = run_inside(main, "capture", *words_for(trajectory, out))
+        assert done.returncode == 0, done.stderr
+
+    return finish
+
+
+def words_for(trajectory: Path, out: Path) -> list[str]:
+    return ["run", str(trajectory), "--out", str(out), "--resume"]
+
+
 def command(trajectory: Path, out: Path) -> list[str]:
-    return [sys.executable, "-m", "capture.cli", "run", str(trajectory), "--out", str(out), "--resume"]
+    return [sys.executable, "-m", "capture.cli", *words_for(trajectory, out)]
 
 
 def run_whole(trajectory: Path, out: Path) -> float:
@@ -78,13 +97,15 @@ def check_equal(killed: Path, whole: Path) -> None:
         np.testing.assert_array_equal(truths[0][frame.name], truths[1][frame.name])
 
 
-def test_one_kill(tmp_path: Path, trajectory_of: Callable[[int], Path], client: str) -> None:
+def test_one_kill(
+    tmp_path: Path, trajectory_of: Callable[[int], Path], finish: Callable[[Path, Path], None], client: str
+) -> None:
     trajectory = trajectory_of(5)
-    run_whole(trajectory, tmp_path / "whole")
+    finish(trajectory, tmp_path / "whole")
     manifest = files.read_json(tmp_path / "whole" / "manifest.json")
     assert manifest["robot"]["client"].startswith(client + " ")
     assert kill_during(trajectory, tmp_path / "killed", 2, 0.1)
-    run_whole(trajectory, tmp_path / "killed")
+    finish(trajectory, tmp_path / "killed")
     check_equal(tmp_path / "killed", tmp_path / "whole")
 
 

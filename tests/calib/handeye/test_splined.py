@@ -16,6 +16,7 @@ from calib.sessions.session import TargetSession
 from calib.study.simulate import KOALA, Pattern, Rig, simulate, viewpoints
 from datasets.calibration import Calibration
 from datasets.camera_model import Camera
+from datasets.reports.html import ReportPage
 from datasets.spline import Grid, Spline
 
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
@@ -136,8 +137,9 @@ def test_summary_and_page_say_so_in_a_line(seen: TargetSession, splined: Calibra
     assert np.sqrt(np.mean((held.residuals[held.kind][held.inliers] ** 2).sum(1))) == pytest.approx(
         splined.residuals["rms_px"], rel=0.01
     )
-    page = report.page(held).render()
-    assert "12 x 8 knots move pixels by up to" in page and "knot 0" not in page
+    page = ReportPage("Calibration")
+    report._camera(page, splined)
+    assert "12 x 8 knots move pixels by up to" in page.render() and "knot 0" not in page.render()
 
 
 def test_too_few_corners_are_refused() -> None:

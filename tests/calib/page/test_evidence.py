@@ -11,7 +11,7 @@ from calib.handeye import refine
 from calib.intrinsics import estimate
 from calib.page.evidence import ALONE, CORRECTED, REPORTED, Evidence, gather, recording_of
 from calib.page.view import ARROW, between_green_and_red, overall, with_arrows
-from calib.sessions.session import TargetSession, observe_recording
+from calib.sessions.session import TargetSession
 from calib.study import variants
 from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from datasets import pose
@@ -21,13 +21,13 @@ from datasets.targets.board import Board
 
 
 @pytest.fixture(scope="module")
-def session(recorded) -> TargetSession:
-    return observe_recording(recorded[0])
+def session(observed) -> TargetSession:
+    return observed
 
 
 @pytest.fixture(scope="module")
-def calibration(session) -> Calibration:
-    return calibrate.calibrate_handeye(session)
+def calibration(calibrated) -> Calibration:
+    return calibrated
 
 
 @pytest.fixture(scope="module")

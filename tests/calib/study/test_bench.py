@@ -89,8 +89,8 @@ def test_where_the_arm_errs_in_place_alone_refinement_and_park_are_the_same_leas
 
 def test_close_calls_get_more_trials():
     arm_alone, corners_alone = bench.Point(0.0, 1.0, 0.0, 6), bench.Point(0.1, 0.0, 0.0, 6)
-    assert bench.measure(arm_alone, 10, np.random.default_rng(0), more=3).trials == 30
-    assert bench.measure(corners_alone, 10, np.random.default_rng(0), more=3).trials == 10
+    assert bench.measure(arm_alone, 5, np.random.default_rng(0), more=2).trials == 10
+    assert bench.measure(corners_alone, 5, np.random.default_rng(0), more=2).trials == 5
     assert bench.measure(bench.Point(0.0, 0.0, 0.0, 6), 2, np.random.default_rng(0), more=3).trials == 2  # all are exact
 
 

@@ -25,8 +25,8 @@ def calib(run_inside):
 def both_in_one(tmp_path_factory, make_recording):
     """(recording, its truth, pose of the tags) of pictures that show the board and, beside it, a strip of tags that is tilted."""
     path = tmp_path_factory.mktemp("boards") / "both"
-    base_from_tags = pose.from_rotation_vector([np.pi - 0.2, 0.0, 0.0], [0.42, -0.14, 0.01])
-    return path, make_recording(path, seed=2, beside=(TAGS, base_from_tags)), base_from_tags
+    base_from_tags = pose.from_rotation_vector([np.pi - 0.3, 0.0, 0.0], [0.42, -0.14, 0.01])
+    return path, make_recording(path, views=10, beside=(TAGS, base_from_tags)), base_from_tags
 
 
 def test_two_targets_in_one_recording(calib, both_in_one, tmp_path):
@@ -38,9 +38,9 @@ def test_two_targets_in_one_recording(calib, both_in_one, tmp_path):
     assert result.returncode == 0, result.stderr
     assert "tags.yaml: " in result.stdout and "placed to" in result.stdout
     calibration = Calibration.load(tmp_path / "calibration.json")
-    assert calibration.residuals["views_used"] == 12  # pictures, not sessions
+    assert calibration.residuals["views_used"] == 10  # pictures, not sessions
     charuco, tags = calibration.residuals["boards"]
-    assert charuco["views"] == 12 and tags["views"] >= 3
+    assert charuco["views"] == 10 and tags["views"] >= 3
     placed = UncertainPose.from_json(tags["base_from_board"], where="tags")
     distance, _ = pose.difference(placed.matrix, base_from_tags)
     assert 1e3 * distance < 4 * placed.total_std[0]  # four deviations
@@ -48,13 +48,12 @@ def test_two_targets_in_one_recording(calib, both_in_one, tmp_path):
     assert 1e3 * distance < 4 * calibration.flange_from_camera.total_std[0]
 
 
-def test_one_target_in_two_recordings(calib, recorded, make_recording, tmp_path):
-    make_recording(tmp_path / "again", seed=1)
-    result = calib("boards", recorded[0], tmp_path / "again", "--out", tmp_path / "calibration.json", "--json")
+def test_one_target_in_two_recordings(calib, recorded, recorded_again, tmp_path):
+    result = calib("boards", recorded[0], recorded_again[0], "--out", tmp_path / "calibration.json", "--json")
     assert result.returncode == 0, result.stderr
     found = json.loads(result.stdout)
-    assert [board["views"] for board in found["residuals"]["boards"]] == [11, 12]
-    assert found["residuals"]["views_used"] == 23
+    assert [board["views"] for board in found["residuals"]["boards"]] == [11, 8]
+    assert found["residuals"]["views_used"] == 19
 
 
 def test_targets_that_look_alike_are_refused(calib, recorded, tmp_path):

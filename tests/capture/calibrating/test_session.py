@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from capture.calibrating import loop, session
 from capture.calibrating.loop import Goal, Outcome
+from capture.cli import main
 from datasets.advice import Answer
 from datasets.calibration import Calibration
 from datasets.core import files
@@ -21,9 +23,15 @@ SMALL = [f"--set=camera.{value}" for value in ("binning=4", "width=480", "height
 VIEWS = 7
 
 
-def command(out: Path, *options: str) -> list[str]:
+@pytest.fixture(scope="module")
+def capture(run_inside):
+    """Runs the command inside this process."""
+    return partial(run_inside, main, "capture")
+
+
+def words_for(out: Path, *options: str) -> list[str]:
     never = ["--until-mm", "0.001", "--until-deg", "0.0001", "--max-views", str(VIEWS)]
-    return [sys.executable, "-m", "capture.cli", "calibrate", "--out", str(out), "--time-scale", "50", *never, *SMALL, *options]
+    return ["calibrate", "--out", str(out), "--time-scale", "50", *never, *SMALL, *options]
 
 
 def count(out: Path) -> int:
@@ -33,7 +41,8 @@ def count(out: Path) -> int:
 
 def interrupted(out: Path, frames: int, how: signal.Signals, *options: str) -> str:
     """Run until there are `frames` frames, then send a signal; returns what it printed as an error."""
-    with subprocess.Popen(command(out, *options), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-m", "capture.cli", *words_for(out, *options)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while count(out) < frames and process.poll() is None:
             time.sleep(0.01)
         os.kill(process.pid, how)
@@ -41,7 +50,7 @@ def interrupted(out: Path, frames: int, how: signal.Signals, *options: str) -> s
 
 
 @pytest.fixture(scope="module")
-def resumed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[str], dict]:
+def resumed(capture, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[str], dict]:
     """A session stopped by Ctrl-C after two views, killed after four, and resumed to its end."""
     out = tmp_path_factory.mktemp("calibrate") / "session"
     said = interrupted(out, 2, signal.SIGINT)
@@ -49,7 +58,7 @@ def resumed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[s
     interrupted(out, 4, signal.SIGKILL, "--resume")
     taken = [frame.sha256 for frame in Recording.open(out).frames]
     assert taken[: len(early)] == early
-    done = subprocess.run(command(out, "--resume", "--json"), capture_output=True, text=True, timeout=200)
+    done = capture(*words_for(out, "--resume", "--json"))
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines()[-1].startswith(f"view {VIEWS - 1:03d}:")
     return out, said, taken, json.loads(done.stdout)
@@ -83,21 +92,21 @@ def test_the_calibration_is_written_and_true(resumed):
 
 
 @pytest.mark.slow  # the same: a picture may be blurred
-def test_the_recording_is_one_like_others(resumed):
+def test_the_recording_is_one_like_others(capture, resumed):
     out = resumed[0]
-    checked = subprocess.run([sys.executable, "-m", "capture.cli", "check", str(out)], capture_output=True, text=True)
+    checked = capture("check", out)
     assert checked.returncode == 0 and "nothing is wrong" in checked.stdout, checked.stdout
-    again = subprocess.run(command(out), capture_output=True, text=True)
+    again = capture(*words_for(out))
     assert again.returncode == 2 and str(out) in again.stderr  # without --resume it is refused
 
 
-def test_a_session_of_another_kind_is_not_continued(resumed, tmp_path):
+def test_a_session_of_another_kind_is_not_continued(capture, resumed, tmp_path):
     out, other = resumed[0], tmp_path / "other"
     other.mkdir()
     manifest = json.loads((out / "manifest.json").read_text())
     manifest["trajectory"]["views"] = [{"kind": "poses", "poses": [{"position": [0.4, 0, 0.3], "look_at": [0.4, 0, 0]}]}]
     (other / "manifest.json").write_text(json.dumps(manifest))
-    done = subprocess.run(command(other, "--resume"), capture_output=True, text=True, timeout=120)
+    done = capture(*words_for(other, "--resume"))
     assert done.returncode == 2 and "is no session of 'capture calibrate'" in done.stderr
 
 

@@ -1,11 +1,12 @@
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
 
+from capture.cameras import genicam_lock
 from capture.cameras.genicam_lock import FOLDER, release_abandoned
+from tests.moments import Clock
 
 
 def semaphore(folder, name, value):
@@ -14,12 +15,17 @@ def semaphore(folder, name, value):
     return path
 
 
-def test_only_a_lock_that_stays_locked_is_removed(tmp_path):
+def test_only_a_lock_that_stays_locked_is_removed(tmp_path, monkeypatch):
+    class Freeing(Clock):
+        def sleep(self, seconds):
+            super().sleep(seconds)
+            semaphore(tmp_path, "c", 1)
+
+    monkeypatch.setattr(genicam_lock, "time", Freeing())
     abandoned, free, busy = semaphore(tmp_path, "a", 0), semaphore(tmp_path, "b", 1), semaphore(tmp_path, "c", 0)
     other = tmp_path / "sem.other"
     other.write_bytes(bytes(32))
-    threading.Timer(0.1, semaphore, [tmp_path, "c", 1]).start()
-    assert release_abandoned(tmp_path, patience_s=0.5) == [abandoned.name]
+    assert release_abandoned(tmp_path) == [abandoned.name]
     assert not abandoned.exists() and free.exists() and busy.exists() and other.exists()
 
 

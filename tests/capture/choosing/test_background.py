@@ -45,8 +45,15 @@ def around() -> list[np.ndarray]:
     return [pose.look_at(eye, (0.38, 0, 0.04), (0, 0, 1)) for eye in eyes]
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-@pytest.mark.parametrize("error_m", [0.0, 0.006])
+@pytest.mark.parametrize(
+    ("mirror", "error_m"),
+    [
+        (False, 0.0),
+        pytest.param(False, 0.006, marks=pytest.mark.slow),
+        pytest.param(True, 0.0, marks=pytest.mark.slow),
+        (True, 0.006),
+    ],
+)
 def test_pictures_from_all_sides_agree_about_the_table_alone(mirror, error_m):
     rng, cameras = np.random.default_rng(0), around()
     rendered = [render(one, rng, mirror) for one in cameras]

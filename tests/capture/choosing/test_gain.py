@@ -43,7 +43,8 @@ def test_coverage_is_of_what_views_within_reach_can_cover():
 
 
 def angle_gains(changing: np.ndarray, taken: Seen, candidates: Seen) -> np.ndarray:
-    return gain.angle_gains(PLATE, changing, taken, candidates, gain.nearest_directions(PLATE, taken, candidates))
+    ways = [gain.directions(PLATE.points, views.eyes) for views in (taken, candidates)]
+    return gain.angle_gains(PLATE, changing, taken, candidates, gain.nearest_directions(ways[0], taken.well, ways[1]))
 
 
 def test_a_new_direction_is_worth_something_where_the_colour_changes():

@@ -1,6 +1,5 @@
 import json
-import subprocess
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ import trimesh
 from capture.choosing import gain, known_shape
 from capture.choosing.candidates import see
 from capture.choosing.shape import eye_of
+from capture.cli import main
 from capture.planning import plan
 from capture.trajectory import load_trajectory
 from datasets.core.errors import UsageError
@@ -75,16 +75,18 @@ def test_greedy_cover_takes_the_fewest_first(candidates, obstacles, carrier, tra
     assert gain.coverage(places, gain.Seen(seen.facing[random], seen.eyes[random]), seen).covered < 0.8
 
 
-def command(*words: object) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-m", "capture.cli", *map(str, words)], capture_output=True, text=True, timeout=200)
+@pytest.fixture(scope="module")
+def capture(run_inside):
+    """Runs the command inside this process."""
+    return partial(run_inside, main, "capture")
 
 
 SMALL = ["--set", "views.0.count=20", "--set", "views.0.rings=3", "--set", "split={train: 16, test: 4}"]
 
 
-def test_the_written_trajectory_is_one_like_others(tmp_path, mesh_file, carrier):
+def test_the_written_trajectory_is_one_like_others(capture, tmp_path, mesh_file, carrier):
     out = tmp_path / "views.yaml"
-    done = command("plan", "koala_demo", "--for-mesh", mesh_file, "--views", 9, "--out", out, "--json", *SMALL)
+    done = capture("plan", "koala_demo", "--for-mesh", mesh_file, "--views", 9, "--out", out, "--json", *SMALL)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["splits"] == {"train": 9, "test": 4} and 0.3 < found["covered"] <= 1 and found["reachable"] > 0.5
@@ -94,9 +96,9 @@ def test_the_written_trajectory_is_one_like_others(tmp_path, mesh_file, carrier)
     places = known_shape.surface_of(mesh_file, trajectory)
     shares = known_shape.covered_after(places, np.stack(cameras), None)
     assert shares == sorted(shares) and shares[-1] == pytest.approx(found["covered"] * found["reachable"], abs=0.02)
-    told = json.loads(command("coverage", out, "--mesh", mesh_file, "--json").stdout)
+    told = json.loads(capture("coverage", out, "--mesh", mesh_file, "--json").stdout)
     assert told["views"] == 9 and told["covered"] == pytest.approx(shares[-1], abs=0.02)
-    assert command("plan", "koala_demo", "--for-mesh", mesh_file, "--out", out).returncode == 2, "it is not overwritten"
+    assert capture("plan", "koala_demo", "--for-mesh", mesh_file, "--out", out).returncode == 2, "it is not overwritten"
 
 
 @pytest.mark.parametrize(
@@ -112,6 +114,6 @@ def test_the_written_trajectory_is_one_like_others(tmp_path, mesh_file, carrier)
         (["coverage", "koala_demo", "--mesh", "none.ply"], "none.ply"),
     ],
 )
-def test_misuse_is_one_line(words, message):
-    done = command(*words)
+def test_misuse_is_one_line(capture, words, message):
+    done = capture(*words)
     assert done.returncode == 2 and done.stderr.count("error:") == 1 and message in " ".join(done.stderr.split()), done.stderr

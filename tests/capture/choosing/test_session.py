@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 import yaml
 
 from capture.choosing import loop
+from capture.cli import main
 from capture.page import report
 from capture.page.timeline import of_recording
 from capture.rig.description import recorded_carrier
@@ -41,9 +43,15 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def command(room: Path, out: Path, *options: str) -> list[str]:
+@pytest.fixture(scope="module")
+def capture(run_inside):
+    """Runs the command inside this process."""
+    return partial(run_inside, main, "capture")
+
+
+def words_for(room: Path, out: Path, *options: str) -> list[str]:
     words = ["run", str(room), "--adaptive", "--out", str(out), "--scene", "grey_card", "--time-scale", "50"]
-    return [sys.executable, "-m", "capture.cli", *words, "--views", str(VIEWS), *options]
+    return [*words, "--views", str(VIEWS), *options]
 
 
 def count(out: Path) -> int:
@@ -53,7 +61,8 @@ def count(out: Path) -> int:
 
 def interrupted(room: Path, out: Path, frames: int, how: signal.Signals, *options: str) -> str:
     """Run until there are `frames` frames, then send a signal; returns what it printed as an error."""
-    with subprocess.Popen(command(room, out, *options), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-m", "capture.cli", *words_for(room, out, *options)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while count(out) < frames and process.poll() is None:
             time.sleep(0.01)
         os.kill(process.pid, how)
@@ -61,7 +70,7 @@ def interrupted(room: Path, out: Path, frames: int, how: signal.Signals, *option
 
 
 @pytest.fixture(scope="module")
-def resumed(room: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[str], dict, str]:
+def resumed(room: Path, capture, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[str], dict, str]:
     """A session stopped by Ctrl-C in its first look, killed while it chooses, and resumed to its end."""
     out = tmp_path_factory.mktemp("adaptive") / "session"
     said = interrupted(room, out, 4, signal.SIGINT)
@@ -69,7 +78,7 @@ def resumed(room: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     interrupted(room, out, FIRST + TESTS + 1, signal.SIGKILL, "--resume")
     taken = [frame.sha256 for frame in Recording.open(out).frames]
     assert taken[: len(early)] == early and 4 <= len(early) < FIRST + TESTS
-    done = subprocess.run(command(room, out, "--resume", "--json"), capture_output=True, text=True, timeout=200)
+    done = capture(*words_for(room, out, "--resume", "--json"))
     assert done.returncode == 0, done.stderr
     return out, said, taken, json.loads(done.stdout), done.stderr
 
@@ -108,21 +117,19 @@ def test_the_recording_keeps_why_each_view_was_taken(resumed, tmp_path):
     assert last["words"] in stops[f"{VIEWS - 1:03d}"]
 
 
-def test_the_recording_is_one_like_others(resumed):
-    checked = subprocess.run(
-        [sys.executable, "-m", "capture.cli", "check", str(resumed[0]), "--json"], capture_output=True, text=True
-    )
+def test_the_recording_is_one_like_others(capture, resumed):
+    checked = capture("check", resumed[0], "--json")
     findings = [one for one in json.loads(checked.stdout)["findings"] if not one["note"]]
     problems = [one for one in findings if "sharp" not in str(one)]  # a grey card has no edges
     assert not problems, problems
 
 
-def test_discarded_views_are_taken_again(resumed, room):
+def test_discarded_views_are_taken_again(capture, resumed, room):
     """Two in a row, the arm far away: the path to the second is planned as well."""
     out = resumed[0]
     before = {frame.name: frame.joints for frame in Recording.open(out).frames}
     assert Recording.open(out).discard(["007", "008"]) == ["007", "008"]
-    done = subprocess.run(command(room, out, "--resume"), capture_output=True, text=True, timeout=200)
+    done = capture(*words_for(room, out, "--resume"))
     assert done.returncode == 0, done.stderr
     after = {frame.name: frame.joints for frame in Recording.open(out).frames}
     assert sorted(after) == sorted(before)
@@ -130,23 +137,23 @@ def test_discarded_views_are_taken_again(resumed, room):
         np.testing.assert_allclose(after[name], before[name], atol=1e-3)
 
 
-def test_another_session_is_not_continued(resumed, room, tmp_path):
+def test_another_session_is_not_continued(capture, resumed, room, tmp_path):
     out = resumed[0]
     other = tmp_path / "other.yaml"
     other.write_text(room.read_text().replace("speed: 1.0", "speed: 0.9"))
-    plain = [word for word in command(room, out) if word not in ("--adaptive", "--views", str(VIEWS))] + ["--resume"]
+    plain = [word for word in words_for(room, out) if word not in ("--adaptive", "--views", str(VIEWS))] + ["--resume"]
     cases = {
-        tuple(command(other, out, "--resume")): "was taken with another trajectory",
+        tuple(words_for(other, out, "--resume")): "was taken with another trajectory",
         tuple(plain): "continue it with --adaptive",
-        tuple(command(room, out)): str(out),
+        tuple(words_for(room, out)): str(out),
     }
     for words, message in cases.items():
-        done = subprocess.run(words, capture_output=True, text=True, timeout=200)
+        done = capture(*words)
         assert done.returncode == 2 and message in done.stderr, (words, done.stderr)
     ordinary = tmp_path / "ordinary"
     ordinary.mkdir()
     manifest = json.loads((out / "manifest.json").read_text())
     del manifest[CHOSEN]
     (ordinary / "manifest.json").write_text(json.dumps(manifest))
-    done = subprocess.run(command(room, ordinary, "--resume"), capture_output=True, text=True, timeout=200)
+    done = capture(*words_for(room, ordinary, "--resume"))
     assert done.returncode == 2 and "is no session of 'capture run --adaptive'" in done.stderr

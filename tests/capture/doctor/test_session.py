@@ -2,12 +2,12 @@
 
 import json
 import logging
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from capture.cli import main
 from capture.doctor.examine import examination, examine
 from capture.doctor.lines import Verdict
 from capture.errors import NotReady
@@ -101,12 +101,8 @@ def test_the_model_that_is_recorded_is_the_one_that_stands_there(simulated):
         assert robot.description()["model"] == "UR10e"
 
 
-def capture(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "capture.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-
-
-def test_the_commands(simulated, tmp_path: Path):
+def test_the_commands(run_inside, simulated, tmp_path: Path):
+    capture = partial(run_inside, main, "capture")
     rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
     small.write_text(SESSION)
     write_simulated_rig(rig, simulated, "shiny_ball", 3)

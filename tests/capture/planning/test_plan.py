@@ -20,23 +20,28 @@ def _orbit(**changes):
     return Trajectory.model_validate({"name": "orbit", "views": [view]})
 
 
+SAME = pytest.param("koala", marks=pytest.mark.slow)
+"""Its views are those of koala_demo."""
+
+
 @pytest.mark.parametrize(
-    "name", ["koala_demo", "koala_fine", "koala_metre", "koala_hanging", "koala", "calibration_demo", "calibration_hanging"]
+    "name", ["koala_demo", "koala_fine", "koala_metre", "koala_hanging", SAME, "calibration_demo", "calibration_hanging"]
 )
 def test_shipped_trajectories_are_reachable(name):
     trajectory = load_trajectory(name)
     planned, obstacles = plan(trajectory, MOUNT), Obstacles.of(trajectory, MOUNT)
     assert len(planned) == len(trajectory.viewpoints())
-    here = planned[0].joints
+    here, ways = planned[0].joints, []
     for view, asked in zip(planned, trajectory.viewpoints(), strict=True):
         reached = forward(view.joints) @ MOUNT
         np.testing.assert_allclose(reached, view.viewpoint.camera_pose(MOUNT), atol=2e-6)
         np.testing.assert_allclose(reached[:3, 2:], asked.camera_pose(MOUNT)[:3, 2:], atol=2e-6)  # rolled at most
         assert np.abs(view.joints).max() < JOINT_LIMIT and obstacles.sight(view.joints[None])[0] >= 0
         for there in view.path:
-            assert obstacles.margin(np.linspace(here, there, 100)).min() > -0.005
+            ways.append(np.linspace(here, there, 100))
             here = there
         assert (here == view.joints).all()
+    assert obstacles.margin(np.concatenate(ways)).min() > -0.005
 
 
 @pytest.mark.parametrize(("name", "distance_m"), [("koala_demo", 0.4), ("koala_hanging", 1.0)])

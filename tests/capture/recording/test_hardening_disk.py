@@ -11,13 +11,13 @@ import pytest
 from capture import kinematics
 from capture.arms.model import load_arm
 from capture.errors import CaptureError
-from capture.planning import PlannedView, plan
+from capture.planning import PlannedView
 from capture.recording import recorder
 from capture.recording.recorder import record
 from capture.rig.description import RigDescription
 from capture.rig.opening import Rig
 from capture.rig.protocols import Image, RobotState
-from capture.trajectory import Trajectory, load_trajectory
+from capture.trajectory import Trajectory
 from datasets.core import files
 from datasets.core.errors import KoalaError
 from datasets.recording import Recording
@@ -56,13 +56,13 @@ def rig() -> Rig:
 
 
 @pytest.fixture
-def trajectory() -> Trajectory:
-    return load_trajectory("koala_demo")
+def trajectory(demo: Trajectory) -> Trajectory:
+    return demo
 
 
 @pytest.fixture
-def views(trajectory: Trajectory, rig: Rig) -> list[PlannedView]:
-    return plan(trajectory, rig.flange_from_camera)[:6]
+def views(demo_views: list[PlannedView]) -> list[PlannedView]:
+    return demo_views
 
 
 @pytest.mark.parametrize("left", [1_500_000, 700_000, 300_000, 145_000, 20_000])

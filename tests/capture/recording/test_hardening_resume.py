@@ -10,12 +10,12 @@ import pytest
 
 from capture import kinematics
 from capture.arms.model import load_arm
-from capture.planning import PlannedView, plan
+from capture.planning import PlannedView
 from capture.recording.recorder import record
 from capture.rig.description import CameraDescription, RigDescription
 from capture.rig.opening import Rig
 from capture.rig.protocols import Image, RobotState
-from capture.trajectory import Trajectory, load_trajectory
+from capture.trajectory import Trajectory
 from datasets.core import files
 from datasets.core.errors import UsageError
 from datasets.recording import FRAMES, MANIFEST, Recording
@@ -57,13 +57,13 @@ def rig(robot: dict[str, Any], camera: dict[str, Any], lens: str = "2.8 mm, f/8"
 
 
 @pytest.fixture
-def trajectory() -> Trajectory:
-    return load_trajectory("koala_demo")
+def trajectory(demo: Trajectory) -> Trajectory:
+    return demo
 
 
 @pytest.fixture
-def views(trajectory: Trajectory) -> list[PlannedView]:
-    return plan(trajectory, rig(ROBOT, CAMERA).flange_from_camera)[:3]
+def views(demo_views: list[PlannedView]) -> list[PlannedView]:
+    return demo_views[:3]
 
 
 @pytest.mark.parametrize(

@@ -73,8 +73,8 @@ class StandInCamera:
 
 
 @pytest.fixture
-def trajectory() -> Trajectory:
-    return load_trajectory("koala_demo")
+def trajectory(demo) -> Trajectory:
+    return demo
 
 
 @pytest.fixture
@@ -84,8 +84,8 @@ def rig() -> Rig:
 
 
 @pytest.fixture
-def views(trajectory, rig):
-    return plan(trajectory, rig.flange_from_camera)[:6]
+def views(demo_views):
+    return demo_views
 
 
 def test_takes_every_view_where_it_was_planned(trajectory, rig, views, tmp_path):

@@ -9,6 +9,7 @@ from capture.recording.writer import Writer
 from datasets.core import files
 from datasets.imaging import images
 from datasets.recording import Frame, Recording
+from tests.moments import until
 
 
 @pytest.fixture
@@ -48,9 +49,10 @@ def test_a_full_disk_is_an_error_of_the_next_frame_or_at_the_end(recording, monk
 
     monkeypatch.setattr(module.images, "write", full)
     with pytest.raises(OSError, match="No space left"), Writer([recording], lambda name: None) as writer:
-        for index in range(50):
-            writer.put([(frame(index), pictures(index))])
-            threading.Event().wait(0.005)
+        writer.put([(frame(0), pictures(0))])
+        until(lambda: writer._failure, "the error of the thread")
+        writer.put([(frame(1), pictures(1))])
+        pytest.fail("took a frame after the error")
     with pytest.raises(OSError, match="No space left"), Writer([recording], lambda name: None) as writer:
         writer.put([(frame(0), pictures(0))])
     assert not Recording.open(recording.path).frames
@@ -59,15 +61,17 @@ def test_a_full_disk_is_an_error_of_the_next_frame_or_at_the_end(recording, monk
 def test_a_slow_disk_makes_the_arm_wait_instead_of_filling_the_memory(recording, monkeypatch):
     gate, written = threading.Event(), []
     monkeypatch.setattr(
-        module.images, "write", lambda path, array: (gate.wait(10), written.append(path), images_write(path, array))
+        module.images, "write", lambda path, array: (gate.wait(60), written.append(path), images_write(path, array))
     )
     with Writer([recording], lambda name: None) as writer:
         third = threading.Thread(target=lambda: [writer.put([(frame(index), pictures(index))]) for index in range(5)])
         third.start()
-        third.join(0.3)
-        assert third.is_alive() and not written
-        gate.set()
-        third.join()
+        try:
+            until(writer._queue.full, "as many frames as may wait")
+            assert third.is_alive() and not written
+        finally:
+            gate.set()
+            third.join()
     assert len(Recording.open(recording.path).frames) == 5
 
 

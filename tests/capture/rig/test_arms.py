@@ -1,12 +1,11 @@
 """Rigs with other arms: described, planned, simulated, recorded, and built into scenes."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from capture.cli import main
 from capture.planning import plan
 from capture.recording.replay import replay, summary
 from capture.rig.description import load_rig, recorded_carrier
@@ -21,21 +20,13 @@ from datasets.core.errors import UsageError
 from datasets.formats import load_scene
 from datasets.recording import Recording
 
-SMALL = ["camera.width=48", "camera.height=36", "camera.binning=4", "views.0.count=3", "split.train=2", "split.test=1"]
+SMALL = ["camera.width=48", "camera.height=36", "camera.binning=1", "views.0.count=3", "split.train=2", "split.test=1"]
 SMALL += ["views.0.rings=1", "views.0.elevation_deg=[45, 45]"]
 RIGS = {"ur10e_gige": ("koala_ur10e", "UR10e", 6), "franka_basler": ("koala_franka", "Franka Panda", 7)}
 
 
 def session(name: str) -> Trajectory:
     return load_trajectory(name, overrides=SMALL)
-
-
-def run(*arguments: object) -> None:
-    """A command of `capture` in a process of its own, with small pictures and a fast arm."""
-    changes = [word for change in SMALL for word in ("--set", change)]
-    command = [sys.executable, "-m", "capture.cli", *map(str, arguments), "--time-scale", "50", *changes]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -51,10 +42,13 @@ def test_a_shipped_rig_is_planned_with_its_own_arm(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_a_shipped_rig_is_simulated_recorded_replayed_and_built(name: str, tmp_path: Path) -> None:
+def test_a_shipped_rig_is_simulated_recorded_replayed_and_built(run_inside, name: str, tmp_path: Path) -> None:
     trajectory, arm, count = RIGS[name]
     chosen = session(trajectory)
-    run("run", trajectory, "--rig", f"sim:{name}", "--scene", "shiny_ball", "--seed", 2, "--out", tmp_path / "rec")
+    words = ["--rig", f"sim:{name}", "--scene", "shiny_ball", "--seed", 2, "--time-scale", 50, "--out", tmp_path / "rec"]
+    changes = [word for change in SMALL for word in ("--set", change)]
+    done = run_inside(main, "capture", "run", trajectory, *words, *changes)
+    assert done.returncode == 0, done.stderr
     recording = Recording.open(tmp_path / "rec")
     assert recording.manifest["robot"]["model"] == arm
     assert [frame.joints.shape for frame in recording.frames] == [(count,)] * 3 and recording.links.count == count

@@ -16,6 +16,7 @@ from capture.cameras.basler import Basler
 from capture.cameras.device import Device
 from capture.errors import CaptureError
 from capture.measurements import Image
+from capture.rig import contract
 from capture.rig.contract import CONTRACT, KEYS, Broken, Subject, check
 from capture.rig.opening import camera_for
 from capture.trajectory import CameraSettings, load_trajectory
@@ -177,7 +178,7 @@ class Ideal:
 class Slow(Ideal):
     def __init__(self, settings: CameraSettings) -> None:
         super().__init__(settings)
-        time.sleep(0.6)
+        time.sleep(contract.QUICK_S)
 
 
 class Wide(Ideal):
@@ -271,7 +272,8 @@ def test_what_a_camera_does_wrong_is_noticed(kind: type[Ideal]) -> None:
     assert set(check(ideal(kind))) == BROKEN[kind]
 
 
-def test_a_constructor_that_connects_is_noticed() -> None:
+def test_a_constructor_that_connects_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contract, "QUICK_S", 0.01)
     with pytest.raises(Broken, match="the constructor connects"):
         CONTRACT["making_one_touches_nothing"](ideal(Slow))
 

@@ -11,7 +11,7 @@ from capture.shapes.solids import AnySolid, BoxSolid, CylinderSolid, MeshSolid, 
 from datasets.core.errors import UsageError
 
 TURNED = {"position": [0.3, -0.2, 0.4], "rotation_deg": [20, -35, 50]}
-SEGMENTS = np.random.default_rng(0).uniform(-1, 1, (40, 2, 3))
+SEGMENTS = np.random.default_rng(0).uniform(-1, 1, (20, 2, 3))
 
 
 @pytest.fixture

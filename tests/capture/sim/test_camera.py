@@ -103,18 +103,17 @@ def test_train_views_keep_their_pose_only(trajectory, tmp_path):
 def test_noise_depends_on_seed_and_frame_and_on_nothing_before(trajectory):
     small = trajectory.model_copy(update={"camera": trajectory.camera.model_copy(update={"width": 32, "height": 32})})
 
-    def picture(seed: int, frames: list[int]) -> np.ndarray:
+    def pictures(seed: int, *frames: int) -> list[np.ndarray]:
+        taken = []
         with simulated(small, seed=seed) as camera:
-            taken = []
             for frame in frames:
                 camera.prepare(frame)
                 taken.append(camera.grab().pixels)
-        return taken[-1]
+        return taken
 
-    resumed = picture(0, [7])
-    assert np.array_equal(picture(0, [2, 7]), resumed)
-    assert not np.array_equal(picture(0, [8]), resumed)
-    assert not np.array_equal(picture(1, [7]), resumed)
+    (resumed,), (_, seventh, eighth), (other,) = pictures(0, 7), pictures(0, 2, 7, 8), pictures(1, 7)
+    assert np.array_equal(seventh, resumed)
+    assert not np.array_equal(eighth, resumed) and not np.array_equal(other, resumed)
 
 
 def test_scene_and_trajectory_must_suit_each_other(trajectory):

@@ -1,7 +1,5 @@
 """The simulated arm without a controller keeps the contract of a robot."""
 
-import threading
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,6 +9,7 @@ from capture.arms.model import load_arm
 from capture.errors import MotionError, RigConnectionError, SafetyError, StopLatched
 from capture.sim.kinematic_arm import KinematicArm
 from datasets import pose
+from tests.moments import as_soon_as, until
 
 PANDA = load_arm("panda")
 GOAL = PANDA.home + np.array([0.3, 0.1, -0.2, 0.2, 0.1, -0.2, 0.4])
@@ -52,17 +51,16 @@ def test_what_it_cannot_do_is_refused_before_it_moves(robot: KinematicArm, targe
 
 def test_a_stop_ends_the_motion_and_stays() -> None:
     with KinematicArm(PANDA, time_scale=1.0) as robot:
-        timer = threading.Timer(0.2, robot.stop)
-        timer.start()
-        with pytest.raises(MotionError, match="stopped on request"):
-            robot.move_to(GOAL, speed=0.5, acceleration=1.0)
-        time.sleep(0.3)  # it slows down
+        with as_soon_as(lambda: np.abs(robot.state().joint_speeds).max() > 0.05, robot.stop, "an arm that moves"):
+            with pytest.raises(MotionError, match="stopped on request"):
+                robot.move_to(GOAL, speed=0.1, acceleration=1.0)
+        until(lambda: not robot.state().joint_speeds.any(), "an arm that neither slows down nor swings")
         rest = robot.state().joints
         assert 0 < np.abs(rest - PANDA.home).max() < 0.4
         with pytest.raises(StopLatched):
             robot.move_to(GOAL, speed=0.5, acceleration=1.0)
-        time.sleep(0.4)  # the joints swing after a stop
-        np.testing.assert_allclose(robot.state().joints, rest, atol=1e-3)
+        assert not robot.state().joint_speeds.any()
+        np.testing.assert_array_equal(robot.state().joints, rest)
 
 
 def test_after_a_stop_is_cleared_it_moves_again(robot: KinematicArm) -> None:

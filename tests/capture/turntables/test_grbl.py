@@ -1,4 +1,3 @@
-import threading
 import time
 
 import numpy as np
@@ -9,6 +8,7 @@ from capture.geometry import PoseDescription
 from capture.sim.grbl import SimulatedGrbl
 from capture.turntables.description import TurntableDescription
 from capture.turntables.grbl import GrblTurntable
+from tests.moments import as_soon_as
 
 STEP_RAD = np.radians(1 / 80)  # of the simulated motor
 
@@ -53,16 +53,17 @@ def test_angles_beyond_the_limits_are_refused_and_nothing_turns():
             assert controller.place == 0.0
 
 
-def test_stop_from_another_thread_ends_the_motion_and_holds():
-    with SimulatedGrbl(time_scale=1) as controller, GrblTurntable(table_at(controller.address)) as table:
-        threading.Timer(0.2, table.stop).start()
-        with pytest.raises(MotionError, match="stopped on request"):
-            table.turn_to(np.pi)
+def test_stop_from_another_thread_ends_the_motion_and_holds(monkeypatch):
+    with SimulatedGrbl(time_scale=1) as controller, GrblTurntable(table_at(controller.address, max_speed=0.2)) as table:
+        with as_soon_as(lambda: controller.place > 0, table.stop, "a table that turns"):
+            with pytest.raises(MotionError, match="stopped on request"):
+                table.turn_to(np.pi)
+        table.angle()  # the controller has answered, and read everything before
         rest = controller.place
         assert 0 < rest < 180
+        monkeypatch.setattr(table._wire, "send", lambda words: pytest.fail(f"sent {words}"))
         with pytest.raises(StopLatched):
             table.turn_to(0.0)
-        time.sleep(0.1)
         assert controller.place == rest
 
 
@@ -95,12 +96,12 @@ def test_a_blocked_table_is_reported(monkeypatch):
 
 
 def test_a_silent_controller_is_reported(monkeypatch):
-    monkeypatch.setattr("capture.turntables.grbl.ANSWER_S", 0.1)
-    monkeypatch.setattr("capture.turntables.grbl.AWAKE_S", 0.3)
     with SimulatedGrbl(time_scale=50) as controller:
         with pytest.raises(RigConnectionError, match="went silent"), GrblTurntable(table_at(controller.address)) as table:
             controller.silent = True
+            monkeypatch.setattr("capture.turntables.grbl.ANSWER_S", 0.1)
             table.turn_to(1.0)
+        monkeypatch.setattr("capture.turntables.grbl.AWAKE_S", 0.3)
         with pytest.raises(RigConnectionError, match="does not answer"), GrblTurntable(table_at(controller.address)):
             pass
 

@@ -8,11 +8,12 @@ import pytest
 
 from datasets import pose
 from datasets.camera_model import Camera
-from datasets.checks import coverage, intrinsics, motion
+from datasets.checks import blur, coverage, exposure, intrinsics, motion, single_poses
 from datasets.checks.evidence import Evidence
 from datasets.checks.matches import check_evidence
 from datasets.core.findings import Finding
 from datasets.injuries import injure
+from datasets.injuries.bench import seen_again
 from datasets.scene import Scene
 from datasets.structure.epipolar import Correction
 from datasets.structure.matching import Matches
@@ -26,8 +27,10 @@ def walls(two_walls: Callable[..., Scene]) -> Scene:
     return two_walls(LENS)
 
 
-def findings(scene: Scene) -> list[Finding]:
-    return check_evidence(Evidence.gather(scene))
+@pytest.fixture(scope="module")
+def known(painted_walls: Callable[[Camera], Scene]) -> Evidence:
+    """That of untouched pictures."""
+    return Evidence.gather(painted_walls(LENS))
 
 
 def named(found: list[Finding], cause: str) -> set[str]:
@@ -36,21 +39,21 @@ def named(found: list[Finding], cause: str) -> set[str]:
     return {name for finding in own for name in finding.evidence.get("views", {"": 0})}
 
 
-def test_untouched_pictures_have_no_findings(walls: Scene) -> None:
-    assert findings(walls) == []
+def test_untouched_pictures_have_no_findings(known: Evidence) -> None:
+    assert check_evidence(known) == []
 
 
-def test_single_poses_are_named(walls: Scene, tmp_path) -> None:
-    injured, hurt = injure.moved_poses(walls, 3.0, tmp_path)
-    found = findings(injured)
+def test_single_poses_are_named(known: Evidence, tmp_path) -> None:
+    injured, hurt = injure.moved_poses(known.scene, 3.0, tmp_path)
+    found = check_evidence(seen_again(known, injured))
     assert named(found, "pose") == hurt and {finding.cause for finding in found} == {"pose"}
     sizes = [size for finding in found for size in finding.evidence["views"].values()]
     assert all(1.5 < size < 4.5 for size in sizes)  # it was moved by 3 px; what its matches do not fix stays
 
 
-def mirrored(scene: Scene, share: float) -> Evidence:
+def mirrored(evidence: Evidence, share: float) -> Evidence:
     """Evidence of which a share of the matches leads elsewhere, as those of reflections do."""
-    evidence, random, pairs = Evidence.gather(scene), np.random.default_rng(3), []
+    random, pairs = np.random.default_rng(3), []
     for first, second, matched in evidence.matches.pairs:
         other = matched.copy()
         wrong = np.flatnonzero(random.random(len(matched)) < share)
@@ -59,16 +62,16 @@ def mirrored(scene: Scene, share: float) -> Evidence:
     return replace(evidence, matches=Matches(evidence.matches.views, evidence.matches.features, tuple(pairs)))
 
 
-def test_no_single_pose_is_accused_where_most_matches_fit_no_pose(walls: Scene, tmp_path) -> None:
-    injured, hurt = injure.moved_poses(walls, 3.0, tmp_path)
+def test_no_single_pose_is_accused_where_most_matches_fit_no_pose(known: Evidence, tmp_path) -> None:
+    injured, hurt = injure.moved_poses(known.scene, 3.0, tmp_path)
     for share, expected in ((0.2, hurt), (0.75, set())):
-        evidence = mirrored(injured, share)
+        evidence = mirrored(seen_again(known, injured), share)
         assert (agreement(evidence.matches, evidence.matrices) > 0.5) == bool(expected)
-        assert named(check_evidence(evidence), "pose") == expected
+        assert named(single_poses.find(evidence), "pose") == expected
 
 
-def test_a_distortion_that_no_lens_has_is_not_named(walls: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    evidence = Evidence.gather(walls)
+def test_a_distortion_that_no_lens_has_is_not_named(known: Evidence, monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence = known
     for share, count in ((0.1, 1), (0.45, 0)):
         change = np.array([0.0, share / intrinsics.edge(evidence) ** 2, 0.0, 0.0])
         fit = Correction(change[1:2], np.ones(1), gain=0.1, inliers=10**6, before_px=1.0, after_px=0.3)
@@ -77,17 +80,17 @@ def test_a_distortion_that_no_lens_has_is_not_named(walls: Scene, monkeypatch: p
         assert len(intrinsics.find(evidence)) == count
 
 
-def test_a_wrong_distortion_is_named_for_all_views(walls: Scene, tmp_path) -> None:
-    injured, _ = injure.wrong_distortion(walls, 6.0, tmp_path)
-    (found,) = [one for one in findings(injured) if one.cause == "intrinsics"]
+def test_a_wrong_distortion_is_named_for_all_views(known: Evidence, tmp_path) -> None:
+    injured, _ = injure.wrong_distortion(known.scene, 6.0, tmp_path)
+    (found,) = [one for one in check_evidence(seen_again(known, injured)) if one.cause == "intrinsics"]
     assert found.where == "all views" and "distortion" in found.what
-    true = walls.views[0].camera.k1 - injured.views[0].camera.k1
+    true = known.views[0].camera.k1 - injured.views[0].camera.k1
     assert found.evidence["change"][1] == pytest.approx(true, rel=0.2)
 
 
 def test_blurred_views_are_named_with_their_blur(walls: Scene, tmp_path) -> None:
     injured, hurt = injure.blurred(walls, 2.5, tmp_path)
-    found = findings(injured)
+    found = blur.find(Evidence.gather(injured))
     assert named(found, "blur") == hurt
     sizes = [size for one in found if one.cause == "blur" for size in one.evidence["views"].values()]
     assert all(1.5 < size < 3.5 for size in sizes)
@@ -95,17 +98,17 @@ def test_blurred_views_are_named_with_their_blur(walls: Scene, tmp_path) -> None
 
 def test_exposure_and_white_balance_are_told_apart(walls: Scene, tmp_path) -> None:
     darker, hurt = injure.wrong_exposure(walls, 0.6, tmp_path)
-    found = findings(darker)
+    found = exposure.find(Evidence.gather(darker))
     assert named(found, "exposure") == hurt and not named(found, "white balance")
     assert {round(gain, 1) for gain in found[0].evidence["views"].values()} == {0.6}
     warmer, hurt = injure.wrong_white(walls, 1.4, tmp_path / "white")
-    found = findings(warmer)
+    found = exposure.find(Evidence.gather(warmer))
     assert named(found, "white balance") == hurt and not named(found, "exposure")
 
 
 def test_a_thing_that_moves_is_named_with_its_region(walls: Scene, tmp_path) -> None:
     injured, _ = injure.moving_thing(walls, 35.0, tmp_path)
-    (found,) = [one for one in findings(injured) if one.cause == "motion"]
+    (found,) = motion.find(Evidence.gather(injured))
     assert found.evidence["matches"] >= motion.FEWEST and len(found.evidence["regions"]) >= 6
     for left, top, right, bottom in found.evidence["regions"].values():
         assert 0 <= left < right <= 320 and 0 <= top < bottom <= 240

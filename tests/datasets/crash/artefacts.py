@@ -31,7 +31,6 @@ from datasets.recording import Frame, Recording
 
 Report = Callable[[str], None]
 CAMERA = Camera(16, 12, 20.0, 20.0, 8.0, 6.0)
-ROOT = Path(__file__).parents[3]
 STEPS, EVERY = 4, 2
 
 
@@ -48,6 +47,7 @@ class Artefact:
 
 # -- a recording of three frames, with stand-ins for arm and camera
 
+THREE = ["views.0.count=3", "views.0.rings=1", "split.train=2", "split.test=1"]
 _planned: list[Any] = []
 """The views; planning takes longer than everything else."""
 
@@ -95,11 +95,11 @@ def _record(sources: Path, folder: Path, report: Report = lambda name: None) -> 
     from capture.rig.opening import Rig
     from capture.trajectory import load_trajectory
 
-    trajectory = load_trajectory(ROOT / "configs" / "trajectories" / "koala_demo.yaml")
+    trajectory = load_trajectory("koala_demo", overrides=THREE)
     both = Rigged()
     rig = Rig(both, both, RigDescription(), "lab", None, {})
     if not _planned:
-        _planned.extend(plan(trajectory, rig.flange_from_camera)[:3])
+        _planned.extend(plan(trajectory, rig.flange_from_camera))
     record(trajectory, rig, folder / "recording", planned=_planned, resume=True, advance=report)
 
 

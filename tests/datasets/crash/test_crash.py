@@ -13,7 +13,7 @@ import strace
 from artefacts import ARTEFACTS, Artefact, sources_of_scene
 
 ROOT = Path(__file__).parents[3]
-MOST = 100
+MOST = 50
 """Where an artefact has more distinct states, `make test` tries some, spread over all of them."""
 SHARE = 10
 REASON = strace.available()

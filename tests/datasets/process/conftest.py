@@ -13,9 +13,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from datasets import pose
 from datasets.camera_model import Camera
-from datasets.imaging import images
 from datasets.process.world.similarity import Similarity
 from datasets.scene import Scene, View
+from tests.foreign import photographs
 
 Array = NDArray[np.float64]
 
@@ -121,13 +121,17 @@ class Shots:
 
 @pytest.fixture(scope="session")
 def shots(tmp_path_factory: pytest.TempPathFactory) -> Shots:
-    """Ten photographs of a table with a marker, their names in another order than their places, and of three formats."""
+    """Ten photographs of a table with a marker, their names in another order than their places, and of three formats.
+
+    The JPEGs are stored turned, with EXIF's orientation, as cameras store what they take on their side or upside down.
+    """
     folder, table = tmp_path_factory.mktemp("photos"), make_table(marker=True)
     poses = {}
     for index, matrix in enumerate(ring(10)):
         name = f"my photo {index * 7 % 10}"
         suffix = (".png", ".JPG", ".tiff")[index % 3]
-        images.write(folder / f"{name}{suffix}", table.photograph(CAMERA, matrix))
+        orientation = {1: 6, 4: 3, 7: 8}.get(index, 1)
+        photographs.write(folder / f"{name}{suffix}", table.photograph(CAMERA, matrix), orientation=orientation)
         poses[name] = matrix
     return Shots(folder, poses)
 

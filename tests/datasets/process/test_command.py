@@ -1,7 +1,9 @@
 """The command line: what it prints, what it refuses, and in which words."""
 
+import io
 import json
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -16,10 +18,17 @@ def run(*words: object) -> None:
     app(["process", *map(str, words)], standalone_mode=False)
 
 
-def test_a_scene_is_made_and_described(shots, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "scene"
-    run(shots.folder, "--out", out, "--json")
-    facts = json.loads(capsys.readouterr().out)
+@pytest.fixture(scope="module")
+def made(shots, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """(the scene of the photographs, what the command printed)."""
+    out, printed = tmp_path_factory.mktemp("made") / "scene", io.StringIO()
+    with redirect_stdout(printed):
+        run(shots.folder, "--out", out, "--json")
+    return out, printed.getvalue()
+
+
+def test_a_scene_is_made_and_described(made, shots) -> None:
+    out, facts = made[0], json.loads(made[1])
     assert facts["scene"] == str(out) and facts["pictures"] == facts["placed"] == 10 and facts["groups"] == [10]
     assert facts["left_out"] == {} and facts["metric"] is False and facts["scale_from"] is None
     assert "4X4_1000 7" in facts["hint"] and "--marker-mm" in facts["hint"]
@@ -61,9 +70,7 @@ def test_without_the_library_nothing_begins(shots, tmp_path: Path, monkeypatch: 
     assert error.value.name == "pycolmap" and not list(tmp_path.iterdir())
 
 
-def test_a_scene_is_compared_with_a_reference(shots, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(shots.folder, "--out", tmp_path / "scene")
-    capsys.readouterr()
-    app(["compare", str(tmp_path / "scene"), str(tmp_path / "scene"), "--json"], standalone_mode=False)
+def test_a_scene_is_compared_with_a_reference(made, capsys: pytest.CaptureFixture[str]) -> None:
+    app(["compare", str(made[0]), str(made[0]), "--json"], standalone_mode=False)
     found = json.loads(capsys.readouterr().out)
     assert found["views"] == 10 and found["position"]["largest"] < 1e-6 and found["direction"]["largest"] < 1e-4

@@ -109,14 +109,24 @@ class Stop(Exception):
     """What ends a step halfway."""
 
 
-def test_an_interrupted_call_continues(shots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def six(shots, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of six of the photographs, neighbours on the arc: a third of the pairs of all ten."""
+    folder, chosen = tmp_path_factory.mktemp("six"), list(shots.poses)[2:8]
+    for path in shots.folder.iterdir():
+        if path.stem in chosen:
+            shutil.copy(path, folder)
+    return folder
+
+
+def test_an_interrupted_call_continues(six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is ended in each of its steps in turn; what was finished before is not done again."""
     out, work = tmp_path / "scene", Work(tmp_path / "scene")
     detected = []
     whole = features.detect
 
     def counted(path: Path) -> features.Features:
-        if len(detected) == 4:
+        if len(detected) == 3:
             raise Stop
         detected.append(path.name)
         return whole(path)
@@ -124,55 +134,55 @@ def test_an_interrupted_call_continues(shots, tmp_path: Path, monkeypatch: pytes
     with monkeypatch.context() as patch:
         patch.setattr(features, "detect", counted)
         with pytest.raises(Stop):
-            process(shots.folder, out, Request(), Wishes())
-    assert len(list(work.features.glob("*.npz"))) == 4 and not out.exists()
+            process(six, out, Request(), Wishes())
+    assert len(list(work.features.glob("*.npz"))) == 3 and not out.exists()
 
     whole_match = database.match
 
     def ended(path: Path, pictures: list, pairs: list, **_: object) -> None:
-        whole_match(path, pictures, pairs[:10])
+        whole_match(path, pictures, pairs[:5])
         raise Stop
 
     with monkeypatch.context() as patch:
         patch.setattr(database, "match", ended)
         patch.setattr(features, "detect", lambda path: detected.append(path.name) or whole(path))
         with pytest.raises(Stop):
-            process(shots.folder, out, Request(), Wishes())
-    assert sorted(detected) == sorted(path.name for path in shots.folder.iterdir())
-    assert 0 < len(database.links(work.database)) <= 10
+            process(six, out, Request(), Wishes())
+    assert sorted(detected) == sorted(path.name for path in six.iterdir())
+    assert 0 < len(database.links(work.database)) <= 5
 
     with monkeypatch.context() as patch:
         patch.setattr(mapping, "refine", lambda model: (_ for _ in ()).throw(Stop))
         patch.setattr(features, "detect", None)
         with pytest.raises(Stop):
-            process(shots.folder, out, Request(), Wishes())
+            process(six, out, Request(), Wishes())
     assert not work.model.exists() and not out.exists()
 
     with pytest.raises(UsageError, match="no picture called 'x' was placed"):
-        process(shots.folder, out, Request(), Wishes(known=_length("x:1,1+y:2,2")))
+        process(six, out, Request(), Wishes(known=_length("x:1,1+y:2,2")))
     assert work.model.is_dir()
     with monkeypatch.context() as patch:
         patch.setattr(mapping, "build", None)
-        assert process(shots.folder, out, Request(), Wishes()).resumed
+        assert process(six, out, Request(), Wishes()).resumed
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene"]
 
 
-def test_a_killed_process_leaves_what_the_next_one_needs(shots, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_killed_process_leaves_what_the_next_one_needs(six: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out, work = tmp_path / "scene", Work(tmp_path / "scene")
-    command = [sys.executable, "-m", "datasets.cli", "process", str(shots.folder), "--out", str(out)]
+    command = [sys.executable, "-m", "datasets.cli", "process", str(six), "--out", str(out)]
     running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 3:
+    while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 2:
         time.sleep(0.02)
     running.kill()
     running.wait()
     kept = list(work.features.glob("0*.npz"))
-    assert len(kept) >= 3 and not out.exists()
+    assert len(kept) >= 2 and not out.exists()
     detected = []
     whole = features.detect
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(features, "detect", lambda path: detected.append(path) or whole(path))
-        found = process(shots.folder, out, Request(), Wishes())
-    assert found.resumed and len(found.aligned.scene.views) == 10 and len(detected) == 10 - len(kept)
+        found = process(six, out, Request(), Wishes())
+    assert found.resumed and len(found.aligned.scene.views) == 6 and len(detected) == 6 - len(kept)
     assert f"continuing in {work.folder}" in capfd.readouterr().err
 
 

@@ -37,17 +37,19 @@ def hit(view: View, centre: NDArray[np.float64], radius: float) -> NDArray[np.bo
     return np.asarray((b * b > a * c) & (b < 0))
 
 
-@pytest.fixture
-def photographed(camera_ring: Callable[..., list[View]], tmp_path: Path) -> tuple[Scene, list[NDArray[np.bool_]]]:
+@pytest.fixture(scope="module")
+def photographed(
+    camera_ring: Callable[..., list[View]], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Scene, list[NDArray[np.bool_]]]:
     """Views of a golden object before a bluish, noisy room in which one wall patch is golden too, and the exact masks."""
-    rng = np.random.default_rng(3)
+    rng, folder = np.random.default_rng(3), tmp_path_factory.mktemp("gold")
     views, masks = [], []
     for view in camera_ring():
         view = replace(view, camera=CAMERA)
         mask = hit(view, *BALLS[0]) | hit(view, *BALLS[1])
         golden = mask | hit(view, np.array([0.0, FAR, 0.0]), 0.3)
         picture = np.where(golden[..., None], [0.75, 0.6, 0.2], [0.25, 0.3, 0.45]) + rng.normal(0, 0.04, (72, 96, 3))
-        path = tmp_path / f"{view.name}.png"
+        path = folder / f"{view.name}.png"
         images.write(path, images.to_uint8(np.clip(picture, 0, 1)))
         views.append(replace(view, image=path, mask=None))
         masks.append(mask)
@@ -60,30 +62,39 @@ def overlaps(found: Grown, masks: list[NDArray[np.bool_]]) -> NDArray[np.float64
     return np.array([(one & true).sum() / (one | true).sum() for one, true in zip(found.masks, masks, strict=True)])
 
 
-def test_the_object_is_found_and_what_looks_like_it_elsewhere_is_not(photographed: Any) -> None:
+@pytest.fixture(scope="module")
+def grower(photographed: Any) -> Grower:
+    return Grower(photographed[0])
+
+
+@pytest.fixture(scope="module")
+def grown(grower: Grower) -> Grown:
+    """Masks without any stroke."""
+    return grower.grow()
+
+
+def test_the_object_is_found_and_what_looks_like_it_elsewhere_is_not(photographed: Any, grower: Grower) -> None:
     scene, masks = photographed
     steps: list[int] = []
-    found = Grower(scene).grow(done=lambda: steps.append(1))
+    found = grower.grow(done=lambda: steps.append(1))
     assert overlaps(found, masks).min() > 0.9  # an outline of one pixel is a tenth of these masks
     assert found.agreement.min() > 0.7 and len(steps) == 5 * len(scene.views)
 
 
-def test_masks_are_the_same_again(photographed: Any) -> None:
-    grower = Grower(photographed[0])
-    for one, other in zip(grower.grow().masks, grower.grow().masks, strict=True):
+def test_masks_are_the_same_again(photographed: Any, grown: Grown) -> None:
+    for one, other in zip(grown.masks, Grower(photographed[0]).grow().masks, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_one_stroke_takes_a_part_away_in_its_view_and_in_the_others(photographed: Any) -> None:
+def test_one_stroke_takes_a_part_away_in_its_view_and_in_the_others(photographed: Any, grower: Grower, grown: Grown) -> None:
     scene, _ = photographed
-    grower = Grower(scene)
     place = CENTRE + BALLS[1][0]
     strokes_of = []
     for view in scene.views[:2]:
         local = (place - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
         at = tuple(map(float, CAMERA.project(local)))
         strokes_of.append(Stroke(view=view.name, of="background", points=[at], radius=9.0))
-    before, after = grower.grow(), grower.grow(strokes_of)
+    before, after = grown, grower.grow(strokes_of)
     small = [hit(view, *BALLS[1]) & ~hit(view, *BALLS[0]) for view in scene.views]
     lost = [
         1 - (one & part).sum() / max((other & part).sum(), 1)
@@ -92,10 +103,10 @@ def test_one_stroke_takes_a_part_away_in_its_view_and_in_the_others(photographed
     assert lost[0] > 0.5 and np.mean(lost[2:]) > 0.25, "the other views follow"
 
 
-def test_a_stroke_of_the_object_is_kept(photographed: Any) -> None:
+def test_a_stroke_of_the_object_is_kept(photographed: Any, grower: Grower) -> None:
     scene, _ = photographed
     stroke = Stroke(view=scene.views[0].name, of="object", points=[(5.0, 5.0), (15.0, 5.0)], radius=2.0)
-    found = Grower(scene).grow([stroke])
+    found = grower.grow([stroke])
     assert found.masks[0][5, 5:15].all()
 
 
@@ -111,10 +122,11 @@ def test_parallel_cameras_need_a_ball(photographed: Any) -> None:
     assert Grower(parallel, Ball(CENTRE, 1.0)).ball.radius == 1.0
 
 
-def test_the_scene_is_written_with_its_masks_and_strokes(photographed: Any, tmp_path: Path) -> None:
+def test_the_scene_is_written_with_its_masks_and_strokes(photographed: Any, grower: Grower, tmp_path: Path) -> None:
     scene, masks = photographed
     stroke = Stroke(view=scene.views[0].name, of="object", points=[(48.0, 36.0)], radius=2.0)
-    write(scene, Grower(scene).grow([stroke]).masks, [stroke], tmp_path / "out")
+    masked = grower.grow([stroke]).masks
+    write(scene, masked, [stroke], tmp_path / "out")
     read = koala.load(tmp_path / "out")
     assert [view.name for view in read.views] == [view.name for view in scene.views]
     assert ((read.views[3].read_mask()[..., -1] > 0.5) == masks[3]).mean() > 0.97
@@ -125,12 +137,12 @@ def test_the_scene_is_written_with_its_masks_and_strokes(photographed: Any, tmp_
     assert (read.box[1] - read.box[0] < 2.2 * (high - low)).all(), "a ring of cameras leaves room beside the object"
     assert scene.near < read.near < read.far < 10.0
     with pytest.raises(KoalaError, match="exists"):
-        write(scene, Grower(scene).grow().masks, [], tmp_path / "out")
+        write(scene, masked, [], tmp_path / "out")
 
 
-def test_a_stated_box_stays(photographed: Any, tmp_path: Path) -> None:
+def test_a_stated_box_stays(photographed: Any, grown: Grown, tmp_path: Path) -> None:
     scene = replace(photographed[0], bounds_from="stated")
-    write(scene, Grower(scene).grow().masks, [], tmp_path / "out")
+    write(scene, grown.masks, [], tmp_path / "out")
     read = koala.load(tmp_path / "out")
     np.testing.assert_allclose(read.box, scene.box)
     assert read.background == "white" and read.bounds_from == "stated"
@@ -157,11 +169,12 @@ def test_wrong_strokes_are_refused_in_one_line(content: Any, words: str, tmp_pat
         strokes.read(tmp_path / "strokes.json", ["a"])
 
 
-def test_a_click_on_the_page_is_a_dot_where_it_was_clicked(photographed: Any, tmp_path: Path) -> None:
+def test_a_click_on_the_page_is_a_dot_where_it_was_clicked(
+    photographed: Any, grower: Grower, grown: Grown, tmp_path: Path
+) -> None:
     scene, _ = photographed
-    grower = Grower(scene)
     with open_page("masks", 0) as page:
-        shown = MaskPage(page, grower, grower.grow(), [], tmp_path / "out")
+        shown = MaskPage(page, grower, grown, [], tmp_path / "out")
         shown.show(4)
         view = scene.views[4]
         ray = view.world_from_camera[:3, :3] @ CAMERA.directions([[30.0, 20.0]])[0]

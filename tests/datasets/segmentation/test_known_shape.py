@@ -30,13 +30,13 @@ def ball() -> trimesh.Trimesh:
 
 
 def coverage(view: View, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(height, width) share of each pixel that the ball about `centre` covers, by 8 x 8 rays."""
-    fine = view.camera.scaled(8 * view.camera.width, 8 * view.camera.height)
+    """(height, width) share of each pixel that the ball about `centre` covers, by 4 x 4 rays."""
+    fine = view.camera.scaled(4 * view.camera.width, 4 * view.camera.height)
     origin = view.world_from_camera[:3, 3] - centre
     rays = fine.directions(fine.pixel_centres()) @ view.world_from_camera[:3, :3].T
     b, a, c = rays @ origin, (rays**2).sum(-1), origin @ origin - RADIUS**2
     inside = (b * b > a * c) & (b < 0)
-    return inside.reshape(view.camera.height, 8, view.camera.width, 8).mean((1, 3))
+    return inside.reshape(view.camera.height, 4, view.camera.width, 4).mean((1, 3))
 
 
 @pytest.fixture

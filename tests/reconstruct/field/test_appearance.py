@@ -7,51 +7,60 @@ from reconstruct.config import FieldConfig
 from reconstruct.field.appearance import Material, Matte, Reflection, Shading, ViewColour, create_appearance
 from reconstruct.field.encodings.directional import ide_channels
 from reconstruct.numerics.safe import linear_from_srgb
+from tests import drawn
 
 KINDS = ("reflection", "view", "view_diffuse", "diffuse")
+COUNT = 50
+VIEWDIRS = np.asarray(drawn.directions(COUNT, seed=2))
+POINTS = np.asarray(drawn.uniform(3, COUNT, low=-1, seed=3))
 
 
-def small(kind: str) -> FieldConfig:
-    return FieldConfig(appearance=kind, bottleneck=4, view_width=16, ide_degree=3, view_degree=2)
+def small(kind: str, **changes: object) -> FieldConfig:
+    sizes = {"bottleneck": 4, "view_width": 16, "ide_degree": 3, "view_degree": 2}
+    return FieldConfig.model_validate({"appearance": kind, **sizes, **changes})
 
 
-def some_material(appearance, count: int = 50) -> Material:
-    """Heads of random outputs of order one."""
-    raw = jax.random.normal(jax.random.key(1), (appearance.heads + 4, count))
-    points = jax.random.uniform(jax.random.key(3), (3, count), minval=-1)
-    return jax.jit(lambda raw, points: appearance.material(raw, points))(raw, points)
+def created(config: FieldConfig):
+    return drawn.filled(lambda: create_appearance(jax.random.key(0), config))
 
 
-def some_viewdirs(count: int = 50) -> jax.Array:
-    viewdirs = jax.random.normal(jax.random.key(2), (3, count))
-    return viewdirs / jnp.linalg.norm(viewdirs, axis=0)
+@jax.jit
+def seen(appearance, raw: jax.Array, points: jax.Array, viewdirs: jax.Array, normals=None) -> tuple[Material, Shading]:
+    """The material of a network's outputs, and what it shows."""
+    material = appearance.material(raw, points)
+    return material, appearance.shade(material, viewdirs, normals)
 
 
-def shade(appearance, material: Material, viewdirs: jax.Array) -> Shading:
-    return jax.jit(lambda m, d: appearance.shade(m, d))(material, viewdirs)
+def some_raw(appearance) -> np.ndarray:
+    """A network's outputs, of order one."""
+    return np.asarray(drawn.normal(appearance.heads + 4, COUNT, seed=1))
 
 
-@pytest.fixture(params=KINDS)
+def untrained(appearance) -> np.ndarray:
+    """A network's outputs when nothing has been learned."""
+    return np.zeros((appearance.heads + 4, COUNT), np.float32)
+
+
+@pytest.fixture(scope="module", params=KINDS)
 def appearance(request: pytest.FixtureRequest):
-    return create_appearance(jax.random.key(0), small(request.param))
+    return created(small(request.param))
 
 
 def test_a_material_is_in_range_and_stacks(appearance) -> None:
-    material = some_material(appearance)
+    material = jax.tree.map(np.asarray, seen(appearance, some_raw(appearance), POINTS, VIEWDIRS)[0])
     assert 0 <= material.diffuse.min() <= material.diffuse.max() < 1
     assert 0 <= material.tint.min() <= material.tint.max() <= 1
     assert material.roughness.min() >= 0
     length = np.linalg.norm(material.normals_pred, axis=0)
     np.testing.assert_allclose(length, 1.0 if appearance.predicts_normals else 0.0, atol=1e-5)
-    again = Material.unstacked(material.stacked())
+    again = jax.jit(lambda material: Material.unstacked(material.stacked()))(material)
     for name in ("diffuse", "tint", "roughness", "normals_pred", "bottleneck"):
         np.testing.assert_array_equal(getattr(again, name), getattr(material, name))
 
 
 def test_colour_is_the_curve_of_diffuse_plus_specular(appearance) -> None:
     """All appearances: linear parts add up to what sRGB shows, within float32 and the padding of 0.001."""
-    material = some_material(appearance)
-    shading = shade(appearance, material, some_viewdirs())
+    material, shading = jax.tree.map(np.asarray, seen(appearance, some_raw(appearance), POINTS, VIEWDIRS))
     linear = np.asarray(material.diffuse + shading.specular, np.float64)
     curve = np.where(linear > 0.0031308, 1.055 * linear ** (1 / 2.4) - 0.055, 12.92 * linear)
     np.testing.assert_allclose(shading.rgb, np.clip(curve, 0, 1) * 1.002 - 0.001, atol=1e-5)
@@ -59,55 +68,54 @@ def test_colour_is_the_curve_of_diffuse_plus_specular(appearance) -> None:
 
 
 def test_what_is_matte_looks_alike_from_all_sides() -> None:
-    appearance = create_appearance(jax.random.key(0), small("diffuse"))
-    material, viewdirs = some_material(appearance), some_viewdirs()
-    np.testing.assert_array_equal(appearance.shade(material, viewdirs).rgb, appearance.shade(material, -viewdirs).rgb)
-    assert not appearance.shade(material, viewdirs).specular.any() and not jax.tree.leaves(appearance)
+    appearance = created(small("diffuse"))
+    one, other = (seen(appearance, some_raw(appearance), POINTS, sign * VIEWDIRS)[1] for sign in (1, -1))
+    np.testing.assert_array_equal(one.rgb, other.rgb)
+    assert not np.any(one.specular) and not jax.tree.leaves(appearance)
 
 
 def test_which_parts_each_has() -> None:
-    made = {kind: create_appearance(jax.random.key(0), small(kind)) for kind in KINDS}
+    made = {kind: created(small(kind)) for kind in KINDS}
     assert isinstance(made["reflection"], Reflection) and isinstance(made["view"], ViewColour)
     assert isinstance(made["diffuse"], Matte)
     assert [made[kind].has_diffuse for kind in KINDS] == [True, False, True, True]
     assert [made[kind].heads for kind in KINDS] == [10, 0, 3, 6]
-    assert (np.asarray(some_material(made["view"]).diffuse) == 0).all()
+    assert not np.any(seen(made["view"], some_raw(made["view"]), POINTS, VIEWDIRS)[0].diffuse)
 
 
 def test_view_colour_depends_on_the_direction_alone_and_not_on_normals() -> None:
-    appearance = create_appearance(jax.random.key(0), small("view"))
-    material, viewdirs = some_material(appearance), some_viewdirs()
-    shading = appearance.shade(material, viewdirs)
-    turned = appearance.shade(material, viewdirs, normals=-viewdirs)
-    np.testing.assert_array_equal(shading.rgb, turned.rgb)
-    assert np.abs(appearance.shade(material, -viewdirs).rgb - shading.rgb).max() > 1e-3
-    np.testing.assert_allclose(linear_from_srgb((shading.rgb + 0.001) / 1.002), shading.specular, atol=1e-5)
+    appearance = created(small("view"))
+    ways = {"plain": (VIEWDIRS,), "turned": (VIEWDIRS, -VIEWDIRS), "behind": (-VIEWDIRS,)}
+    shades = {name: seen(appearance, some_raw(appearance), POINTS, *way)[1] for name, way in ways.items()}
+    rgb = np.asarray(shades["plain"].rgb)
+    np.testing.assert_array_equal(rgb, shades["turned"].rgb)
+    assert np.abs(np.asarray(shades["behind"].rgb) - rgb).max() > 1e-3
+    np.testing.assert_allclose(jax.jit(linear_from_srgb)((rgb + 0.001) / 1.002), shades["plain"].specular, atol=1e-5)
 
 
-def test_reflection_follows_the_law_of_reflection(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reflection_follows_the_law_of_reflection() -> None:
     """Looking down at 45 degrees onto a floor one sees what lies ahead and up at 45 degrees."""
-    seen = []
-    monkeypatch.setattr(
-        "reconstruct.field.appearance.integrated_directional_encoding",
-        lambda d, r, n: seen.append(d) or jnp.zeros((ide_channels(n), 1)),
-    )
-    appearance = create_appearance(jax.random.key(0), small("reflection"))
-    half = np.sqrt(0.5)
-    floor = jnp.array([[0.0], [0.0], [1.0]])
-    appearance.shade(some_material(appearance, 1), jnp.array([[half], [0.0], [-half]]), normals=floor)
-    np.testing.assert_allclose(seen[0], [[half], [0], [half]], atol=1e-6)
+    appearance, half = created(small("reflection")), np.float32(np.sqrt(0.5))
+    floor = np.float32([[0.0], [0.0], [1.0]])
+
+    @jax.jit
+    def reflected(raw: jax.Array, viewdirs: jax.Array, normals: jax.Array) -> jax.Array:
+        found = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(
+                "reconstruct.field.appearance.integrated_directional_encoding",
+                lambda d, r, n: found.append(d) or jnp.zeros((ide_channels(n), 1)),
+            )
+            appearance.shade(appearance.material(raw, viewdirs), viewdirs, normals=normals)
+        return found[0]
+
+    found = reflected(some_raw(appearance)[:, :1], np.float32([[half], [0.0], [-half]]), floor)
+    np.testing.assert_allclose(found, [[half], [0], [half]], atol=1e-6)
 
 
 def test_gradients_are_finite(appearance) -> None:
     """At raw outputs that saturate every head, zeros and large values included."""
-    raw = jnp.concatenate(
-        [
-            jnp.zeros((appearance.heads + 4, 1)),
-            jnp.full((appearance.heads + 4, 1), 80.0),
-            jnp.full((appearance.heads + 4, 1), -80.0),
-        ],
-        1,
-    )
+    raw = np.tile(np.float32([0.0, 80.0, -80.0]), (appearance.heads + 4, 1))
 
     def total(raw: jax.Array) -> jax.Array:
         shading = appearance.shade(appearance.material(raw, jnp.zeros((3, 3))), jnp.ones((3, 3)) / np.sqrt(3))
@@ -119,43 +127,40 @@ def test_gradients_are_finite(appearance) -> None:
 
 def test_an_untrained_surface_reflects_like_a_ball() -> None:
     """Outputs of zero: the normal is the position's direction, and more light is reflected than diffuse."""
-    config = small("reflection").model_copy(update={"outward": 1.0, "diffuse_bias": -3.0, "specular_bias": -1.5})
-    appearance = create_appearance(jax.random.key(0), config)
-    points = jax.random.normal(jax.random.key(4), (3, 50))
-    material = appearance.material(jnp.zeros((appearance.heads + 4, 50)), points)
-    outward = points / jnp.linalg.norm(points, axis=0)
+    appearance = created(small("reflection", outward=1.0, diffuse_bias=-3.0, specular_bias=-1.5))
+    outward = POINTS / np.linalg.norm(POINTS, axis=0)
+    material, shading = seen(appearance, untrained(appearance), POINTS, -outward)
     np.testing.assert_allclose(material.normals_pred, outward, atol=1e-6)  # rounding of one division in float32
-    assert appearance.shade(material, -outward).specular.mean() > material.diffuse.mean()
+    assert np.mean(shading.specular) > np.mean(material.diffuse)
 
 
 @pytest.mark.parametrize("kind", ["reflection", "diffuse"])
 def test_an_untrained_table_faces_cameras_above_it(kind: str) -> None:
-    config = small(kind).model_copy(update={"outward": 1.0, "towards": (0.0, 0.0, 0.6)})
-    appearance = create_appearance(jax.random.key(0), config)
-    table = jnp.array([[-0.4, 0.0, 0.4], [0.2, 0.0, -0.2], [-0.55, -0.55, -0.55]])
-    assert (appearance.material(jnp.zeros((appearance.heads + 4, 3)), table).normals_pred[2] > 0).all()
+    appearance = created(small(kind, outward=1.0, towards=(0.0, 0.0, 0.6)))
+    table = np.float32([[-0.4, 0.0, 0.4], [0.2, 0.0, -0.2], [-0.55, -0.55, -0.55]])
+    material = jax.jit(lambda raw, points: appearance.material(raw, points))(untrained(appearance)[:, :3], table)
+    assert (np.asarray(material.normals_pred)[2] > 0).all()
 
 
 def test_what_is_around_the_box_begins_matte() -> None:
     """Inside the box nothing changes; a ramp's width beside it, most light is diffuse; between, the change grows evenly."""
-    config = small("reflection").model_copy(update={"diffuse_bias": -3.0, "specular_bias": -1.5})
-    around = create_appearance(jax.random.key(0), config.model_copy(update={"matte_around": 3.5, "half_box": (0.5, 0.4, 0.6)}))
-    plain = create_appearance(jax.random.key(0), config)
-    raw = jnp.zeros((plain.heads + 4, 4))
-    points = jnp.array(
-        [[0.45, -0.6, 0.7, -1.9], [-0.35, 0.0, 0.0, 0.0], [0.55, 0.0, 0.0, 0.5]]
-    )  # inside, half way, outside twice
-    one, other = around.material(raw, points), plain.material(raw, points)
-    np.testing.assert_array_equal(one.stacked()[:, 0], other.stacked()[:, 0])
+    biases = {"diffuse_bias": -3.0, "specular_bias": -1.5}
+    around = created(small("reflection", matte_around=3.5, half_box=(0.5, 0.4, 0.6), **biases))
+    plain = created(small("reflection", **biases))
+    points = np.float32([[0.45, -0.6, 0.7, -1.9], [-0.35, 0.0, 0.0, 0.0], [0.55, 0.0, 0.0, 0.5]])
+    downwards = np.tile(np.float32([[0.0], [0.0], [-1.0]]), 4)  # inside, half way, outside twice
+    (one, shading), (other, _) = (
+        jax.tree.map(np.asarray, seen(each, untrained(each)[:, :4], points, downwards)) for each in (around, plain)
+    )
+    for name in ("diffuse", "tint", "roughness", "normals_pred", "bottleneck"):
+        np.testing.assert_array_equal(getattr(one, name)[:, 0], getattr(other, name)[:, 0])
     raised = np.log(one.diffuse / (1 - one.diffuse))[0] - np.log(other.diffuse / (1 - other.diffuse))[0]
     np.testing.assert_allclose(raised, [0, 1.75, 3.5, 3.5], atol=1e-5)  # float32 near 3.5
-    viewdirs = jnp.tile(jnp.array([[0.0], [0.0], [-1.0]]), 4)
-    shading = around.shade(one, viewdirs)
-    assert (shading.specular[:, 2:] < 0.05 * one.diffuse[:, 2:]).all() and (shading.specular[:, 0] > one.diffuse[:, 0]).all()
+    specular = shading.specular
+    assert (specular[:, 2:] < 0.05 * one.diffuse[:, 2:]).all() and (specular[:, 0] > one.diffuse[:, 0]).all()
 
 
 def test_an_untrained_surface_is_as_rough_as_the_configuration_says() -> None:
-    config = small("reflection").model_copy(update={"roughness_bias": -3.0})
-    appearance = create_appearance(jax.random.key(0), config)
-    material = appearance.material(jnp.zeros((appearance.heads + 4, 2)), jnp.ones((3, 2)))
+    appearance = created(small("reflection", roughness_bias=-3.0))
+    material = jax.jit(lambda raw, points: appearance.material(raw, points))(untrained(appearance), POINTS)
     np.testing.assert_allclose(material.roughness, np.log1p(np.exp(-3.0)), rtol=1e-6)  # rounding of float32

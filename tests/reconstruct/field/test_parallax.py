@@ -10,8 +10,12 @@ from reconstruct.field.appearance import Reflection, Start, create_appearance
 from reconstruct.field.near import Near
 from reconstruct.field.parallax import INSIDE, START, Parallax, ends_on_sphere
 from reconstruct.scene.light import LightFrame
+from tests import drawn
 
 FIELD = FieldConfig(bottleneck=2, view_width=16, ide_degree=3)
+COUNT = 200
+ENDS = jax.jit(ends_on_sphere)
+TOWARDS = jax.jit(lambda parallax, directions, places: parallax.towards(directions, places))
 
 
 def unit(count: int, seed: int) -> np.ndarray:
@@ -24,9 +28,10 @@ def some_places(count: int, furthest: float) -> np.ndarray:
 
 
 def test_directions_are_those_of_the_intersections() -> None:
-    directions, places, radius = unit(200, 0), some_places(200, 3.0), 4.0
+    directions, places, radius = unit(COUNT, 0), some_places(COUNT, 3.0), 4.0
     with jax.enable_x64(True):
-        found = np.asarray(Parallax(1 / radius).towards(jnp.asarray(directions), jnp.asarray(places)))
+        found = np.asarray(TOWARDS(Parallax(1 / radius), directions, places))
+        assert found.dtype == np.float64
     for d, x, end in zip(directions.T, places.T, radius * found.T, strict=True):
         first, last = np.sort(np.roots([1.0, 2 * x @ d, x @ x - radius**2]).real)
         assert first < 0 < last
@@ -35,33 +40,33 @@ def test_directions_are_those_of_the_intersections() -> None:
 
 
 def test_float32_is_near_float64() -> None:
-    directions, places = unit(500, 0), some_places(500, 1.5)
-    ours = ends_on_sphere(jnp.asarray(directions, jnp.float32), jnp.asarray(places, jnp.float32))
+    directions, places = unit(COUNT, 0), some_places(COUNT, 1.5)
+    ours = ENDS(np.float32(directions), np.float32(places))
     with jax.enable_x64(True):
-        exact = np.asarray(ends_on_sphere(jnp.asarray(directions), jnp.asarray(places)))
+        exact = np.asarray(ENDS(directions, places))
     np.testing.assert_allclose(ours, exact, atol=2e-6)  # the root of 0.19 or more amplifies a rounding at most twofold
     np.testing.assert_allclose(np.linalg.norm(exact, axis=0), 1, atol=1e-12)
 
 
 def test_an_infinite_sphere_changes_no_bit() -> None:
-    directions = jnp.asarray(unit(500, 1), jnp.float32)
-    assert (Parallax(0.0).towards(directions, jnp.asarray(some_places(500, 50.0), jnp.float32)) == directions).all()
+    directions = np.float32(unit(COUNT, 1))
+    np.testing.assert_array_equal(TOWARDS(Parallax(0.0), directions, np.float32(some_places(COUNT, 50.0))), directions)
 
 
 def test_the_middle_has_no_parallax() -> None:
-    directions = jnp.asarray(unit(20, 1), jnp.float32)
-    np.testing.assert_array_equal(ends_on_sphere(directions, jnp.zeros((3, 20))), directions)
+    directions = np.float32(unit(COUNT, 1))
+    np.testing.assert_array_equal(ENDS(directions, 0 * directions), directions)
 
 
 @pytest.mark.parametrize("learned", [False, True])
 def test_gradients_are_finite_on_the_sphere_outside_and_without_direction(learned: bool) -> None:
     """Inwards, outwards and along the sphere; at its middle, on it, far outside; a direction of zeros."""
-    x = jnp.array([1.0, 0.0, 0.0])
-    places = jnp.stack([s * x for s in (0.0, INSIDE, 1.0, 1e6, 1e-30)] * 4, -1) * 4
-    directions = jnp.repeat(jnp.stack([x, -x, jnp.array([0.0, 1.0, 0.0]), 0 * x], -1), 5, axis=1)
+    x = np.float32([1.0, 0.0, 0.0])
+    places = np.stack([np.float32(s) * x for s in (0.0, INSIDE, 1.0, 1e6, 1e-30)] * 4, -1) * 4
+    directions = np.repeat(np.stack([x, -x, x[[1, 0, 2]], 0 * x], -1), 5, axis=1)
     parallax = Parallax.of(LightConfig(parallax=4.0, parallax_learned=learned))
     total = lambda p, d, x: jnp.sum(p.towards(d, x) * jnp.array([[1.0], [2.0], [3.0]]))  # noqa: E731
-    value, slopes = jax.value_and_grad(total, (0, 1, 2))(parallax, directions, places)
+    value, slopes = jax.jit(jax.value_and_grad(total, (0, 1, 2)))(parallax, directions, places)
     assert np.isfinite(value) and all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
 
 
@@ -69,15 +74,15 @@ def test_the_radius_is_as_stated_and_learned_on_request() -> None:
     assert Parallax.of(LightConfig()) is None
     stated, learned = Parallax.of(LightConfig(parallax=4.0)), Parallax.of(LightConfig(parallax=4.0, parallax_learned=True))
     assert stated is not None and learned is not None and not jax.tree.leaves(stated)
-    directions, places = jnp.asarray(unit(9, 1), jnp.float32), jnp.asarray(some_places(9, 1.0), jnp.float32)
-    np.testing.assert_allclose(learned.towards(directions, places), stated.towards(directions, places), atol=1e-6)
+    directions, places = np.float32(unit(COUNT, 1)), np.float32(some_places(COUNT, 1.0))
+    np.testing.assert_allclose(TOWARDS(learned, directions, places), TOWARDS(stated, directions, places), atol=1e-6)
     begun = Parallax.of(LightConfig(parallax_learned=True))
     assert begun is not None and begun.inverse == 1 / START
 
-    def off(parallax: Parallax) -> jax.Array:
+    def off(parallax: Parallax, directions: jax.Array, places: jax.Array) -> jax.Array:
         return jnp.sum((parallax.towards(directions, places) - Parallax(1 / 2).towards(directions, places)) ** 2)
 
-    slope = jax.grad(off)(learned).logit
+    slope = jax.jit(jax.grad(off))(learned, directions, places).logit
     assert slope is not None and slope < 0, "towards the nearer sphere"
 
 
@@ -88,19 +93,27 @@ def test_auto_is_before_a_blank_background(setting: bool | str, bounded: bool, l
 
 
 def reflection(parallax: Parallax | None, light: LightFrame | None = None) -> Reflection:
-    made = create_appearance(jax.random.key(0), FIELD, Start(light=light or LightFrame(), parallax=parallax))
+    made = drawn.filled(
+        lambda: create_appearance(jax.random.key(0), FIELD, Start(light=light or LightFrame(), parallax=parallax))
+    )
     assert isinstance(made, Reflection)
     return made
 
 
 def test_a_highlight_shifts_with_the_place_where_lamps_are_near() -> None:
-    raw = jax.random.normal(jax.random.key(1), (12, 1)).repeat(30, 1)
-    viewdirs, near = jnp.asarray(unit(1, 5).repeat(30, 1), jnp.float32), Near(jnp.asarray(some_places(30, 1.0), jnp.float32))
+    raw = np.repeat(np.asarray(drawn.normal(12, 1)), 30, 1)
+    viewdirs, near = np.float32(np.repeat(unit(1, 5), 30, 1)), Near(drawn.array(some_places(30, 1.0)))
+
+    @jax.jit
+    def both(appearance: Reflection) -> tuple[jax.Array, jax.Array]:
+        """What is reflected in these places, and in none."""
+        material = appearance.material(jnp.asarray(raw), jnp.zeros((3, 30)))
+        ways = (appearance.shade(material, jnp.asarray(viewdirs), near=one) for one in (near, None))
+        return tuple(shading.specular for shading in ways)
+
     shades = {}
     for name, parallax in {"afar": None, "infinite": Parallax(0.0), "near": Parallax(0.25)}.items():
-        appearance = reflection(parallax)
-        shades[name] = appearance.shade(appearance.material(raw, jnp.zeros((3, 30))), viewdirs, near=near).specular
-        alone = appearance.shade(appearance.material(raw, jnp.zeros((3, 30))), viewdirs).specular
+        shades[name], alone = map(np.asarray, both(reflection(parallax)))
         assert (alone == shades["afar"]).all(), "without a place, light comes from afar"
     assert (shades["infinite"] == shades["afar"]).all()
     assert np.ptp(shades["near"], axis=1).max() > 1e-3 and np.ptp(shades["afar"], axis=1).max() < 1e-6

@@ -14,9 +14,15 @@ from reconstruct.rendering.model import Model
 from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BOX
+from tests import drawn
 
-SMALL = {"encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0}, "sampler": {"grid": 8, "outer_grid": 8}}
-"""Sizes that do not matter here. The bottleneck and all else about colour stay as the model file has them."""
+SMALL = {
+    "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
+    "sampler": {"grid": 8, "outer_grid": 8},
+    "field": {"ide_degree": 2},
+}
+"""Sizes that do not matter here, that of the encoding of directions among them: there is one direction. The bottleneck and all else
+about colour stay as the model file has them."""
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.5, 4.5))
 DIFFERENT = 0.01
 """Between colours in [0, 1]; equal ones differ by rounding, 1e-7. With features of standard deviation 1 these differ by 0.03."""
@@ -25,14 +31,19 @@ DIFFERENT = 0.01
 def colours(model: str, preset: str) -> np.ndarray:
     """(3, 2) colours of two places from one direction, with features as large as a training makes them."""
     config = Config.model_validate(merged(load_config(model, preset).model_dump(), SMALL))
-    field: Field = Model.create(jax.random.key(0), config, FACTS).field
+    field: Field = drawn.filled(lambda: Model.create(jax.random.key(0), config, FACTS).field)
     if hasattr(field.encoding, "table"):
-        drawn = jax.random.normal(jax.random.key(1), field.encoding.table.shape)
-        field = eqx.tree_at(lambda one: one.encoding.table, field, drawn)
+        field = eqx.tree_at(lambda one: one.encoding.table, field, drawn.normal(*field.encoding.table.shape, seed=1))
+    return np.asarray(shown(field))
+
+
+@jax.jit
+def shown(field: Field) -> jax.Array:
+    """Colours of two places from one direction."""
     places = jnp.array([[0.3, -0.5], [0.1, 0.4], [-0.2, 0.6]])
     _, material = field(Cloud(places, jnp.full(2, 1e-3), BOX))
     towards = jnp.tile(jnp.array([[0.6], [0.0], [-0.8]]), (1, 2))
-    return np.asarray(field.shade(material, towards).rgb)
+    return field.shade(material, towards).rgb
 
 
 @pytest.mark.parametrize("model", names())

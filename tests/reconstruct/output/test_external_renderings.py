@@ -10,6 +10,7 @@ from datasets.core.errors import DatasetError, UsageError
 from datasets.imaging import images
 from reconstruct.output import evaluate, export, external_renderings
 from reconstruct.output.trained_model import TrainedModel
+from tests.foreign import photographs
 
 
 @pytest.fixture
@@ -34,10 +35,9 @@ def test_renderings_on_disk_score_as_the_model_itself(
 
 
 def test_pictures_alone_in_one_folder_are_enough(ball: TrainedModel, folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "plain").mkdir()
     for path in (folder / "rgb").iterdir():
         small = images.resize(images.read(path), 24, 20)
-        images.write(tmp_path / "plain" / path.name, small)
+        photographs.write(tmp_path / "plain" / path.name, images.to_uint8(small))
     found = external_renderings.measure(tmp_path / "plain", ball.scene)
     assert set(found["mean"]) == {"psnr", "ssim", "psnr_inside", "ssim_inside"}
     assert found["size"] == [24, 20] and found["mean"]["psnr"] > 20

@@ -5,15 +5,21 @@ import numpy as np
 from reconstruct.numerics.volume import volume_weights
 from reconstruct.rendering.compositing import composite, sample_weights
 from reconstruct.sampling.samples import RaySamples
+from tests import drawn
 
 
 def test_packed_samples_are_composited_per_ray() -> None:
-    edges = jnp.sort(jax.random.uniform(jax.random.key(0), (6, 10)), -1) * 4
-    samples, speed = RaySamples.from_edges(edges), jnp.linspace(1, 2, 6)
-    density = jax.random.uniform(jax.random.key(1), (54,)) * 3
-    weights = sample_weights(density, samples, speed)
-    expected = volume_weights(density.reshape(6, 9), jnp.diff(edges) * speed[:, None])
+    edges = np.float32(np.sort(np.random.default_rng(0).uniform(0, 4, (6, 10)), -1))
+    speed, density, values = np.linspace(1, 2, 6, dtype=np.float32), drawn.uniform(54, high=3), drawn.normal(3, 54)
+
+    @jax.jit
+    def composited(edges: jax.Array, speed: jax.Array, density: jax.Array, values: jax.Array) -> tuple[jax.Array, ...]:
+        """Weights as packed and as tables, and sums of values."""
+        samples = RaySamples.from_edges(edges)
+        weights = sample_weights(density, samples, speed)
+        expected = volume_weights(density.reshape(6, 9), jnp.diff(edges) * speed[:, None])
+        return weights, expected, composite(values, samples.packed(weights), samples)
+
+    weights, expected, sums = composited(edges, speed, density, values)
     np.testing.assert_allclose(weights, expected, atol=1e-6)
-    values = jax.random.normal(jax.random.key(2), (3, 54))
-    expected = np.einsum("crs,rs->rc", np.asarray(values).reshape(3, 6, 9), weights)
-    np.testing.assert_allclose(composite(values, samples.packed(weights), samples), expected, atol=1e-6)
+    np.testing.assert_allclose(sums, np.einsum("crs,rs->rc", np.asarray(values).reshape(3, 6, 9), weights), atol=1e-6)

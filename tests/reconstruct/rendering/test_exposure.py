@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -5,6 +6,7 @@ import pytest
 from datasets.imaging.images import linear_from_srgb, srgb_from_linear
 from reconstruct.rendering.exposure import across_halves, exposed, left_half
 from reconstruct.rendering.model import Rendered
+from tests import drawn
 
 GAIN = np.log([1.8, 1.3, 0.7])
 
@@ -19,13 +21,11 @@ def shown() -> dict[str, np.ndarray]:
 
 def test_a_gain_acts_on_linear_light_as_in_training(shown: dict[str, np.ndarray]) -> None:
     rgb, opacity = shown["rgb"].reshape(-1, 3), shown["opacity"].reshape(-1, 1)
-    dark = jnp.zeros_like(jnp.asarray(rgb))
-    own = jnp.asarray(rgb - (1 - opacity), jnp.float32)
-    count = jnp.zeros(len(rgb))
-    model = Rendered(own, jnp.asarray(opacity[:, 0], jnp.float32), dark, dark, count, dark, count, dark)
-    trained = model.exposed(jnp.asarray(GAIN, jnp.float32)[None]).over(jnp.ones(3)[None])
+    dark, own, count = 0 * rgb, rgb - (1 - opacity), np.zeros(len(rgb))
+    model = Rendered(*map(drawn.array, (own, opacity[:, 0], dark, dark, count, dark, count, dark)))
+    trained = np.asarray(jax.jit(lambda model, gain: model.exposed(gain).over(jnp.ones((1, 3))))(model, np.float32(GAIN)[None]))
     found = exposed(rgb, opacity, 1.0, GAIN)
-    dim = np.asarray(trained).max(-1) < 1  # there training leaves the light above 1
+    dim = trained.max(-1) < 1  # there training leaves the light above 1
     assert dim.sum() > 600 and np.abs(found - trained)[dim].max() < 1e-5  # float32
     opaque = opacity[:, 0] == 1
     assert np.allclose(linear_from_srgb(found[opaque]), np.minimum(linear_from_srgb(rgb[opaque]) * np.exp(GAIN), 1), atol=1e-5)

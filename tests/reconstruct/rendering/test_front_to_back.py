@@ -1,14 +1,16 @@
 """Rays composited a few samples at a time show what all of their samples composited at once show."""
 
+import functools
+import itertools
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import Config
 from reconstruct.field.field import Field
 from reconstruct.numerics.compiling import jit
-from reconstruct.rendering import front_to_back
 from reconstruct.rendering.compositing import composite, sample_weights, values_of
 from reconstruct.rendering.front_to_back import Queue, composited
 from reconstruct.sampling.sampler import Sampled
@@ -16,32 +18,47 @@ from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from reconstruct.scene.frustum import Frustum
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import BALL, BOX, Space
+from tests import drawn
+from tests.small import small
 
 FRUSTUM = Frustum(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, -3.0), 0.8, 0.4, 1.5, 6.0)
 COUNT, SLOTS = 90, 10
 
 
+IN_ROWS = jax.jit(RaySamples.in_rows)
+
+
 def some_rays() -> Rays:
-    rng = np.random.default_rng(0)
-    directions = jnp.asarray(np.concatenate([rng.uniform(-0.3, 0.3, (COUNT, 2)), np.ones((COUNT, 1))], 1), jnp.float32)
-    return Rays(jnp.tile(jnp.array([0.1, 0.0, -2.5]), (COUNT, 1)), directions, jnp.full(COUNT, 1e-3))
+    directions = np.concatenate([np.random.default_rng(0).uniform(-0.3, 0.3, (COUNT, 2)), np.ones((COUNT, 1))], 1)
+    return Rays(*map(drawn.array, (np.tile([0.1, 0.0, -2.5], (COUNT, 1)), directions, np.full(COUNT, 1e-3))))
 
 
 def some_samples(footprint: Footprint) -> Sampled:
     """Rows of different lengths, some of them empty; whole ones where footprints join each other."""
     rng = np.random.default_rng(1)
-    edges = jnp.asarray(np.sort(rng.uniform(1.6, 4, (COUNT, SLOTS + 1)), 1), jnp.float32)
+    edges = np.float32(np.sort(rng.uniform(1.6, 4, (COUNT, SLOTS + 1)), 1))
     filled = rng.integers(0, SLOTS + 1, COUNT) if footprint.kind == "point" else np.full(COUNT, SLOTS)
-    samples = RaySamples.in_rows((edges[:, 1:] + edges[:, :-1]) / 2, jnp.diff(edges), jnp.asarray(filled))
-    return Sampled(samples, footprint, jnp.ones(COUNT, bool))
+    samples = IN_ROWS((edges[:, 1:] + edges[:, :-1]) / 2, np.diff(edges), filled.astype(np.int32))
+    return Sampled(samples, footprint, drawn.array(np.ones(COUNT), bool))
 
 
-def some_field(small_config: Config, space: Space, shading: str, density_bias: float) -> Field:
-    config = small_config if space.bounded else small_config.with_surroundings()
-    settings = config.field.model_copy(update={"shading": shading, "density_bias": density_bias})
-    return Field.create(jax.random.key(0), config.encoding, settings)
+def some_field(space: Space, shading: str, density: float = 0.0) -> Field:
+    """With such a logarithm of its density added everywhere."""
+    config = small(changes={"field": {"shading": shading, "density_bias": 1.0}})
+    config = config if space.bounded else config.with_surroundings()
+    made = drawn.filled(lambda: Field.create(jax.random.key(0), config.encoding, config.field))
+    bias = np.array(made.spatial.biases[-1])
+    bias[0] += density
+    return eqx.tree_at(lambda field: field.spatial.biases[-1], made, drawn.array(bias))
 
 
+@functools.partial(jit, static_argnums=(4, 5))
+def bit_by_bit(field: Field, rays: Rays, found: Sampled, count: int, space: Space, places: int) -> jax.Array:
+    queue = Queue.of(found.samples, count)
+    return composited(field, rays, found, queue, space, normals=True, under_way=places)
+
+
+@functools.partial(jit, static_argnums=3)
 def all_at_once(field: Field, rays: Rays, found: Sampled, space: Space) -> jax.Array:
     cloud = cloud_of(rays, found.samples, space=space, footprint=found.footprint)
     density, material, normals = field.with_normals(cloud)
@@ -51,38 +68,38 @@ def all_at_once(field: Field, rays: Rays, found: Sampled, space: Space) -> jax.A
     return composite(channels, weights, found.samples)
 
 
-@pytest.mark.parametrize("space", [BOX, BALL, FRUSTUM])
-@pytest.mark.parametrize("shading", ["deferred", "samples"])
-@pytest.mark.parametrize("places", [16, 2048])
-def test_bit_by_bit_is_all_at_once(
-    small_config: Config, space: Space, shading: str, places: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(front_to_back, "UNDER_WAY", (places, places))
-    field, rays, found = some_field(small_config, space, shading, 1.0), some_rays(), some_samples(Footprint())
-    ours = jit(lambda: composited(field, rays, found, Queue.of(found.samples, jnp.asarray(COUNT)), space, normals=True))()
-    np.testing.assert_allclose(ours, jit(lambda: all_at_once(field, rays, found, space))(), rtol=2e-5, atol=2e-5)
+# each space, each shading with each number of places; the rest with `make test-all`
+OFTEN = {(BOX, "deferred", 16), (BOX, "sample", 2048), (BALL, "sample", 16), (FRUSTUM, "deferred", 2048)}
+WAYS = [
+    pytest.param(*way, marks=() if way in OFTEN else pytest.mark.slow)
+    for way in itertools.product((BOX, BALL, FRUSTUM), ("deferred", "sample"), (16, 2048))
+]
 
 
-@pytest.mark.parametrize("footprint", [Footprint("gaussian"), Footprint("hexagon", jnp.linspace(0, 3, COUNT))])
-def test_frustums_stay_what_they_are(small_config: Config, footprint: Footprint) -> None:
-    field, rays, found = some_field(small_config, BALL, "samples", 1.0), some_rays(), some_samples(footprint)
-    ours = jit(lambda: composited(field, rays, found, Queue.of(found.samples, jnp.asarray(COUNT)), BALL, normals=True))()
-    np.testing.assert_allclose(ours, jit(lambda: all_at_once(field, rays, found, BALL))(), rtol=2e-5, atol=2e-5)
+@pytest.mark.parametrize(("space", "shading", "places"), WAYS)
+def test_bit_by_bit_is_all_at_once(space: Space, shading: str, places: int) -> None:
+    given = some_field(space, shading), some_rays(), some_samples(Footprint())
+    np.testing.assert_allclose(bit_by_bit(*given, COUNT, space, places), all_at_once(*given, space), rtol=2e-5, atol=2e-5)
 
 
-def test_what_is_behind_an_opaque_surface_is_left_out_and_not_missed(small_config: Config) -> None:
-    field, rays, found = some_field(small_config, BOX, "deferred", 4.0), some_rays(), some_samples(Footprint())
-    ours = jit(lambda: composited(field, rays, found, Queue.of(found.samples, jnp.asarray(COUNT)), BOX, normals=True))()
-    every = np.asarray(jit(lambda: all_at_once(field, rays, found, BOX))())
-    missing = every[:, 0] - np.asarray(ours)[:, 0]
+@pytest.mark.parametrize("footprint", [Footprint("gaussian"), Footprint("hexagon", drawn.array(np.linspace(0, 3, COUNT)))])
+def test_frustums_stay_what_they_are(footprint: Footprint) -> None:
+    given = some_field(BALL, "deferred"), some_rays(), some_samples(footprint)
+    np.testing.assert_allclose(bit_by_bit(*given, COUNT, BALL, 16), all_at_once(*given, BALL), rtol=2e-5, atol=2e-5)
+
+
+def test_what_is_behind_an_opaque_surface_is_left_out_and_not_missed() -> None:
+    given = some_field(BOX, "deferred", density=3.0), some_rays(), some_samples(Footprint())
+    ours, every = np.asarray(bit_by_bit(*given, COUNT, BOX, 16)), np.asarray(all_at_once(*given, BOX))
+    missing = every[:, 0] - ours[:, 0]
     assert missing.max() > 1e-6, "some of it is left out"
     assert missing.max() < 1.01e-3 and missing.min() > -1e-5
 
 
-def test_rays_that_are_none_are_not_composited(small_config: Config) -> None:
-    field, rays, found = some_field(small_config, BOX, "deferred", 1.0), some_rays(), some_samples(Footprint())
-    queue = Queue.of(found.samples, jnp.asarray(40))
-    assert int(queue.count) == np.sum(np.asarray(found.samples.valid).reshape(COUNT, SLOTS)[:40, 0])
-    sums = jit(lambda: composited(field, rays, found, queue, BOX, normals=False))()
+def test_rays_that_are_none_are_not_composited() -> None:
+    given = some_field(BOX, "deferred"), some_rays(), some_samples(Footprint())
+    valid = np.asarray(given[2].samples.valid).reshape(COUNT, SLOTS)
+    assert int(jax.jit(lambda samples: Queue.of(samples, 40).count)(given[2].samples)) == valid[:40, 0].sum()
+    sums = np.asarray(bit_by_bit(*given, 40, BOX, 16))
     np.testing.assert_array_equal(sums[40:], 0)
-    assert np.asarray(sums[:40, 0]).max() > 0.1
+    assert sums[:40, 0].max() > 0.1

@@ -1,14 +1,16 @@
 """Rays that the tests of sampling share."""
 
+import functools
 from collections.abc import Callable
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
 from reconstruct.sampling.steps import Steps
 from reconstruct.scene.rays import Rays
 from reconstruct.scene.space import BALL, BOX
+from tests import drawn
 
 
 def _some_rays(count: int, seed: int = 0, distance: float = 3.0) -> Rays:
@@ -19,9 +21,10 @@ def _some_rays(count: int, seed: int = 0, distance: float = 3.0) -> Rays:
     directions = (rng.uniform(-0.8, 0.8, (count, 3)) - origins) * rng.uniform(0.3, 0.6, (count, 1))
     directions[::8] *= -1
     origins[1], directions[1] = [0.1, -distance, 0.2], [0, 1.0, 0]
-    return Rays(*(jnp.asarray(a, jnp.float32) for a in (origins, directions)), jnp.full(count, 1e-3))
+    return Rays(*map(drawn.array, (origins, directions, np.full(count, 1e-3))))
 
 
+@functools.partial(jax.jit, static_argnums=(1, 2))
 def _steps_of(rays: Rays, bounded: bool, steps: int = 64) -> Steps:
     return Steps.of(rays, steps=steps, space=BOX if bounded else BALL, near=0.05, far=100.0)
 

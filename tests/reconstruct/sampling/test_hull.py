@@ -1,7 +1,6 @@
 from collections.abc import Callable
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,6 +9,7 @@ from reconstruct.sampling import hull
 from reconstruct.sampling.hull import cells_in_masks
 from reconstruct.sampling.occupancy import cell_centres
 from reconstruct.scene.rays import Normalisation, Pixels
+from tests import drawn
 
 
 class Silent:
@@ -39,7 +39,8 @@ def test_masks_leave_what_they_all_show(make_scene: Callable[..., Scene]) -> Non
 def test_one_wrong_mask_rules_nothing_out(make_scene: Callable[..., Scene]) -> None:
     scene = make_scene(mask=True)
     normalisation, pixels = Normalisation.of(scene), pixels_of(scene)
-    spoilt = eqx.tree_at(lambda p: p.colour, pixels, jnp.where((pixels.view == 2)[:, None], 0, pixels.colour))
+    colour = np.where((np.asarray(pixels.view) == 2)[:, None], 0, pixels.colour)
+    spoilt = eqx.tree_at(lambda p: p.colour, pixels, drawn.array(colour, np.float16))
     world = cell_centres(16, 1.0) / normalisation.scale + normalisation.centre
     cells = cells_in_masks(spoilt, scene.views, normalisation, 16, 1.0)
     assert cells is not None and cells[np.linalg.norm(world, axis=-1) < 0.06].all() and not cells.all()

@@ -1,21 +1,23 @@
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
-from reconstruct.sampling.steps import BEHIND, FRONT
+from reconstruct.sampling.steps import BEHIND, FRONT, Steps
+
+AT = jax.jit(Steps.at)
 
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_steps_ascend_and_cover_what_they_promise(bounded: bool, some_rays, steps_of) -> None:
     rays = some_rays(64)
     steps = steps_of(rays, bounded)
-    t = np.asarray(steps.at(jnp.broadcast_to(jnp.linspace(0, steps.count, 500), (64, 500))), np.float64)
+    t = np.asarray(AT(steps, np.tile(np.linspace(0, steps.count, 500, dtype=np.float32), (64, 1))), np.float64)
     assert np.isfinite(t).all()
     assert (np.diff(t, axis=-1) >= -1e-5).all()  # rounding at the joints of the parts, t up to 100
     assert (t[:, 0] >= 0.05 - 1e-6).all()
     points = np.asarray(rays.origins)[:, None] + t[..., None] * np.asarray(rays.directions)[:, None]
     if bounded:
-        hits = np.asarray(steps.leave > steps.enter)
+        hits = np.asarray(steps.leave) > np.asarray(steps.enter)
         assert 40 < hits.sum() < 64, "some rays hit and some miss"
         assert np.abs(points[hits]).max() <= 1 + 1e-5
         surface = np.abs(points[hits][:, [0, -1]]).max(-1)
@@ -24,7 +26,7 @@ def test_steps_ascend_and_cover_what_they_promise(bounded: bool, some_rays, step
         assert steps.count == FRONT + 64 + BEHIND
         np.testing.assert_allclose(t[:, 0], 0.05, atol=1e-6)
         np.testing.assert_allclose(t[:, -1], 100, rtol=1e-5)
-        hits = np.asarray(steps.leave > steps.enter)
+        hits = np.asarray(steps.leave) > np.asarray(steps.enter)
         ends = (
             np.asarray(rays.origins)[:, None]
             + np.stack([steps.enter, steps.leave], -1)[..., None] * np.asarray(rays.directions)[:, None]
@@ -36,6 +38,6 @@ def test_steps_ascend_and_cover_what_they_promise(bounded: bool, some_rays, step
 def test_steps_of_single_entries_equal_those_of_rows(bounded: bool, some_rays, steps_of) -> None:
     rays = some_rays(16)
     steps = steps_of(rays, bounded)
-    u = jnp.broadcast_to(jnp.linspace(0, steps.count, 33), (16, 33))
-    entries = steps.at(u.reshape(-1), jnp.repeat(jnp.arange(16), 33))
-    np.testing.assert_allclose(entries.reshape(16, 33), steps.at(u), rtol=1e-6)
+    u = np.tile(np.linspace(0, steps.count, 33, dtype=np.float32), (16, 1))
+    entries = AT(steps, u.reshape(-1), np.repeat(np.arange(16, dtype=np.int32), 33))
+    np.testing.assert_allclose(np.asarray(entries).reshape(16, 33), AT(steps, u), rtol=1e-6)

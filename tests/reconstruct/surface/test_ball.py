@@ -56,7 +56,7 @@ def test_random_rotations_are_uniform() -> None:
     rotation from the left changes nothing.
     """
     count = 20_000
-    rotations = np.asarray(random_rotations(jax.random.key(0), count), np.float64)
+    rotations = np.asarray(jax.jit(random_rotations, static_argnums=1)(jax.random.key(0), count), np.float64)
     np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.broadcast_to(np.eye(3), rotations.shape), atol=2e-6)
     np.testing.assert_allclose(np.linalg.det(rotations), 1, atol=2e-6)
     assert np.abs(rotations.mean(0)).max() < 5 * np.sqrt(1 / 3 / count)
@@ -73,14 +73,13 @@ def test_random_rotations_are_uniform() -> None:
 
 @pytest.mark.parametrize("sampling", ["lattice", "fibonacci", "random"])
 def test_ball_samples_are_unit_directions_and_radii(sampling: str) -> None:
-    directions, radii = ball_samples(
-        jax.random.key(0), 400, SurfaceConfig.model_validate({"samples": 32, "reach": 1.0, "sampling": sampling})
-    )
+    config = SurfaceConfig.model_validate({"samples": 32, "reach": 1.0, "sampling": sampling})
+    directions, radii = map(np.asarray, jax.jit(lambda key: ball_samples(key, 400, config))(jax.random.key(0)))
     assert directions.shape == (400, 32, 3) and radii.shape == (32,)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-5)
     np.testing.assert_allclose(radii, 1 if sampling == "fibonacci" else shell_radii(32), atol=1e-6)
     # uniform over rays and samples: means of 12 800 (dependent within a ray: at most 400 free) directions
-    assert np.abs(np.asarray(directions).mean((0, 1))).max() < 5 / np.sqrt(3 * 400)
-    nearest = np.sort(np.asarray(directions @ directions.transpose(0, 2, 1)), -1)[..., -2]
+    assert np.abs(directions.mean((0, 1))).max() < 5 / np.sqrt(3 * 400)
+    nearest = np.sort(directions @ directions.transpose(0, 2, 1), -1)[..., -2]
     closest = np.degrees(np.arccos(np.clip(nearest.max(-1), -1, 1))).min()
     assert (closest < 5) == (sampling == "random"), "a lattice keeps its directions apart, chance does not"

@@ -4,13 +4,14 @@ import socket
 import struct
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 
 from capture.robots.rtde import stream, wire
 from capture.robots.rtde.stream import RegistersInUse, RtdeStream
 from capture.robots.rtde.wire import Recipe, packet
+from tests.moments import until
 
 OUTPUTS = ["timestamp", "actual_q", "runtime_state"]
 INPUTS = [["input_int_register_24"], ["input_double_register_24", "input_int_register_24"]]
@@ -31,14 +32,19 @@ def controller(monkeypatch, replies=None, after_start=b""):
     """Serves one connection; yields a list of the packets that it received and the means to end it."""
     listener = socket.create_server(("127.0.0.1", 0))
     monkeypatch.setattr(stream, "PORT", listener.getsockname()[1])
-    monkeypatch.setattr(stream, "REPLY_S", 0.3)
+    silent = b"" in (replies or {}).values()
+    monkeypatch.setattr(stream, "REPLY_S", 0.1 if silent else 20.0)
     answers, received, connection = {**REPLIES, **(replies or {})}, [], []
 
     def serve():
         link, _ = listener.accept()
         connection.append(link)
+        with suppress(OSError):  # either side hangs up
+            answer(link)
+
+    def answer(link):
         buffer, inputs = bytearray(), 0
-        while chunk := _received(link):
+        while chunk := link.recv(4096):
             buffer += chunk
             for kind, payload in wire.split_packets(buffer):
                 received.append((kind, payload))
@@ -61,13 +67,6 @@ def controller(monkeypatch, replies=None, after_start=b""):
             link.close()
 
 
-def _received(link):
-    try:
-        return link.recv(4096)
-    except OSError:
-        return b""
-
-
 def _connect():
     return RtdeStream("127.0.0.1", OUTPUTS, INPUTS, 125.0)
 
@@ -76,9 +75,7 @@ def test_it_asks_for_its_variables_and_sends_numbered_inputs(monkeypatch):
     with controller(monkeypatch) as (received, _):
         link = _connect()
         link.send(2, [1.5, -3])
-        deadline = time.monotonic() + 2
-        while received[-1][0] != wire.DATA and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: received[-1][0] == wire.DATA, "the inputs at the controller")
         assert received[0] == (wire.PROTOCOL_VERSION, b"\x00\x02")
         assert received[1] == (wire.OUTPUTS, struct.pack(">d", 125.0) + b"timestamp,actual_q,runtime_state")
         assert received[-1] == (wire.DATA, b"\x02" + struct.pack(">di", 1.5, -3))
@@ -117,15 +114,16 @@ def test_a_controller_that_answers_otherwise_is_refused(monkeypatch, replies, er
 def test_nonsense_closes_the_connection(monkeypatch, nonsense):
     with controller(monkeypatch, after_start=nonsense):
         link = _connect()
-        assert link.newest(1.0) is None and not link.connected
+        assert link.newest(20.0) is None and not link.connected
 
 
 def test_a_closed_connection_is_noticed_at_once_and_for_good(monkeypatch):
     with controller(monkeypatch, after_start=_sample(1.0)) as (_, connection):
         link = _connect()
-        assert link.newest(1.0)
+        assert link.newest(20.0)
         connection[0].shutdown(socket.SHUT_RDWR)
         begun = time.monotonic()
-        assert link.newest(1.0) is None and not link.connected and time.monotonic() - begun < 0.5
+        assert link.newest(60.0) is None and not link.connected
+        assert time.monotonic() - begun < 6.0  # unnoticed it would take the sixty seconds
         link.send(1, [0])  # does nothing
         link.close()

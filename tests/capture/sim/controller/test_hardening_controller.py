@@ -4,7 +4,7 @@ import logging
 import socket
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -14,10 +14,18 @@ from capture.robots.rtde.wire import packet
 from capture.sim.controller.arm import Arm
 from capture.sim.controller.process import SimulatedController
 from capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
+from tests.moments import until
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 UNKNOWN = [number for number in range(1, 80) if number not in ACTIONS and number not in ANSWERS]
 """Commands of the client that the simulation does not carry out: paths, payload, freedrive and others."""
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[SimulatedController]:
+    """Hears a stranger in every test, and goes on."""
+    with SimulatedController.start() as started:
+        yield started
 
 
 def received(connection: socket.socket, kind: int) -> bytes:
@@ -28,17 +36,17 @@ def received(connection: socket.socket, kind: int) -> bytes:
 
 
 @pytest.mark.parametrize("version", [0, 3, 99])
-def test_a_protocol_version_that_does_not_exist_is_not_accepted(version: int) -> None:
-    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+def test_a_protocol_version_that_does_not_exist_is_not_accepted(controller: SimulatedController, version: int) -> None:
+    with socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", version)))
         assert received(client, ord("V")) == b"\x00"
         client.sendall(packet(ord("V"), struct.pack(">H", 2)))  # another one may be asked for
         assert received(client, ord("V")) == b"\x01"
 
 
-def test_protocol_version_1_has_neither_frequencies_nor_recipe_numbers() -> None:
+def test_protocol_version_1_has_neither_frequencies_nor_recipe_numbers(controller: SimulatedController) -> None:
     """Universal Robots, "Real-Time Data Exchange guide": in version 1 a recipe is names alone, and data are values alone."""
-    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+    with socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", 1)))
         assert received(client, ord("V")) == b"\x01"
         client.sendall(packet(ord("O"), b"timestamp,robot_mode"))
@@ -63,8 +71,8 @@ def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog
     assert f"command {number} is not simulated" in caplog.text
 
 
-def test_an_output_cannot_be_an_input() -> None:
-    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+def test_an_output_cannot_be_an_input(controller: SimulatedController) -> None:
+    with socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", 2)))
         assert received(client, ord("V")) == b"\x01"
         client.sendall(packet(ord("I"), b"output_int_register_3,actual_q"))
@@ -72,8 +80,8 @@ def test_an_output_cannot_be_an_input() -> None:
 
 
 @pytest.mark.parametrize("line", ["movej([0,-1.2,0,-1.5,0,0], a=1.4, v=1.0)\n", "movej([0,-1.2,0,-1.5,0,0])"])
-def test_a_program_of_one_line_is_executed_or_refused(line: str) -> None:
-    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30003), 10) as client:
+def test_a_program_of_one_line_is_executed_or_refused(controller: SimulatedController, line: str) -> None:
+    with socket.create_connection((controller.host, 30003), 10) as client:
         client.sendall(line.encode())
         if not line.endswith("\n"):
             client.shutdown(socket.SHUT_WR)
@@ -93,14 +101,15 @@ def test_a_program_of_one_line_is_executed_or_refused(line: str) -> None:
 
 
 @pytest.mark.parametrize("offset", [47, 99, "9" * 5000])
-def test_a_program_with_an_impossible_register_offset_does_not_end_the_controller(offset: int | str) -> None:
+def test_a_program_with_an_impossible_register_offset_does_not_end_the_controller(
+    controller: SimulatedController, offset: int | str
+) -> None:
     text = f"def program():\n  # int register offset\n  reg_offset = {offset}\n  sync()\nend\n"
-    with SimulatedController.start() as controller:
-        with socket.create_connection((controller.host, 30003), 10) as client:
-            client.sendall(text.encode())
-            time.sleep(0.6)
-        assert controller.process.poll() is None, controller.last_line()
-        controller.ask("truth")
+    with socket.create_connection((controller.host, 30003), 10) as client:
+        client.sendall(text.encode())
+        client.makefile("rb").read()  # until the controller hangs up on what it refuses
+    assert controller.process.poll() is None, controller.last_line()
+    controller.ask("truth")
 
 
 @pytest.mark.parametrize(
@@ -121,8 +130,8 @@ def test_the_programs_of_both_clients_are_taken_and_others_are_not() -> None:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_clients_are_told_why_a_program_was_refused(version: int) -> None:
-    with SimulatedController.start() as controller, socket.create_connection((controller.host, 30004), 10) as client:
+def test_clients_are_told_why_a_program_was_refused(controller: SimulatedController, version: int) -> None:
+    with socket.create_connection((controller.host, 30004), 10) as client:
         client.sendall(packet(ord("V"), struct.pack(">H", version)))
         assert received(client, ord("V")) == b"\x01"
         with socket.create_connection((controller.host, 30003), 10) as sender:
@@ -144,16 +153,9 @@ def test_the_vendors_client_sees_an_ended_program_and_starts_again() -> None:
         assert not client.setPayload(1.0, [0.0, 0.0, 0.0]) and not client.isProgramRunning()
         assert controller.last_line() == "the program was ended: command 17 is not simulated"
         assert client.reuploadScript()
-        _until(client.isProgramRunning)
+        until(client.isProgramRunning, "a program that runs")
         assert client.moveJ(home, 1.0, 1.4)
         outputs.setToolDigitalOut(0, True)
-        _until(lambda: not client.isProgramRunning())
+        until(lambda: not client.isProgramRunning(), "the end of the program")
         assert controller.last_line() == "the program was ended: input tool_digital_output_mask is not simulated"
         client.disconnect()
-
-
-def _until(happened: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 10
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)

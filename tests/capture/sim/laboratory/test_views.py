@@ -13,11 +13,15 @@ CAMERA = Camera(48, 40, 50.0, 50.0, 24.3, 19.2, k1=-0.1)
 ABOVE = pose.look_at((0.1, -0.1, 0.4), (0.4, 0.0, 0.1))
 
 
-@pytest.fixture
-def ball() -> ObjectView:
+def make_ball() -> ObjectView:
     found = make_view("shiny_ball", load_trajectory("koala_demo"), 0).view
     assert isinstance(found, ObjectView)
     return found
+
+
+@pytest.fixture(scope="module")
+def ball() -> ObjectView:
+    return make_ball()
 
 
 def test_the_whole_sensor_gets_fewer_paths_per_pixel():
@@ -66,9 +70,9 @@ def test_the_room_is_the_same_from_wherever_the_base_is(ball, changes):
     np.testing.assert_allclose(elsewhere.mesh().centroid, centre[:3], atol=0.06)  # and it stands in its box
 
 
-def test_there_is_no_truth_before_a_picture(ball):
+def test_there_is_no_truth_before_a_picture():
     with pytest.raises(SimulationError, match="no picture has been taken"):
-        ball.truth(Lens(CAMERA), ABOVE, 0)
+        make_ball().truth(Lens(CAMERA), ABOVE, 0)
 
 
 def test_the_board_is_no_object():

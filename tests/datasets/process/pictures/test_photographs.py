@@ -2,19 +2,21 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datasets.core.errors import UsageError
-from datasets.imaging import images
 from datasets.process.pictures import exif, features
 from datasets.process.pictures.photographs import cameras, find
+from tests.foreign import photographs
 
-PICTURE = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
+PICTURE = photographs.corners(60, 40)
 
 
-def shoot(path: Path, picture: np.ndarray = PICTURE, **header: str | int | float) -> None:
-    images.write(path, picture, metadata={key.replace("_", ":"): value for key, value in header.items()})
+def shoot(path: Path, picture: NDArray[np.uint8] = PICTURE, **header: photographs.Header) -> None:
+    photographs.write(path, picture, **header)
 
 
 def test_pictures_of_every_suffix_are_found_and_others_named(tmp_path: Path) -> None:
@@ -44,46 +46,55 @@ def test_a_damaged_header_is_named(tmp_path: Path) -> None:
 
 
 def test_the_focal_length_comes_from_the_equivalent_on_film(tmp_path: Path) -> None:
-    for name in ("a.jpg", "b.jpg", "c.jpg"):
-        shoot(tmp_path / name, Exif_FocalLengthIn35mmFilm=26, Make="Koala", Model="One")
-    focal = find(tmp_path).photographs[0].focal_px
-    assert focal == pytest.approx(26 * np.hypot(60, 40) / np.hypot(36, 24))
+    photographs.write(tmp_path / "Pillow.jpg", PICTURE, FocalLengthIn35mmFilm=26, FocalLength=4.25, Make="Koala", Model="One")
+    photographs.write_with_opencv(tmp_path / "OpenCV.jpg", PICTURE, FocalLengthIn35mmFilm=26)
+    photographs.write(tmp_path / "Pillow.png", PICTURE, FocalLengthIn35mmFilm=26)
+    found = [photograph.focal_px for photograph in find(tmp_path).photographs]
+    assert found == pytest.approx([26 * np.hypot(60, 40) / np.hypot(36, 24)] * 3)
 
 
-def test_the_focal_length_comes_from_the_focal_plane_otherwise() -> None:
-    header = {"Exif:FocalLength": 50.0, "Exif:FocalPlaneXResolution": 4000.0, "Exif:FocalPlaneResolutionUnit": 2}
-    assert exif.focal_length(header, 6000, 4000) == pytest.approx(50 * 4000 / 25.4)
-    assert exif.focal_length(header | {"Exif:PixelXDimension": 6000}, 1500, 1000) == pytest.approx(50 * 1000 / 25.4)
-    assert exif.focal_length({"Exif:FocalLength": 50.0}, 6000, 4000) is None
+def test_the_focal_length_comes_from_the_focal_plane_otherwise(tmp_path: Path) -> None:
+    """40 pixels an inch; in a copy at half the size, the header still states the width of the picture as it was taken."""
+    said = {"FocalLength": 50.0, "FocalPlaneXResolution": 40.0, "FocalPlaneResolutionUnit": 2}
+    shoot(tmp_path / "a.jpg", **said)
+    shoot(tmp_path / "b.jpg", **said, ExifImageWidth=120)
+    shoot(tmp_path / "c.jpg", FocalLength=50.0)
+    full, half, unknown = (photograph.focal_px for photograph in find(tmp_path).photographs)
+    assert full == pytest.approx(50 * 40 / 25.4) and half == pytest.approx(50 * 40 / 25.4 / 2) and unknown is None
+
+
+def test_a_focal_length_that_is_no_number_is_unknown() -> None:
     assert exif.focal_length({"Exif:FocalLengthIn35mmFilm": 0, "Exif:FocalLength": "unknown"}, 6000, 4000) is None
 
 
 def test_pictures_of_one_camera_share_it(tmp_path: Path) -> None:
-    shoot(tmp_path / "a.jpg", Model="One", Exif_FocalLength=4.2)
-    shoot(tmp_path / "b.jpg", Model="One", Exif_FocalLength=4.2)
-    shoot(tmp_path / "c.jpg", Model="Two", Exif_FocalLength=4.2)
-    shoot(tmp_path / "d.jpg", PICTURE[:20], Model="One", Exif_FocalLength=4.2)
-    shoot(tmp_path / "e.jpg", Model="One", Exif_FocalLength=8.4)
-    photographs = find(tmp_path).photographs
-    assert cameras(photographs, "auto") == [0, 0, 1, 2, 3]
-    assert cameras(photographs, "size") == [0, 0, 0, 1, 0]
-    assert cameras(photographs, "each") == [0, 1, 2, 3, 4]
+    shoot(tmp_path / "a.jpg", Model="One", FocalLength=4.2)
+    shoot(tmp_path / "b.jpg", Model="One", FocalLength=4.2)
+    shoot(tmp_path / "c.jpg", Model="Two", FocalLength=4.2)
+    shoot(tmp_path / "d.jpg", PICTURE[:20], Model="One", FocalLength=4.2)
+    shoot(tmp_path / "e.jpg", Model="One", FocalLength=8.4)
+    found = find(tmp_path).photographs
+    assert cameras(found, "auto") == [0, 0, 1, 2, 3]
+    assert cameras(found, "size") == [0, 0, 0, 1, 0]
+    assert cameras(found, "each") == [0, 1, 2, 3, 4]
 
 
-def test_a_turned_picture_is_searched_upright(tmp_path: Path) -> None:
-    """Orientation 6: the camera was held on its side, and the picture has to be turned clockwise."""
-    import cv2
-
-    smooth = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (300, 400, 3), dtype=np.uint8), (0, 0), 2)
-    upright = cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX)  # type: ignore[call-overload]
-    for name in ("a.jpg", "b.jpg"):
-        shoot(tmp_path / name, upright)
-    shoot(tmp_path / "c.jpg", np.ascontiguousarray(np.rot90(upright)), Orientation=6)
-    first, _, turned = find(tmp_path).photographs
-    assert (turned.width, turned.height) == (first.width, first.height) == (400, 300)
-    seen, again = features.detect(first.path), features.detect(turned.path)
-    distances = np.linalg.norm(seen.pixels[:50, None] - again.pixels[None], axis=-1).min(1)
-    assert len(seen.pixels) > 50 and np.median(distances) < 0.3  # different noise of the two encodings
+def test_turned_pictures_are_searched_upright(tmp_path: Path) -> None:
+    """One picture, stored in all eight ways: it has one camera, one focal length, and its features where they are seen."""
+    smooth = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (160, 240, 3), dtype=np.uint8), (0, 0), 1.5)
+    picture = np.asarray(cv2.normalize(smooth, np.zeros_like(smooth), 0, 255, cv2.NORM_MINMAX), np.uint8)
+    for orientation in photographs.ORIENTATIONS:
+        shoot(tmp_path / f"{orientation}.jpg", picture, orientation=orientation, FocalLengthIn35mmFilm=26)
+    found = find(tmp_path).photographs
+    assert len(found) == 8 and {(photograph.width, photograph.height) for photograph in found} == {(240, 160)}
+    assert [photograph.focal_px for photograph in found] == pytest.approx([26 * np.hypot(240, 160) / np.hypot(36, 24)] * 8)
+    assert cameras(found, "auto") == [0] * 8
+    first, *turned = (features.detect(photograph.path) for photograph in found)
+    assert len(first.pixels) > 50
+    for again in turned:
+        assert (again.width, again.height) == (240, 160)
+        distances = np.linalg.norm(first.pixels[:50, None] - again.pixels[None], axis=-1).min(1)
+        assert np.median(distances) < 0.3  # different noise of the two encodings
 
 
 def test_a_folder_without_photographs_says_what_it_holds(tmp_path: Path) -> None:

@@ -59,8 +59,7 @@ def test_a_vocabulary_tree_chooses_pairs(pictures: list[Picture], path: Path, tm
     all_of_them = np.concatenate([picture.features.descriptors for picture in pictures])
     words = pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, all_of_them).to_float()
     index = pycolmap.VisualIndex.create(128, 64)
-    options = pycolmap.VisualIndex.BuildOptions()
-    options.num_visual_words = 64
+    options = pycolmap.VisualIndex.BuildOptions(num_visual_words=64, num_iterations=5, num_rounds=1)  # rough, and soon made
     index.build(options, words)
     index.write(tmp_path / "tree.bin")
     found = database.by_vocabulary(path, tmp_path / "tree.bin")

@@ -1,5 +1,6 @@
 from itertools import product
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,14 +9,17 @@ import pytest
 from reconstruct.field.encodings import tables
 from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
 from reconstruct.numerics import lattice_constants
+from tests import drawn
 
 EVALUATE = jax.jit(lambda grid, points, scale=None: grid.value_and_jacobian(points, scale))
 
 
 @pytest.fixture(scope="module")
 def grid() -> VoxelGrid:
-    made = VoxelGrid.create(jax.random.key(1), levels=3, features=2, log2_size=12, coarsest=2.0, finest=9.0)
-    return jax.tree.map(lambda table: table * 1e4, made)  # values of order one, so that differences show
+    """With values of order one, so that differences show."""
+    sizes = {"levels": 3, "features": 2, "log2_size": 12, "coarsest": 2.0, "finest": 9.0}
+    made = drawn.filled(lambda: VoxelGrid.create(jax.random.key(1), **sizes))
+    return eqx.tree_at(lambda one: one.table, made, drawn.uniform(*made.table.shape, low=-1))
 
 
 def hashed(vertex: np.ndarray, log2_size: int) -> int:
@@ -47,7 +51,10 @@ def test_features_are_continuous_across_faces(grid: VoxelGrid) -> None:
     """On a vertex, an edge and a face of the coarsest level (resolution 2) both sides agree up to the step's slope."""
     at = np.array([[0.5, 0.5, 0.5], [0.5, -0.5, 0.1], [-0.5, 0.3, 0.2]]).T.astype(np.float32)
     step = 1e-5
-    before, after = EVALUATE(grid, jnp.asarray(at - step))[0], EVALUATE(grid, jnp.asarray(at + step))[0]
+    sides = np.concatenate(
+        [at - np.float32(step), at + np.float32(step), np.zeros((3, 394), np.float32)], 1
+    )  # of the points' shape
+    before, after = np.split(np.asarray(EVALUATE(grid, sides)[0])[:, :6], 2, 1)
     steepest = 2 * 9 * np.sqrt(3)  # a difference of two values of order one across a cell of the finest level, along a diagonal
     np.testing.assert_allclose(before, after, atol=2 * step * np.sqrt(3) * steepest)
 
@@ -70,7 +77,7 @@ def test_jacobian_equals_differences(grid: VoxelGrid, points: jax.Array) -> None
 def test_the_table_s_gradient_equals_autodiff_of_the_obvious(grid: VoxelGrid, points: jax.Array) -> None:
     rows, coefficients = jax.jit(lambda g, p: g.located(p, None, with_slopes=True))(grid, points)
     assert len(rows) == 8 and [len(one) for one in coefficients] == [8] * 4
-    cotangents = jax.random.normal(jax.random.key(3), (4, 2, 3, points.shape[1]))
+    cotangents = drawn.normal(4, 2, 3, points.shape[1])
 
     def ours(table):
         return jnp.sum(jnp.stack([jnp.stack(one) for one in tables.combine(table, rows, coefficients)]) * cotangents)
@@ -84,7 +91,7 @@ def test_the_table_s_gradient_equals_autodiff_of_the_obvious(grid: VoxelGrid, po
 
 
 def test_nothing_flows_back_to_points_and_scales(grid: VoxelGrid, points: jax.Array) -> None:
-    scale = jnp.full(points.shape[1], 0.05)
+    scale = np.full(points.shape[1], 0.05, np.float32)
     for gradient in jax.jit(jax.grad(lambda p, s: jnp.sum(grid(p, s)), argnums=(0, 1)))(points, scale):
         np.testing.assert_array_equal(gradient, 0)
 
@@ -96,18 +103,18 @@ def test_share_is_the_gaussian_inside_a_cell() -> None:
     x = ((np.arange(200_000) + 0.5) / 200_000 * 2 - 1) * half
     expected = [np.mean(np.exp(-(x**2) / (2 * s**2)) / np.sqrt(2 * np.pi * s**2)) * 2 * half for s in sigmas]
     assert expected[0] > 0.999 and expected[-1] < 0.03, "the sizes cover both ends"
-    np.testing.assert_allclose(cube_share(jnp.asarray(sigmas, jnp.float32), np.array([resolution])), expected, atol=1e-6)
+    found = jax.jit(lambda s: cube_share(s, np.array([resolution])))(np.float32(sigmas))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_wide_gaussians_and_the_blur_fade_level_by_level(grid: VoxelGrid, points: jax.Array) -> None:
-    import equinox as eqx
-
-    plain, plain_jacobian = EVALUATE(grid, points)
-    blurred = eqx.tree_at(lambda g: g.blur, grid, jnp.asarray(0.03))
-    share = np.tile([float(cube_share(jnp.array([0.05]), np.array([r], np.float32))[0]) for r in grid.resolutions], 2)
+    plain, plain_jacobian = map(np.asarray, EVALUATE(grid, points))
+    blurred = eqx.tree_at(lambda g: g.blur, grid, drawn.array(0.03))
+    share = jax.jit(lambda s: cube_share(s, np.float32(grid.resolutions)[:, None]))(np.float32([0.05]))
+    share = np.tile(np.asarray(share)[:, 0], 2)
     assert share[0] > share[1] > share[2]
     # 0.03 and 0.04 together are 0.05, given per point or per axis
-    for scale in (jnp.full(points.shape[1], 0.04), jnp.full((3, points.shape[1]), 0.04)):
+    for scale in (np.full(points.shape[1], 0.04, np.float32), np.full((3, points.shape[1]), 0.04, np.float32)):
         values, jacobian = EVALUATE(blurred, points, scale)
         np.testing.assert_allclose(values, plain * share[:, None], atol=1e-5)
         np.testing.assert_allclose(jacobian, plain_jacobian * share[:, None, None], rtol=1e-4, atol=1e-4)

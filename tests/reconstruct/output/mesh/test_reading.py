@@ -9,6 +9,7 @@ import trimesh
 
 from datasets.core.errors import DatasetError, UsageError
 from reconstruct.output.mesh import reading
+from tests.foreign import meshes
 
 
 @pytest.fixture
@@ -21,6 +22,17 @@ def test_what_is_written_is_read(ball: trimesh.Trimesh, tmp_path: Path, suffix: 
     ball.export(tmp_path / f"ball{suffix}")
     found = reading.read(tmp_path / f"ball{suffix}", process=True)
     assert len(found.faces) == len(ball.faces) and found.volume == pytest.approx(ball.volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("suffix", reading.READABLE)
+def test_parts_with_a_texture_are_read_in_their_places(tmp_path: Path, suffix: str) -> None:
+    scene = meshes.parts()
+    whole = scene.to_geometry()
+    meshes.write(tmp_path / f"parts{suffix}", scene)
+    found = reading.read(tmp_path / f"parts{suffix}")
+    assert len(found.faces) == len(whole.faces)
+    np.testing.assert_allclose(found.bounds, scene.bounds, atol=1e-6)  # single precision
+    assert (found.volume, found.area) == pytest.approx((whole.volume, whole.area), rel=1e-5)
 
 
 def changed_glb(path: Path, **parts: object) -> None:
@@ -49,12 +61,14 @@ def test_a_glb_that_asks_for_too_much_is_refused(ball: trimesh.Trimesh, tmp_path
         reading.read(tmp_path / "ball.glb")
 
 
-def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_mesh_is_refused(ball: trimesh.Trimesh, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"suffix '\.py'"):
         reading.read(tmp_path / "a.py")
     with pytest.raises(UsageError, match="no such file"):
         reading.read(tmp_path / "a.ply")
-    (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n1\n")
+    ball.export(tmp_path / "a.ply")
+    whole = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(whole.replace(b"element vertex 42\n", b"element vertex 99999999999\n"))
     with pytest.raises(DatasetError, match="cut off"):
         reading.read(tmp_path / "a.ply")
     broken = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [np.nan, 1, 0]], [[0, 1, 2]], process=False)

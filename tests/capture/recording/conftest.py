@@ -1,0 +1,18 @@
+"""A session of the demo as the default arm takes it, planned once."""
+
+import pytest
+
+from capture.planning import PlannedView, plan
+from capture.rig.description import RigDescription
+from capture.trajectory import Trajectory, load_trajectory
+
+
+@pytest.fixture(scope="session")
+def demo() -> Trajectory:
+    return load_trajectory("koala_demo")
+
+
+@pytest.fixture(scope="session")
+def demo_views(demo: Trajectory) -> list[PlannedView]:
+    """Its first six views."""
+    return plan(demo, RigDescription().carrier())[:6]
