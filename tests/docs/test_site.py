@@ -5,6 +5,7 @@ import fnmatch
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
@@ -51,46 +52,55 @@ def test_every_figure_is_defined() -> None:
 
 
 @cache
-def texts_in_the_source() -> list[list[str]]:
-    """The words of every string in the source; `*` stands for a value in a word."""
-    texts = []
+def source() -> dict[str, list[list[str]]]:
+    """What follows each word in the strings of the source, itself the first; `*` stands for a value in a word."""
+    found: dict[str, list[list[str]]] = defaultdict(list)
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.JoinedStr):
-                texts.append("".join(str(part.value) if isinstance(part, ast.Constant) else "*" for part in node.values))
+                text = "".join(str(part.value) if isinstance(part, ast.Constant) else "*" for part in node.values)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                texts.append(node.value)
-    return [re.sub(r"%[\d.]*[sdfg]", "*", text).replace("%%", "%").split() for text in texts]
+                text = node.value
+            else:
+                continue
+            words = words_of(re.sub(r"%[\d.]*[sdfg]", "*", text).replace("%%", "%"))
+            for start, word in enumerate(words):
+                found[word].append(words[start : start + LONGEST])
+    return found
 
 
-def is_message(quoted: str, texts: list[list[str]]) -> bool:
+LONGEST = 20
+"""Words of a quoted message that are looked at."""
+
+
+def words_of(text: str) -> list[str]:
+    """Words without the punctuation that ends them."""
+    return [word.strip(":,;") for word in text.split()]
+
+
+def is_message(quoted: str) -> bool:
     """Whether a string of the source has these words one after the other."""
-    words = quoted.split()
-    return any(
-        all(alike(word, other) for word, other in zip(words, text[start:], strict=False))
-        for text in texts
-        for start in range(len(text) - len(words) + 1)
-    )
+    words = words_of(quoted)[:LONGEST]
+    starts = (texts for word, texts in source().items() if alike(words[0], word))
+    return any(len(text) >= len(words) and all(map(alike, words, text)) for texts in starts for text in texts)
 
 
 def alike(word: str, pattern: str) -> bool:
     """Whether a word fits one of the source, where `*` stands for anything."""
-    word, pattern = word.strip(":,;"), pattern.strip(":,;")
-    return fnmatch.fnmatchcase(word, pattern) if "*" in pattern else word == pattern
+    return word == pattern or ("*" in pattern and fnmatch.fnmatchcase(word, pattern))
 
 
 def test_quoted_messages_exist() -> None:
     """The first column of the tables of symptoms quotes messages of the programs."""
-    texts, missing = texts_in_the_source(), []
+    missing = []
     for page in ("troubleshooting.md", "capture.md"):
         rows = re.findall(r"^\| (`[^|]+?) \|", (DOCS / page).read_text(), re.M)
         assert len(rows) > 10
         for quoted in (quoted for row in rows for quoted in re.findall(r"`([^`]+)`", row)):
             parts = [part.strip() for part in re.split(r"\.\.\.|\(|\)", quoted)]
-            missing += [f"{page}: {quoted}" for part in parts if part and not is_message(part, texts)]
+            missing += [f"{page}: {quoted}" for part in parts if part and not is_message(part)]
     assert not missing, "\n".join(missing)
 
 
 def test_a_message_that_does_not_exist_is_noticed() -> None:
-    texts = texts_in_the_source()
-    assert is_message("is not a koala-calibration file", texts) and not is_message("is not a koala-calibration fil", texts)
+    assert is_message("is not a koala-calibration file") and not is_message("is not a koala-calibration fil")

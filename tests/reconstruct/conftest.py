@@ -38,7 +38,7 @@ from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BOX
 from reconstruct.training.step import Step
 from tests.reconstruct import glossy_ball
-from tests.small import Trainable, small
+from tests.small import Trainable
 from tests.unoptimised import unoptimised as unoptimised
 
 SHIPPED = ("training", "kernels", "bench")
@@ -133,8 +133,17 @@ def ball_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
 
 @pytest.fixture(scope="session")
 def small_config() -> Config:
-    """The fast preset with everything made small."""
-    return small()
+    """The fast preset with a small model, and as many samples on a ray as ever."""
+    return load_config(
+        overrides=[
+            "encoding.levels=2",
+            "encoding.log2_size=8",
+            "field.spatial_width=8",
+            "field.view_width=8",
+            "sampler.grid=32",
+            "field.density_bias=0.5",
+        ]
+    )
 
 
 @pytest.fixture(scope="session")

@@ -13,21 +13,21 @@ POINTS = [bench.Point(0.1, 0.03, 0.005, 8), bench.Point(1.0, 0.03, 0.005, 8), be
 
 @pytest.fixture(scope="module")
 def results():
-    return list(bench.run(POINTS, 40, 1))
+    return list(bench.run(POINTS, 24, 1))
 
 
 def test_refinement_is_at_or_below_the_best_closed_form_and_at_the_bound(results):
     for result in results:
         assert (
             max(r.value for r in result.against_best()) <= 1.02
-        )  # the best of seven of forty trials is lucky by a hundredth or two
+        )  # the best of seven of 24 trials is lucky by a hundredth or two
         assert max(r.high for r in result.against_bound()) <= 1.10
 
 
 def test_bound_is_what_the_efficient_estimator_shows(results):
     for result in results:
         drawn = result.methods[bench.DRAWN].rms
-        # forty trials of three numbers: 6.5 % one sigma, more where one direction dominates
+        # 24 trials of three numbers: 8.3 % one sigma, more where one direction dominates
         np.testing.assert_allclose(drawn, result.bound, rtol=0.35)
 
 

@@ -21,7 +21,7 @@ SMALL = {
     "sampler": {"grid": 8, "outer_grid": 8},
     "field": {"ide_degree": 2},
 }
-"""Sizes that do not matter here, that of the encoding of directions among them: there is one direction. The bottleneck and all else
+"""Sizes that do not matter here: there is one direction to encode. The bottleneck and all else
 about colour stay as the model file has them."""
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.5, 4.5))
 DIFFERENT = 0.01

@@ -26,7 +26,8 @@ from reconstruct.field.encodings.lattice import PermutohedralLattice
 print(native.why_not())
 rng = np.random.default_rng(0)
 table, points = (np.float32(rng.uniform(size=size)) for size in ((2, 8 * 4096), (3, 8192)))
-grid = PermutohedralLattice(jax.device_put(table), jax.device_put(np.float32(0)), tuple(np.geomspace(2, 64, 8).tolist()), (12,) * 8)
+scales = tuple(np.geomspace(2, 64, 8).tolist())
+grid = PermutohedralLattice(jax.device_put(table), jax.device_put(np.float32(0)), scales, (12,) * 8)
 def run(grid, points):
     value, back = jax.vjp(lambda g: g(points), grid)
     return value, back(value)[0].table

@@ -29,6 +29,8 @@ from tests import drawn
 
 WALL, COUNT, SHARPNESS = 0.5, 40, 0.004
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 6.0))
+ROUNDING = 1e-6
+"""Between two programs: some ulp of light of order one."""
 TOWARDS = np.arange(COUNT) < COUNT // 2
 """Rays whose reflections meet the wall."""
 
@@ -116,7 +118,7 @@ def test_a_mirror_shows_the_wall_beside_it() -> None:
 
 
 def test_where_reflections_leave_the_scene_the_light_comes_from_afar() -> None:
-    np.testing.assert_array_equal(shown().specular[~TOWARDS], shown(cast=False).specular[~TOWARDS])
+    np.testing.assert_allclose(shown().specular[~TOWARDS], shown(cast=False).specular[~TOWARDS], atol=ROUNDING)
 
 
 def test_pictures_cast_the_same_rays() -> None:
@@ -128,12 +130,13 @@ def test_pictures_cast_the_same_rays() -> None:
 
 @pytest.mark.parametrize(("change", "same"), [({"tint": 0.01}, True), ({"roughness": 2.1 * ROUGH}, True), ({}, False)])
 def test_only_mirrors_cast(change: dict[str, float], same: bool) -> None:
-    assert (shown(**change).specular == shown(**change, cast=False).specular).all() == same
+    difference = np.abs(shown(**change).specular - shown(**change, cast=False).specular).max()
+    assert difference < ROUNDING if same else difference > 0.1
 
 
 def test_the_share_blends_near_light_with_that_from_afar() -> None:
     whole, none, half = shown().specular, shown(share=0.0).specular, shown(share=0.5).specular
-    np.testing.assert_array_equal(none, shown(cast=False).specular)
+    np.testing.assert_allclose(none, shown(cast=False).specular, atol=ROUNDING)
     np.testing.assert_allclose(half, (whole + none) / 2, atol=1e-5)
 
 

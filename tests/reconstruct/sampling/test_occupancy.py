@@ -13,7 +13,6 @@ from reconstruct.scene.rays import Normalisation
 from reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
-
 CELL = jax.jit(Occupancy.cell)
 
 

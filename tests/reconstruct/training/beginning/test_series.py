@@ -70,8 +70,8 @@ def test_one_that_was_killed_before_its_first_checkpoint_begins_with_them_again(
 
 def test_other_sizes_are_named(ball_scene: tuple[Scene, Path], first: Run, tmp_path: Path) -> None:
     run = first
-    wider = changed(run.config, ["field.spatial_width=24"])
-    with pytest.raises(ReconstructError, match=r"weights do not fit .*is .*16.* in the checkpoint and .*24.* here.*--set"):
+    wider = changed(run.config, ["field.spatial_width=16"])
+    with pytest.raises(ReconstructError, match=r"weights do not fit .*is .*8.* in the checkpoint and .*16.* here.*--set"):
         start(*ball_scene, wider, tmp_path / "next", None, run, series=True)
     assert not (tmp_path / "next").exists()
 
