@@ -1,8 +1,8 @@
 """What the suite costs: core-seconds (user and system) of each test, added up by folder and printed after the run.
 
 Each worker reads `resource` around a test: its own time, and that of the programs that it started and waited for. What no test
-accounts for is the line `outside tests`: imports, collection, and pytest's own work. Most of Chromium and of Ray is missing, as no
-test waits for their processes.
+accounts for is the line `outside tests`: imports, collection, and pytest's own work. Nobody waits for most processes of Chromium
+and of Ray: they are missing.
 """
 
 import resource
