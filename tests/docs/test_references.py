@@ -1,19 +1,15 @@
 """Files, functions and tests that the pages name exist, and the code on the pages runs."""
 
 import ast
-import json
 import re
 import runpy
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from datasets import formats, pose
-from datasets.imaging import images
-from tests.small import SET
-from tests.unoptimised import unoptimised as unoptimised
+from datasets import formats
+from tests.reconstruct import glossy_ball
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
@@ -95,16 +91,15 @@ def test_the_code_on_extending_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.usefixtures("unoptimised")
 def test_the_example_of_the_readme_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a small scene and with the suite's small model; the calls are those of the page."""
+    """On the glossy ball and with its small model; the calls are those of the page."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
     assert sum(bool(line) and not line.startswith("from ") for line in code.splitlines()) == 5
     changes = {
-        '"demo/koala/gold_head"': repr(str(scene_of_noise(tmp_path / "scene"))),
-        '"fast")': f'"fast", {[*SET, "surface.enabled=false"]!r})',
+        '"demo/koala/gold_head"': repr(str(glossy_ball.save(tmp_path))),
+        '"fast")': f'"fast", {glossy_ball.SETTINGS!r})',
         "budget_s=60": "budget_s=1",
     }
     for shown, run in changes.items():
@@ -114,17 +109,3 @@ def test_the_example_of_the_readme_runs(
     monkeypatch.chdir(tmp_path)
     runpy.run_path("example.py", run_name="example")
     assert capsys.readouterr().out.endswith("dB on test views\n")
-
-
-def scene_of_noise(folder: Path) -> Path:
-    """A scene in Blender's layout with four views of noise, two of them for testing."""
-    for split in ("train", "test"):
-        frames = []
-        for index, angle in enumerate((0.0, 1.5)):
-            matrix = pose.look_at((3 * np.cos(angle), 3 * np.sin(angle), 1.0), (0, 0, 0)) @ np.diag([1, -1, -1, 1])
-            picture = np.random.default_rng(index).random((24, 24, 4))
-            picture[..., 3] = 1.0 * (np.hypot(*np.mgrid[-12:12, -12:12]) < 8)
-            images.write(folder / split / f"{index}.png", picture)
-            frames.append({"file_path": f"./{split}/{index}", "transform_matrix": matrix.tolist()})
-        (folder / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
-    return folder

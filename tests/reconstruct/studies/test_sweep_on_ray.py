@@ -19,7 +19,6 @@ from types import ModuleType
 from typing import Any
 from unittest import mock
 
-import jax
 import pytest
 
 from datasets.core.errors import UsageError
@@ -36,7 +35,6 @@ from reconstruct.studies.jobs import Job
 from reconstruct.training.pace.pause import PauseRequests
 from tests.reconstruct.studies.odd_jobs import Astray, Dying, Faulty, Refused, Written
 from tests.small import SET
-from tests.unoptimised import OPTION
 
 cluster_utils = pytest.importorskip("ray.cluster_utils", reason="Ray is absent: pip install 'koala-capture[sweep]'")
 if sys.platform != "linux":
@@ -62,8 +60,7 @@ def cluster() -> Iterator[Any]:
     """A node with one processor. In the end none of its processes runs."""
     with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
         for name, value in {
-            "PYTHONPATH": str(ROOT),  # workers import the jobs of these tests,
-            OPTION.upper(): str(jax.config.read(OPTION)),  # and compile as this process does
+            "PYTHONPATH": str(ROOT),  # workers import the jobs of these tests
             FOLDER: folder,  # short: paths of sockets have 107 characters at most
             "RAY_AUTH_MODE": "disabled",  # or it leaves a token in the user's home
             "RAY_USAGE_STATS_ENABLED": "0",
