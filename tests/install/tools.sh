@@ -13,7 +13,7 @@ lacks node nodejs
 lacks npm npm
 if [ "$(uname)" = Linux ]; then
   lacks strace strace
-  ldconfig -p | grep -q 'libusb-1\.0\.so' || missing+=(libusb-1.0-0)
+  [[ $(PATH=$PATH:/usr/sbin:/sbin ldconfig -p) == *libusb-1.0.so* ]] || missing+=(libusb-1.0-0)
 fi
 
 if [ ${#missing[@]} -gt 0 ]; then

@@ -17,24 +17,17 @@ from reconstruct.scene.facts import SceneFacts
 from reconstruct.scene.rays import Normalisation, Pixels
 from reconstruct.training.faults import FAULTS, cause
 from reconstruct.training.step import Step, TrainState
+from tests.small import SIZES
 
 PIXELS, VIEWS, CHUNKS, STEPS = 1500, 5, 4, 6
-SMALL = {
-    "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 32.0},
-    "field": {"spatial_width": 8, "view_width": 8, "bottleneck": 4, "ide_degree": 3, "view_depth": 2, "view_skip": 0},
-    "sampler": {
-        "rays": 64,
-        "samples": 768,
-        "grid": 16,
-        "outer_grid": 8,
-        "steps": 32,
-        "max_per_ray": 8,
-        "proposals": (8, 8),
-        "final": 8,
-        "proposal_finest": (8.0, 16.0),
+SMALL = models.merged(
+    SIZES,
+    {
+        "encoding": {"finest": 32.0},
+        "field": {"spatial_width": 8, "view_width": 8, "ide_degree": 3, "view_depth": 2, "view_skip": 0},
+        "sampler": {"samples": 768, "grid": 16, "outer_grid": 8},
     },
-    "surface": {"rays": 16, "samples": 8},
-}
+)
 PICTURES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "noise": lambda rng: rng.random((PIXELS, 4)),
     "black": lambda rng: np.tile([0.0, 0, 0, 1], (PIXELS, 1)),
