@@ -3,13 +3,13 @@
 import os
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from reconstruct.studies.job_log import last_line, output_in
+from tests.moments import PATIENCE_S, until
 
 HOLDER = """
 import fcntl, sys
@@ -19,7 +19,6 @@ print("held", flush=True)
 sys.stdin.readline()
 file.write("of the first\\n")
 """
-PATIENCE_S = 60.0
 
 
 def waits_for_a_lock() -> bool:
@@ -43,9 +42,7 @@ def test_a_second_process_waits_until_the_first_is_gone(tmp_path: Path) -> None:
     ):
         assert holder.stdout is not None and holder.stdout.readline() == "held\n"
         done = thread.submit(second)
-        deadline = time.monotonic() + PATIENCE_S
-        while not waits_for_a_lock() and not done.done() and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: waits_for_a_lock() or done.done(), "a second process that waits")
         holder.communicate("\n")
         done.result(PATIENCE_S)
     assert log.read_text() == "of the first\nof the second\nits last word\n"

@@ -33,6 +33,7 @@ from reconstruct.studies import sweep
 from reconstruct.studies.job_log import log_of
 from reconstruct.studies.jobs import Job
 from reconstruct.training.pace.pause import PauseRequests
+from tests.moments import until
 from tests.reconstruct.studies.odd_jobs import Astray, Dying, Faulty, Refused, Written
 from tests.small import SET
 
@@ -70,10 +71,7 @@ def cluster() -> Iterator[Any]:
         patch.setenv("RAY_ADDRESS", cluster.address)
         yield cluster
         cluster.shutdown()
-        deadline = time.monotonic() + PATIENCE_S
-        while (left := started_with(folder)) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert not left
+        until(lambda: not started_with(folder), "the end of the cluster's processes")
 
 
 def started_with(folder: str) -> list[str]:
